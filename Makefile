@@ -1,0 +1,37 @@
+# Two commands matter: `make calibrate` and `make test`. Each makes the environment that it needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# One thread per test worker: two workers fill two cores.
+ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: calibrate test lint clean help
+
+calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
+	$(BIN)/calibrate fit --preset quick --out results/calibrate
+
+test: lint  ## lint, then run all tests on two cores
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2
+
+lint: $(STAMP)  ## style, format and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+clean:  ## remove the environment, caches and build products; results/ stays
+	rm -rf $(VENV) build dist *.egg-info .jax_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help:  ## show this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "error: Python 3.11 or later is needed ($(PYTHON) is older or missing); try: make PYTHON=python3.12"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -r requirements.lock
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-build-isolation --no-deps -e .
+	@touch $@

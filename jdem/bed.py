@@ -1,0 +1,101 @@
+"""From spheres and soil to a bed that can be advanced: laws, time step, list capacities.
+
+    dt = safety * min over contacts of sqrt(m*/k),   k the stiffest tangent (k2, wall or pair)
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jdem.dynamics import Bed
+from jdem.neighbors import Grid
+from jdem.particles import Spheres
+from jdem.quantity import cast
+from jdem.smooth import Smoothing
+from jdem.soil import SoilParameters, particle_law, wall_law
+
+
+class Numerics(eqx.Module):
+    """Choices of the method, not of the soil.
+
+    safety (-) scales the time step; sample_time (s) is the interval of output and of list
+    rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere,
+    walls_per_sphere and per_cell are list capacities; dtype is "float64" or "float32";
+    boundaries keeps the CPU compiler from fusing across stages (switch off on a GPU).
+    """
+
+    safety: float = eqx.field(static=True, default=0.25)
+    sample_time: float = eqx.field(static=True, default=1e-3)
+    skin: float = eqx.field(static=True, default=0.1)
+    pairs_per_sphere: float = eqx.field(static=True, default=4.5)
+    walls_per_sphere: float = eqx.field(static=True, default=1.0)
+    per_cell: int = eqx.field(static=True, default=8)
+    dtype: str = eqx.field(static=True, default="float64")
+    boundaries: bool = eqx.field(static=True, default=True)
+    smoothing: Smoothing = eqx.field(default_factory=Smoothing)
+
+
+def build_bed(
+    spheres: Spheres,
+    soil: SoilParameters,
+    grid: Grid,
+    numerics: Numerics,
+    time_step: Array | None = None,
+) -> Bed:
+    """A bed in the wanted precision.
+
+    `time_step` (s) overrides the one from the stiffness.  Surface energy is scaled to
+    the spheres' mean diameter.
+    """
+    mean_diameter = 2 * jnp.mean(spheres.radius)
+    between = particle_law(soil, mean_diameter, numerics.smoothing)
+    walls = wall_law(soil, mean_diameter, numerics.smoothing)
+    if time_step is None:
+        time_step = stable_time_step(spheres, between, walls, numerics.safety)
+    bed = Bed(
+        spheres=spheres,
+        particle_law=between,
+        wall_law=walls,
+        friction=soil.static_friction,
+        wall_friction=jnp.stack([soil.platen_friction, soil.platen_friction, soil.wall_friction]),
+        time_step=time_step,
+        roll_width=numerics.smoothing.roll,
+        grid=grid,
+        boundaries=numerics.boundaries,
+    )
+    return cast(bed, jnp.dtype(numerics.dtype))
+
+
+def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
+    """Time step (s) from the stiffest contact; no derivative passes through it."""
+    radius, mass = spheres.radius, spheres.mass
+    pair = jnp.min(0.5 * mass / between.stiffness_bound(0.5 * radius))
+    wall = jnp.min(mass / walls.stiffness_bound(radius))
+    return jax.lax.stop_gradient(safety * jnp.sqrt(jnp.minimum(pair, wall)))
+
+
+def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:
+    """Whole number of time steps in one sampling interval, an array (never compiled in)."""
+    return jnp.maximum(jnp.round(numerics.sample_time / bed.time_step), 1.0).astype(jnp.int32)
+
+
+def plan_grid(
+    count: int, mean_radius: float, max_radius: float, extent: tuple[float, float], numerics: Numerics
+) -> Grid:
+    """The neighbour search for spheres of these sizes (m).
+
+    `extent` is the width and height (m) that the search grid covers before it wraps.
+    """
+    skin = numerics.skin * 2 * mean_radius
+    cell = 2 * max_radius + skin
+    across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
+    return Grid(
+        shape=(across, across, up),
+        per_cell=numerics.per_cell,
+        pairs=int(np.ceil(numerics.pairs_per_sphere * count)),
+        wall_contacts=int(np.ceil(numerics.walls_per_sphere * count)) + 16,
+        cell=cell,
+        skin=skin,
+    )

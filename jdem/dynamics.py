@@ -1,0 +1,276 @@
+"""One time step of a bed between its walls, in the order of physics.
+
+    contacts -> forces -> sums on spheres and walls -> motion -> walls
+
+Semi-implicit Euler: velocities first, positions with the new velocities.  Background
+damping acts on the motion relative to the affine motion that the platen imposes, and
+rolling resistance is applied implicitly: it can stop a spin, never reverse it.
+
+`_stage` is a fusion boundary.  Without it the CPU compiler repeats gathers and pieces
+of arithmetic for every output; a conditional that is always true keeps stages apart.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jdem import smooth, walls as wall_module
+from jdem.contact import Contact, ContactForce
+from jdem.energy import Ledger
+from jdem.laws.base import AbstractContactLaw
+from jdem.neighbors import ContactList, Grid
+from jdem.particles import Motion, Spheres
+from jdem.quantity import quantity
+from jdem.vector import Vector
+from jdem.walls import Walls
+
+GRAVITY = 9.81  # m/s2
+
+
+class Bed(eqx.Module):
+    """What does not change while a bed is tested: spheres, laws, numerics.
+
+    friction (-) between spheres; wall_friction (-) of base, platen and mould, shape (3,);
+    time_step in s; roll_width is the rounding of the onset of rolling, as a fraction.
+    """
+
+    spheres: Spheres
+    particle_law: AbstractContactLaw
+    wall_law: AbstractContactLaw
+    friction: Array = quantity()
+    wall_friction: Array = quantity()
+    time_step: Array = quantity()
+    roll_width: Array = quantity()
+    gravity: Array = quantity(GRAVITY)
+    grid: Grid = eqx.field(static=True, kw_only=True)
+    boundaries: bool = eqx.field(static=True, default=True)
+
+
+class BedState(eqx.Module):
+    """What changes: motion, walls, contacts with their histories, forces, energy, time."""
+
+    motion: Motion
+    walls: Walls
+    pairs: ContactList
+    wall_contacts: ContactList
+    wall_force: Array  #: N, shape (3,); axial push on base and platen, radial on the mould
+    mould_drag: Array  #: N; axial force on the mould
+    energy: Ledger
+    time: Array
+
+
+class Command(eqx.Module):
+    """What the machine does during one step: wall speeds (m/s), background damping (1/s)."""
+
+    platen_speed: Array
+    mould_speed: Array
+    damping: Array
+
+
+class Loads(eqx.Module):
+    """Sums over contacts: on each sphere (rows), on the walls, and power by channel."""
+
+    rows: Array  #: (N, 7): force 0-2 (N), torque 3-5 (N m), rolling limit 6 (N m)
+    power: Array  #: (4,), W; absorbed by normal spring and dashpot, tangential spring and dashpot
+
+
+def step(bed: Bed, state: BedState, command: Command) -> BedState:
+    """The state one time step later."""
+    walls = Walls(
+        state.walls.platen_height,
+        command.platen_speed,
+        state.walls.mould_radius,
+        command.mould_speed,
+    )
+    rows = jax.lax.optimization_barrier(state.motion.rows(bed.spheres))
+    pair_loads, pairs = _pair_loads(bed, rows, state.pairs)
+    wall_loads, contacts, on_walls = _wall_loads(bed, rows, walls, state.wall_contacts)
+    loads = pair_loads.rows + wall_loads.rows
+    motion, absorbed = _moved(bed, state.motion, walls, loads, command.damping)
+    power = Ledger.of_step(
+        contacts=pair_loads.power + wall_loads.power,
+        walls=on_walls,
+        absorbed=absorbed,
+        gravity=-bed.gravity * jnp.sum(bed.spheres.mass * state.motion.velocity.z),
+        walls_moving=walls,
+        time_step=bed.time_step,
+    )
+    return BedState(
+        motion=motion,
+        walls=walls.moved(bed.time_step),
+        pairs=pairs,
+        wall_contacts=contacts,
+        wall_force=on_walls[:3],
+        mould_drag=on_walls[3],
+        energy=state.energy + power,
+        time=state.time + bed.time_step,
+    )
+
+
+def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
+    """Sphere-sphere contacts: loads on the spheres and the list with its new histories."""
+    one, two = rows[pairs.first], rows[pairs.second]
+    one, two = jax.lax.optimization_barrier((one, two))
+    contact, levers = _stage(bed, _pair_contacts, bed, one, two, pairs.alive)
+    force, history = _stage(bed, _law_forces, bed.particle_law, contact, pairs.history)
+    on_first, on_second, power = _stage(bed, _assembled, contact, force, levers)
+    total = jnp.zeros((rows.shape[0], 7), rows.dtype)
+    total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
+    return Loads(total, power), eqx.tree_at(lambda p: p.history, pairs, history)
+
+
+def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList):
+    """Sphere-wall contacts: loads on the spheres, the list, and what the walls feel."""
+    one = jax.lax.optimization_barrier(rows[contacts.first])
+    wall = contacts.second
+    contact, levers = _stage(bed, _wall_geometry, bed, one, walls, wall, contacts.alive)
+    force, history = _stage(bed, _law_forces, bed.wall_law, contact, contacts.history)
+    on_first, on_wall, power = _stage(bed, _assembled, contact, force, levers)
+    total = jnp.zeros((rows.shape[0], 7), rows.dtype).at[contacts.first].add(on_first)
+    pushes = _pushes(contact.normal, on_wall, wall)
+    return Loads(total, power), eqx.tree_at(lambda c: c.history, contacts, history), pushes
+
+
+def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
+    """Contacts of listed pairs, and the lever arms from centre to contact (m)."""
+    offset = Vector.from_rows(one[:, 0:3]) - Vector.from_rows(two[:, 0:3])
+    distance = smooth.norm(offset)
+    normal = offset * smooth.divide(1.0, distance)
+    radius_one, radius_two = one[:, 9], two[:, 9]
+    overlap = jnp.where(alive > 0, radius_one + radius_two - distance, -1.0)
+    lever_one, lever_two = radius_one - 0.5 * overlap, radius_two - 0.5 * overlap
+    spin = Vector.from_rows(one[:, 6:9]) * lever_one + Vector.from_rows(two[:, 6:9]) * lever_two
+    relative = Vector.from_rows(one[:, 3:6]) - Vector.from_rows(two[:, 3:6]) - spin.cross(normal)
+    contact = Contact(
+        overlap=overlap,
+        approach_speed=-relative.dot(normal),
+        normal=normal,
+        slip=relative.without(normal),
+        radius=radius_one * radius_two / (radius_one + radius_two),
+        mass=one[:, 10] * two[:, 10] / (one[:, 10] + two[:, 10]),
+        friction=bed.friction * alive,
+        time_step=bed.time_step * jnp.ones_like(overlap),
+    )
+    return contact, (lever_one, lever_two)
+
+
+def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array):
+    """Contacts of listed spheres with walls; a wall has infinite radius and mass."""
+    surface = wall_module.surface(walls, wall, Vector.from_rows(one[:, 0:3]))
+    overlap = jnp.where(alive > 0, one[:, 9] - surface.distance, -1.0)
+    lever = one[:, 9] - overlap
+    spin = Vector.from_rows(one[:, 6:9]) * lever
+    relative = Vector.from_rows(one[:, 3:6]) - surface.velocity - spin.cross(surface.normal)
+    contact = Contact(
+        overlap=overlap,
+        approach_speed=-relative.dot(surface.normal),
+        normal=surface.normal,
+        slip=relative.without(surface.normal),
+        radius=one[:, 9],
+        mass=one[:, 10],
+        friction=bed.wall_friction[wall] * alive,
+        time_step=bed.time_step * jnp.ones_like(overlap),
+    )
+    return contact, (lever, lever)
+
+
+def _law_forces(law: AbstractContactLaw, contact: Contact, history):
+    """The law, vectorised over contacts."""
+    return jax.vmap(law.force)(contact, history)
+
+
+def _assembled(contact: Contact, force: ContactForce, levers):
+    """Rows to add to the first and to the second body, and power absorbed by channel."""
+    traction = force.traction()
+    push = contact.normal * force.normal.total() + traction
+    twist = traction.cross(contact.normal)
+    channels = [
+        force.normal.hysteretic * contact.approach_speed,
+        force.normal.viscous * contact.approach_speed,
+        -force.tangential.dot(contact.slip),
+        -force.tangential_viscous.dot(contact.slip),
+    ]
+    return (
+        _row(push, twist * levers[0], force.rolling_limit * levers[0]),
+        _row(-push, twist * levers[1], force.rolling_limit * levers[1]),
+        jnp.sum(jnp.stack(channels), axis=1),
+    )
+
+
+def _row(push: Vector, torque: Vector, limit: Array) -> Array:
+    return jnp.stack([push.x, push.y, push.z, torque.x, torque.y, torque.z, limit], axis=-1)
+
+
+def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
+    """Force on the walls (N): base down, platen up, mould outward, mould upward."""
+    radial = on_wall[:, 0] * normal.x + on_wall[:, 1] * normal.y
+    base = jnp.where(wall == wall_module.BASE, -on_wall[:, 2], 0.0)
+    platen = jnp.where(wall == wall_module.PLATEN, on_wall[:, 2], 0.0)
+    is_mould = wall == wall_module.MOULD
+    mould = jnp.where(is_mould, -radial, 0.0)
+    drag = jnp.where(is_mould, on_wall[:, 2], 0.0)
+    return jnp.sum(jnp.stack([base, platen, mould, drag]), axis=1)
+
+
+def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, damping: Array):
+    """Motion one step later, and energies of the step as `_absorbed` lists them."""
+    spheres, dt = bed.spheres, bed.time_step
+    weight = Vector(0.0, 0.0, -bed.gravity)
+    push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
+    impulse = (push + weight) * dt
+    free = motion.velocity + impulse
+    affine = walls.axial_strain_rate() * motion.position.z
+    keep = 1 / (1 + damping * dt)
+    velocity = Vector(free.x * keep, free.y * keep, affine + (free.z - affine) * keep)
+
+    kick = Vector.from_rows(loads[:, 3:6]) * (dt / spheres.inertia)
+    free_spin = (motion.spin + kick) * keep
+    spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, bed.roll_width)
+
+    moved = Motion(motion.position + velocity * dt, velocity, spin)
+    absorbed = _absorbed(spheres, motion, moved, (impulse, kick), (free, free_spin))
+    return moved, absorbed
+
+
+def _absorbed(spheres: Spheres, before: Motion, after: Motion, increments, free) -> Array:
+    """Energy (J) that background damping and rolling took, and `integration`.
+
+    A force's exact work in one step goes with the mean of the velocities before and
+    after; power at the start of the step misses half the velocity's change.
+    """
+    impulse, kick = increments
+    free_velocity, free_spin = free
+    mean_velocity = (before.velocity + after.velocity) * 0.5
+    mean_spin = (before.spin + after.spin) * 0.5
+    mass, inertia = spheres.mass, spheres.inertia
+    drag = mass * (free_velocity - after.velocity).dot(mean_velocity)
+    spin_drag = inertia * (before.spin + kick - free_spin).dot(mean_spin)
+    rolling = inertia * (free_spin - after.spin).dot(mean_spin)
+    missed = mass * impulse.dot(after.velocity - before.velocity)
+    spin_missed = inertia * kick.dot(after.spin - before.spin)
+    sums = jnp.stack([drag + spin_drag, rolling, 0.5 * (missed + spin_missed)])
+    return jnp.sum(sums, axis=1)
+
+
+def _braked(spin: Vector, limit: Array, width: Array) -> Vector:
+    """Spin after a rolling resistance that could take away `limit` (rad/s) in this step."""
+    rate = smooth.norm(spin)
+    left = smooth.ramp(rate - limit, width * limit)
+    return spin * jnp.minimum(smooth.divide(left, rate), 1.0)
+
+
+def _stage(bed: Bed, function, *arguments):
+    """function(*arguments), kept apart from its neighbours by the compiler."""
+    if not bed.boundaries:
+        return function(*arguments)
+    dynamic, static = eqx.partition(arguments, eqx.is_array)
+
+    def call(inputs):
+        return function(*eqx.combine(inputs, static))
+
+    def zeros(inputs):
+        shapes = jax.eval_shape(call, inputs)
+        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    return jax.lax.cond(bed.time_step > 0, call, zeros, dynamic)

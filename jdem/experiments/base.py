@@ -1,0 +1,33 @@
+"""The contract of an apparatus: it states what the machine does, as segments.
+
+An apparatus knows rates, forces and durations.  It does not know how a bed is advanced
+(`jdem.simulate`) nor what soil is in it.
+"""
+
+import abc
+
+import equinox as eqx
+from jax import Array
+
+from jdem.quantity import quantity
+from jdem.simulate import Segment
+
+
+class Damping(eqx.Module):
+    """Background damping (1/s) while the machine loads, and while a specimen comes to rest."""
+
+    loading: Array = quantity(200.0)
+    resting: Array = quantity(500.0)
+
+
+class AbstractApparatus(eqx.Module):
+    """One test, run on the specimen as the previous one left it."""
+
+    @abc.abstractmethod
+    def segments(self) -> list[Segment]:
+        """The machine's movements in order."""
+
+    @property
+    @abc.abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """What each segment is called in the curves."""

@@ -1,0 +1,55 @@
+"""Confined compression: the platen comes down in the mould to a force, holds, and returns.
+
+The nominal rate is the laboratory's (8 mm/s in the paper); the simulated rate is faster
+and explicit, and has to be shown to be quasi-static (inertial number, halved rate).
+"""
+
+import equinox as eqx
+from jax import Array
+
+from jdem.experiments.base import AbstractApparatus, Damping
+from jdem.quantity import quantity
+from jdem.simulate import KEEP, LOWER, Segment
+
+
+class ConfinedCompression(AbstractApparatus):
+    """Loads to force_high (N) at simulated_rate (m/s), holds for `hold` (s), unloads.
+
+    The platen slows down within servo_width (N) of its target and stops when the force
+    is within `tolerance` (N); stroke (m) is the farthest it may go.
+    """
+
+    simulated_rate: Array = quantity(0.1)
+    nominal_rate: Array = quantity(8e-3)
+    force_low: Array = quantity(200.0)
+    force_high: Array = quantity(400.0)
+    servo_width: Array = quantity(4.0)
+    tolerance: Array = quantity(0.05)
+    stroke: Array = quantity(0.025)
+    hold: Array = quantity(0.0)
+    damping: Damping = eqx.field(default_factory=Damping)
+
+    @property
+    def names(self):
+        return ("loading", "holding", "unloading")
+
+    def segments(self):
+        return [
+            self._towards(self.force_high, self.stroke / self.simulated_rate, LOWER),
+            self._holding(),
+            self._towards(0.0, self.stroke / self.simulated_rate, KEEP),
+        ]
+
+    def _towards(self, force, duration, platen) -> Segment:
+        return Segment(
+            platen_speed=self.simulated_rate,
+            force_target=force,
+            servo_width=self.servo_width,
+            tolerance=self.tolerance,
+            damping=self.damping.loading,
+            duration=duration,
+            platen=platen,
+        )
+
+    def _holding(self) -> Segment:
+        return Segment(damping=self.damping.loading, duration=self.hold)

@@ -1,0 +1,26 @@
+"""Rolling resistance: a torque up to mu_r |f_hys| R against each body's own spin.
+
+The law gives the limit; `jdem.dynamics` applies the sum over a sphere's contacts
+implicitly, as friction that can stop a spin within a step but never reverse it.
+(A constant torque integrated explicitly jitters at tens of rad/s.)
+"""
+
+import equinox as eqx
+from jax import Array
+
+from jdem import smooth
+from jdem.contact import NormalForce
+from jdem.laws.base import AbstractRollingLaw
+from jdem.quantity import quantity
+from jdem.smooth import Smoothing
+
+
+class ConstantTorque(AbstractRollingLaw):
+    """Limit mu_r |f_hys|; rolling_friction is mu_r, dimensionless."""
+
+    rolling_friction: Array = quantity()
+    smoothing: Smoothing = eqx.field(default_factory=Smoothing)
+
+    def limit(self, normal: NormalForce):
+        width = self.smoothing.roll * 0.1 * normal.frictional_load
+        return self.rolling_friction * smooth.absolute(normal.hysteretic, width)

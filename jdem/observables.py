@@ -1,0 +1,71 @@
+"""Pure functions of a curve: depression depth, crushing force, stiffness.
+
+A curve has a fixed number of rows of which some are masked, so that the functions can
+be compiled once, vectorised and differentiated.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+class Curve(eqx.Module):
+    """Platen displacement (m, downward) and force (N); rows count where `valid` is 1."""
+
+    displacement: Array
+    force: Array
+    valid: Array
+
+    def filled(self) -> "Curve":
+        """Masked rows replaced by the nearest valid row before them (or the first after)."""
+        rows = jnp.arange(self.force.shape[0])
+        last = jax.lax.cummax(jnp.where(self.valid > 0, rows, -1))
+        source = jnp.where(last < 0, jnp.argmax(self.valid), last)
+        ones = jnp.ones_like(self.valid)
+        return Curve(self.displacement[source], self.force[source], ones)
+
+
+def displacement_at(loading: Curve, force) -> Array:
+    """Displacement (m) at which the loading curve first reaches `force` (N).
+
+    Linear interpolation of the curve's running maximum; a force beyond the last row
+    gives the last row's displacement.
+    """
+    curve = loading.filled()
+    highest = jax.lax.cummax(curve.force)
+    after = jnp.argmax(highest >= force)
+    after = jnp.where(highest[-1] < force, curve.force.shape[0] - 1, after)
+    before = jnp.maximum(after - 1, 0)
+    rise = highest[after] - highest[before]
+    share = jnp.where(rise > 0, (force - highest[before]) / jnp.where(rise > 0, rise, 1.0), 1.0)
+    step = curve.displacement[after] - curve.displacement[before]
+    return curve.displacement[before] + jnp.clip(share, 0.0, 1.0) * step
+
+
+def depression_depth(loading: Curve, force_low, force_high) -> Array:
+    """H (m): displacement between force_low and force_high (N) on loading."""
+    return displacement_at(loading, force_high) - displacement_at(loading, force_low)
+
+
+def crushing_force(crushing: Curve, width) -> Array:
+    """F (N): smoothed maximum of the crushing curve.
+
+    sum F_i w_i / sum w_i with w_i = exp(F_i / width); `width` (N) -> 0 gives the maximum.
+    """
+    force = jnp.where(crushing.valid > 0, crushing.force, -jnp.inf)
+    weight = jnp.exp((force - jax.lax.stop_gradient(jnp.max(force))) / width)
+    return jnp.sum(weight * crushing.force * crushing.valid) / jnp.sum(weight)
+
+
+def running_mean(curve: Curve, rows: int) -> Curve:
+    """The curve with its force averaged over an odd number of neighbouring rows."""
+    kernel = jnp.ones(rows, curve.force.dtype)
+    total = jnp.convolve(curve.force * curve.valid, kernel, mode="same")
+    count = jnp.convolve(curve.valid, kernel, mode="same")
+    return Curve(curve.displacement, total / jnp.maximum(count, 1.0), curve.valid)
+
+
+def inertial_number(rate, height, diameter, density, pressure) -> Array:
+    """I = (rate/height) d sqrt(density/pressure), dimensionless (MiDi 2004)."""
+    return rate / height * diameter * jnp.sqrt(density / pressure)

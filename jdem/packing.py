@@ -1,0 +1,211 @@
+"""A bed of spheres in its mould: drawn by seed, settled, levelled, stored.
+
+Spheres of random radii (mean +- spread) start on a loose lattice above each other, fall
+under gravity with little friction and no adhesion, and are levelled by a platen at a
+small seating force.  Their density is then set so that the bed has the target bulk
+density.  A packing is prepared once and reused for every parameter set (common random
+numbers); `prepare` takes another soil if the bed is to be made with the parameters
+under test.
+"""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jdem.bed import Numerics, build_bed, plan_grid, steps_per_sample
+from jdem.neighbors import Grid
+from jdem.particles import Spheres
+from jdem.quantity import quantity
+from jdem.simulate import LOWER, REMOVE, Record, Segment, run, stack, start
+from jdem.soil import SoilParameters
+from jdem.vector import Vector
+
+SOFT = 0.15  # modulus while the spheres fall, relative to the soil's
+FASTEST = 1.5  # m/s; fall under gravity with the settling programme's damping
+
+
+
+class Specimen(eqx.Module):
+    """What is to be filled: mould diameter and height of the soil (m), bulk density (kg/m3),
+    number of spheres, and half-width of the uniform distribution of radii over their mean."""
+
+    diameter: float = eqx.field(static=True, default=0.05)
+    height: float = eqx.field(static=True, default=0.10)
+    density: float = eqx.field(static=True, default=1829.6)
+    count: int = eqx.field(static=True, default=150)
+    spread: float = eqx.field(static=True, default=0.15)
+
+    def mean_radius(self) -> float:
+        """Mean radius (m) with which `count` spheres fill the specimen."""
+        cylinder = np.pi / 4 * self.diameter**2 * self.height
+        radius = 0.0
+        for _ in range(20):
+            cube = solid_fraction(2 * radius / self.diameter) * cylinder / self.count
+            radius = float((cube / (4 / 3 * np.pi * (1 + self.spread**2))) ** (1 / 3))
+        return radius
+
+    def grid(self, numerics: Numerics) -> Grid:
+        """Neighbour search for any packing of this specimen."""
+        mean = self.mean_radius()
+        extent = (self.diameter, 1.5 * self.height)
+        return plan_grid(self.count, mean, mean * (1 + self.spread), extent, numerics)
+
+
+def solid_fraction(size_ratio: float) -> float:
+    """Solid fraction of a settled bed at sphere over mould diameter; it sets the spheres'
+    size for a wanted height and nothing else (a fit to this module's own beds)."""
+    return 0.62 - 0.55 * size_ratio
+
+
+class Packing(eqx.Module):
+    """A settled bed at rest: centres (m), radii (m), masses (kg), and its mould (m)."""
+
+    position: Vector
+    spheres: Spheres
+    height: Array = quantity()
+    mould_radius: Array = quantity()
+
+    def mean_diameter(self) -> Array:
+        return 2 * jnp.mean(self.spheres.radius)
+
+    def bulk_density(self) -> Array:
+        """Mass of the spheres over the volume between base, platen and mould, kg/m3."""
+        return jnp.sum(self.spheres.mass) / (jnp.pi * self.mould_radius**2 * self.height)
+
+    def solid_fraction(self) -> Array:
+        solid = 4 / 3 * jnp.pi * jnp.sum(self.spheres.radius**3)
+        return solid / (jnp.pi * self.mould_radius**2 * self.height)
+
+
+def neutral_soil() -> SoilParameters:
+    """Slippery, cohesionless, strongly damped: what beds are settled with by default."""
+    return SoilParameters(
+        restitution=0.1,
+        static_friction=0.15,
+        rolling_friction=0.0,
+        surface_energy=0.0,
+        wall_friction=0.0,
+        platen_friction=0.0,
+    )
+
+
+def prepare(
+    specimen: Specimen, seed: int, soil: SoilParameters | None = None, seating_force: float = 2.0
+) -> Packing:
+    """A packing drawn and settled; the same arguments give the same bed bit for bit.
+
+    Raises ValueError if the bed had not come to rest.
+    """
+    radius, position = _draw(specimen, seed)
+    mass = specimen.density / 0.6 * 4 / 3 * np.pi * radius**3
+    spheres = Spheres(radius, mass)
+    soil = neutral_soil() if soil is None else soil
+    loose = Packing(position, spheres, float(position.z.max()) * 1.1, specimen.diameter / 2)
+    record = _settled(specimen, loose, soil, seating_force)
+    motion = record.state.motion
+    height = float(record.samples.platen_height[np.flatnonzero(record.samples.segment >= 0)[-1]])
+    packing = Packing(motion.position, spheres, height, specimen.diameter / 2)
+    return _with_density(packing, specimen.density)
+
+
+def _draw(specimen: Specimen, seed: int):
+    """Radii, and centres on a loose hexagonal lattice with a random jitter."""
+    rng = np.random.default_rng(seed)
+    mean = specimen.mean_radius()
+    radius = mean * rng.uniform(1 - specimen.spread, 1 + specimen.spread, specimen.count)
+    pitch = 2.05 * radius.max()
+    layer = _layer(specimen.diameter / 2 - radius.max(), pitch)
+    layers = -(-specimen.count // len(layer))
+    height = (np.arange(layers) + 0.6) * pitch
+    centres = np.array([(x, y, z) for z in height for x, y in layer])[: specimen.count]
+    centres += rng.uniform(-0.012, 0.012, centres.shape) * pitch
+    turn = rng.uniform(0, 2 * np.pi, layers).repeat(len(layer))[: specimen.count]
+    x = centres[:, 0] * np.cos(turn) - centres[:, 1] * np.sin(turn)
+    y = centres[:, 0] * np.sin(turn) + centres[:, 1] * np.cos(turn)
+    return radius, Vector(jnp.asarray(x), jnp.asarray(y), jnp.asarray(centres[:, 2]))
+
+
+def _layer(radius: float, pitch: float) -> list[tuple[float, float]]:
+    """Points of a square lattice within a circle."""
+    side = np.arange(-np.ceil(radius / pitch), np.ceil(radius / pitch) + 1) * pitch
+    points = [(x, y) for x in side for y in side if x * x + y * y < (0.97 * radius) ** 2]
+    return points or [(0.0, 0.0)]
+
+
+def _settled(
+    specimen: Specimen, loose: Packing, soil: SoilParameters, seating_force: float
+) -> Record:
+    """The drawn bed after falling (soft spheres, large steps), resting and levelling."""
+    height = float(loose.height)
+    fall = Segment(damping=10.0, duration=np.sqrt(2 * height / 9.81) + 0.05, platen=REMOVE)
+    calm = Segment(damping=200.0, duration=0.04, platen=REMOVE)
+    level = Segment(
+        platen_speed=0.1,
+        force_target=seating_force,
+        servo_width=0.5 * seating_force,
+        tolerance=0.02 * seating_force,
+        damping=200.0,
+        duration=0.3,
+        platen=LOWER,
+    )
+    soft = eqx.tree_at(lambda p: p.shear_modulus, soil, soil.shear_modulus * SOFT)
+    fallen = _advanced(specimen, loose, soft, [fall, calm])
+    rested = eqx.tree_at(_position, loose, fallen.state.motion.position)
+    return _advanced(specimen, rested, soil, [calm, level])
+
+
+def _position(packing: "Packing"):
+    return packing.position
+
+
+def _advanced(
+    specimen: Specimen, packing: Packing, soil: SoilParameters, segments: list[Segment]
+) -> Record:
+    """The bed after some segments; raises ValueError where a contact list was too small."""
+    numerics = _settling_numerics(2 * specimen.mean_radius())
+    bed = build_bed(packing.spheres, soil, specimen.grid(numerics), numerics)
+    programme = stack(segments)
+    capacity = int(np.sum(np.ceil(np.asarray(programme.duration) / numerics.sample_time))) + 8
+    state = start(bed, packing.position, packing.height, packing.mould_radius)
+    record = eqx.filter_jit(run)(bed, state, programme, steps_per_sample(bed, numerics), capacity)
+    if bool(record.overflow(bed)):
+        raise ValueError(f"while settling the bed, {record.explain_overflow(bed)}")
+    return record
+
+
+def _settling_numerics(diameter: float) -> Numerics:
+    """Lists are rebuilt before a falling sphere has crossed a third of their skin."""
+    skin = 0.2
+    return Numerics(skin=skin, sample_time=skin * diameter / (3 * FASTEST), pairs_per_sphere=6.0)
+
+
+def _with_density(packing: Packing, density: float) -> Packing:
+    """The packing with all masses scaled to a bulk density (kg/m3)."""
+    scale = density / packing.bulk_density()
+    return eqx.tree_at(lambda p: p.spheres.mass, packing, packing.spheres.mass * scale)
+
+
+def save(packing: Packing, path: Path) -> None:
+    """Writes a packing as numbers only (.npz), atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part.npz")
+    np.savez(
+        part,
+        position=np.asarray(packing.position.stack()),
+        radius=np.asarray(packing.spheres.radius),
+        mass=np.asarray(packing.spheres.mass),
+        height=np.asarray(packing.height),
+        mould_radius=np.asarray(packing.mould_radius),
+    )
+    part.replace(path)
+
+
+def load(path: Path) -> Packing:
+    """Reads what `save` wrote; raises OSError or ValueError on a damaged file."""
+    with np.load(path, allow_pickle=False) as data:
+        position = Vector.from_rows(jnp.asarray(data["position"]))
+        spheres = Spheres(data["radius"], data["mass"])
+        return Packing(position, spheres, data["height"], data["mould_radius"])

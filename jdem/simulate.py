@@ -1,0 +1,230 @@
+"""The one loop: segments of a machine's programme, sampled into a curve.
+
+A programme is a table of segments (numbers, not code), so one compiled loop serves
+every apparatus and any parameter values.  Each sample rebuilds the contact lists, runs
+`steps_per_sample` time steps and stores means over them.  A segment ends after its
+duration or once its servo force is reached; the loop ends with the last segment.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.dynamics import Bed, BedState, Command, step
+from jdem.energy import Ledger
+from jdem.neighbors import ContactList, Demand, rebuild
+from jdem.particles import Motion, kinetic_energy
+from jdem.quantity import quantity
+from jdem.walls import BASE, COUNT, PLATEN, Walls
+
+KEEP, REMOVE, LOWER = 0, 1, 2
+FAR = 10.0  # m; where a wall is put that has been taken away
+
+
+class Segment(eqx.Module):
+    """One movement of the machine; SI units, or a stack of segments along axis 0.
+
+    The platen moves at platen_speed * tanh((force_target - F)/servo_width), downward
+    positive, so it arrives at the target smoothly; with an infinite target the speed is
+    constant.  The mould opens at mould_speed.  The segment ends after `duration` or when
+    |F - force_target| < tolerance.  `platen` and `mould` say what happens to the walls
+    first: KEEP, REMOVE, or LOWER the platen onto the highest sphere.
+    """
+
+    platen_speed: Array = quantity(0.0)
+    force_target: Array = quantity(jnp.inf)
+    servo_width: Array = quantity(1.0)
+    tolerance: Array = quantity(0.0)
+    mould_speed: Array = quantity(0.0)
+    damping: Array = quantity(0.0)
+    duration: Array = quantity(0.0)
+    platen: Array = eqx.field(default=KEEP, converter=jnp.asarray)
+    mould: Array = eqx.field(default=KEEP, converter=jnp.asarray)
+
+
+class Sample(eqx.Module):
+    """Means over one sampling interval; arrays of shape (samples,) once recorded.
+
+    platen_height in m is the value at the interval's middle; forces in N; kinetic energy
+    in J and time in s at its end; segment is -1 in rows that were not reached.
+    """
+
+    segment: Array
+    time: Array
+    platen_height: Array
+    platen_force: Array
+    base_force: Array
+    mould_force: Array
+    mould_drag: Array
+    kinetic_energy: Array
+
+
+class Record(eqx.Module):
+    """Everything that a simulation hands back."""
+
+    samples: Sample
+    state: BedState
+    demand: Demand
+    drift: Array  #: m; largest motion of a sphere between two rebuilds
+
+    def overflow(self, bed: Bed) -> Array:
+        """True if a list was too small or a sphere outran the skin of its list."""
+        return self.demand.exceeds(bed.grid) | (self.drift > 0.5 * bed.grid.skin)
+
+    def explain_overflow(self, bed: Bed) -> str:
+        """Which list or skin was too small, and the capacity that would do."""
+        grid, demand = bed.grid, self.demand
+        have = [grid.pairs, grid.wall_contacts, grid.per_cell, 0.5 * grid.skin]
+        need = [int(demand.pairs), int(demand.wall_contacts), int(demand.per_cell), self.drift]
+        names = ["pairs", "wall contacts", "spheres per cell", "motion between rebuilds (m)"]
+        rows = zip(names, have, need, strict=True)
+        return "; ".join(f"{name}: have {h:.4g}, need {n:.4g}" for name, h, n in rows if n > h)
+
+
+def start(bed: Bed, position, platen_height, mould_radius) -> BedState:
+    """A bed at rest between its walls, without any contact history."""
+    dtype = position.x.dtype
+    zero = jnp.zeros((), dtype)
+    return BedState(
+        motion=Motion.at_rest(position),
+        walls=Walls(
+            jnp.asarray(platen_height, dtype), zero, jnp.asarray(mould_radius, dtype), zero
+        ),
+        pairs=ContactList.empty(bed.grid.pairs, dtype),
+        wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype),
+        wall_force=jnp.zeros(COUNT, dtype),
+        mould_drag=zero,
+        energy=Ledger.zeros(dtype),
+        time=zero,
+    )
+
+
+class _Progress(eqx.Module):
+    state: BedState
+    segment: Array
+    begun: Array
+    sample: Array
+    samples: Sample
+    demand: Demand
+    drift: Array
+
+
+def run(
+    bed: Bed, state: BedState, programme: Segment, steps_per_sample: Array, capacity: int
+) -> Record:
+    """Runs a programme (stack of segments) from `state`; at most `capacity` samples.
+
+    Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode.
+    """
+    count = programme.platen_speed.shape[0]
+    dtype = state.time.dtype
+    empty = _empty_samples(capacity, dtype)
+    zero = jnp.zeros((), dtype)
+    progress = _Progress(
+        _prepared(bed, state, _row(programme, 0)),
+        jnp.zeros((), jnp.int32),
+        state.time,
+        jnp.zeros((), jnp.int32),
+        empty,
+        Demand.none(),
+        zero,
+    )
+
+    def unfinished(progress: _Progress):
+        return (progress.segment < count) & (progress.sample < capacity)
+
+    def advance(progress: _Progress):
+        segment = _row(programme, progress.segment)
+        state, sample, demand, drift = _sampled(bed, progress.state, segment, steps_per_sample)
+        sample = eqx.tree_at(lambda s: s.segment, sample, progress.segment)
+        ended = _ended(segment, state, sample, progress.begun)
+        following = _row(programme, jnp.minimum(progress.segment + 1, count - 1))
+        prepared = _prepared(bed, state, following)
+        state = jax.tree.map(lambda a, b: jnp.where(ended, a, b), prepared, state)
+        return _Progress(
+            state,
+            progress.segment + ended,
+            jnp.where(ended, state.time, progress.begun),
+            progress.sample + 1,
+            jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
+            progress.demand.including(demand),
+            jnp.maximum(progress.drift, drift),
+        )
+
+    final = jax.lax.while_loop(unfinished, advance, progress)
+    return Record(final.samples, final.state, final.demand, final.drift)
+
+
+def stack(segments: list[Segment]) -> Segment:
+    """Several segments as one programme."""
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *segments)
+
+
+def _row(programme: Segment, index) -> Segment:
+    return jax.tree.map(lambda leaf: leaf[index], programme)
+
+
+def _empty_samples(capacity: int, dtype) -> Sample:
+    blank = jnp.zeros(capacity, dtype)
+    return Sample(jnp.full(capacity, -1, jnp.int32), *[blank] * 7)
+
+
+def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
+    """Walls taken away or lowered as the segment begins."""
+    top = jnp.max(state.motion.position.z + bed.spheres.radius)
+    walls = state.walls
+    height = jnp.where(segment.platen == LOWER, top, walls.platen_height)
+    height = jnp.where(segment.platen == REMOVE, FAR, height)
+    radius = jnp.where(segment.mould == REMOVE, FAR, walls.mould_radius)
+    zero = jnp.zeros_like(height)
+    return eqx.tree_at(lambda s: s.walls, state, Walls(height, zero, radius, zero))
+
+
+def _ended(segment: Segment, state: BedState, sample: Sample, begun) -> Array:
+    reached = jnp.abs(sample.platen_force - segment.force_target) < segment.tolerance
+    half = 0.5 * (state.time - sample.time)
+    return (reached | (state.time - begun >= segment.duration + half)).astype(jnp.int32)
+
+
+def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
+    """Rebuilds the lists, runs `steps` time steps, and returns the means."""
+    origin = state.motion.position
+    pairs, contacts, demand = rebuild(
+        bed.grid, bed.spheres, state.walls, origin, state.pairs, state.wall_contacts
+    )
+    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+
+    def advance(_, carry):
+        state, sums = carry
+        state = step(bed, state, _command(segment, state))
+        return state, sums + _probe(state)
+
+    sums = jnp.zeros(5, state.time.dtype)
+    state, sums = jax.lax.fori_loop(0, steps, advance, (state, sums))
+    means = sums / steps
+    sample = Sample(
+        jnp.zeros((), jnp.int32),
+        state.time,
+        *[means[k] for k in range(5)],
+        kinetic_energy(bed.spheres, state.motion),
+    )
+    moved = state.motion.position - origin
+    drift = jnp.sqrt(jnp.max(moved.dot(moved)))
+    return state, sample, demand, jax.lax.stop_gradient(drift)
+
+
+def _command(segment: Segment, state: BedState) -> Command:
+    shortfall = (segment.force_target - state.wall_force[PLATEN]) / segment.servo_width
+    return Command(
+        platen_speed=-segment.platen_speed * jnp.tanh(shortfall),
+        mould_speed=segment.mould_speed,
+        damping=segment.damping,
+    )
+
+
+def _probe(state: BedState) -> Array:
+    force = state.wall_force
+    return jnp.stack(
+        [state.walls.platen_height, force[PLATEN], force[BASE], force[2], state.mould_drag]
+    )
