@@ -1,6 +1,6 @@
 """From spheres and soil to a bed that can be advanced: laws, time step, list capacities.
 
-    dt = safety * min over contacts of sqrt(m*/k),   k the stiffest tangent (k2, wall or pair)
+dt = safety * min over contacts of sqrt(m*/k),   k the stiffest tangent (k2, wall or pair)
 """
 
 import equinox as eqx
@@ -22,15 +22,16 @@ class Numerics(eqx.Module):
 
     safety (-) scales the time step; sample_time (s) is the interval of output and of list
     rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere,
-    walls_per_sphere and per_cell are list capacities; dtype is "float64" or "float32";
+    wall_layer (wall contacts = wall_layer x spheres x diameter / width) and per_cell set
+    list capacities; dtype is "float64" or "float32";
     boundaries keeps the CPU compiler from fusing across stages (switch off on a GPU).
     """
 
     safety: float = eqx.field(static=True, default=0.25)
-    sample_time: float = eqx.field(static=True, default=1e-3)
-    skin: float = eqx.field(static=True, default=0.1)
-    pairs_per_sphere: float = eqx.field(static=True, default=4.5)
-    walls_per_sphere: float = eqx.field(static=True, default=1.0)
+    sample_time: float = eqx.field(static=True, default=2.5e-4)
+    skin: float = eqx.field(static=True, default=0.08)
+    pairs_per_sphere: float = eqx.field(static=True, default=3.3)
+    wall_layer: float = eqx.field(static=True, default=4.5)
     per_cell: int = eqx.field(static=True, default=8)
     dtype: str = eqx.field(static=True, default="float64")
     boundaries: bool = eqx.field(static=True, default=True)
@@ -82,7 +83,11 @@ def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:
 
 
 def plan_grid(
-    count: int, mean_radius: float, max_radius: float, extent: tuple[float, float], numerics: Numerics
+    count: int,
+    mean_radius: float,
+    max_radius: float,
+    extent: tuple[float, float],
+    numerics: Numerics,
 ) -> Grid:
     """The neighbour search for spheres of these sizes (m).
 
@@ -95,7 +100,7 @@ def plan_grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,
         pairs=int(np.ceil(numerics.pairs_per_sphere * count)),
-        wall_contacts=int(np.ceil(numerics.walls_per_sphere * count)) + 16,
+        wall_contacts=int(np.ceil(numerics.wall_layer * count * 2 * mean_radius / extent[0])) + 16,
         cell=cell,
         skin=skin,
     )

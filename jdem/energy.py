@@ -49,7 +49,12 @@ class Ledger(eqx.Module):
 
     @staticmethod
     def of_step(
-        contacts: Array, walls: Array, absorbed: Array, gravity: Array, walls_moving: Walls, time_step
+        contacts: Array,
+        walls: Array,
+        absorbed: Array,
+        gravity: Array,
+        walls_moving: Walls,
+        time_step,
     ) -> "Ledger":
         """One step: contact power (4,) in W, forces on walls (N), energies absorbed (3,) in J."""
         return Ledger(

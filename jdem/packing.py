@@ -23,9 +23,9 @@ from jdem.simulate import LOWER, REMOVE, Record, Segment, run, stack, start
 from jdem.soil import SoilParameters
 from jdem.vector import Vector
 
+LOOSE = 4.0  # height of the drawn column over the settled bed's, at most
 SOFT = 0.15  # modulus while the spheres fall, relative to the soil's
 FASTEST = 1.5  # m/s; fall under gravity with the settling programme's damping
-
 
 
 class Specimen(eqx.Module):
@@ -47,10 +47,10 @@ class Specimen(eqx.Module):
             radius = float((cube / (4 / 3 * np.pi * (1 + self.spread**2))) ** (1 / 3))
         return radius
 
-    def grid(self, numerics: Numerics) -> Grid:
-        """Neighbour search for any packing of this specimen."""
+    def grid(self, numerics: Numerics, stretch: float = 1.5) -> Grid:
+        """Neighbour search for any packing of this specimen, `stretch` times its height."""
         mean = self.mean_radius()
-        extent = (self.diameter, 1.5 * self.height)
+        extent = (self.diameter, stretch * self.height)
         return plan_grid(self.count, mean, mean * (1 + self.spread), extent, numerics)
 
 
@@ -166,20 +166,26 @@ def _advanced(
 ) -> Record:
     """The bed after some segments; raises ValueError where a contact list was too small."""
     numerics = _settling_numerics(2 * specimen.mean_radius())
-    bed = build_bed(packing.spheres, soil, specimen.grid(numerics), numerics)
+    bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
     programme = stack(segments)
     capacity = int(np.sum(np.ceil(np.asarray(programme.duration) / numerics.sample_time))) + 8
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     record = eqx.filter_jit(run)(bed, state, programme, steps_per_sample(bed, numerics), capacity)
-    if bool(record.overflow(bed)):
-        raise ValueError(f"while settling the bed, {record.explain_overflow(bed)}")
+    if bool(record.overflow_of(bed.grid)):
+        raise ValueError(f"while settling the bed, {record.explain_overflow(bed.grid)}")
     return record
 
 
 def _settling_numerics(diameter: float) -> Numerics:
     """Lists are rebuilt before a falling sphere has crossed a third of their skin."""
     skin = 0.2
-    return Numerics(skin=skin, sample_time=skin * diameter / (3 * FASTEST), pairs_per_sphere=6.0)
+    return Numerics(
+        skin=skin,
+        sample_time=skin * diameter / (3 * FASTEST),
+        pairs_per_sphere=6.0,
+        wall_layer=8.0,
+        per_cell=12,
+    )
 
 
 def _with_density(packing: Packing, density: float) -> Packing:

@@ -13,7 +13,7 @@ from jax import Array
 
 from jdem.dynamics import Bed, BedState, Command, step
 from jdem.energy import Ledger
-from jdem.neighbors import ContactList, Demand, rebuild
+from jdem.neighbors import ContactList, Demand, Grid, rebuild
 from jdem.particles import Motion, kinetic_energy
 from jdem.quantity import quantity
 from jdem.walls import BASE, COUNT, PLATEN, Walls
@@ -68,13 +68,13 @@ class Record(eqx.Module):
     demand: Demand
     drift: Array  #: m; largest motion of a sphere between two rebuilds
 
-    def overflow(self, bed: Bed) -> Array:
+    def overflow_of(self, grid: Grid) -> Array:
         """True if a list was too small or a sphere outran the skin of its list."""
-        return self.demand.exceeds(bed.grid) | (self.drift > 0.5 * bed.grid.skin)
+        return self.demand.exceeds(grid) | (self.drift > 0.5 * grid.skin)
 
-    def explain_overflow(self, bed: Bed) -> str:
+    def explain_overflow(self, grid: Grid) -> str:
         """Which list or skin was too small, and the capacity that would do."""
-        grid, demand = bed.grid, self.demand
+        demand = self.demand
         have = [grid.pairs, grid.wall_contacts, grid.per_cell, 0.5 * grid.skin]
         need = [int(demand.pairs), int(demand.wall_contacts), int(demand.per_cell), self.drift]
         names = ["pairs", "wall contacts", "spheres per cell", "motion between rebuilds (m)"]
@@ -158,7 +158,9 @@ def run(
 
 def stack(segments: list[Segment]) -> Segment:
     """Several segments as one programme."""
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *segments)
+    return jax.tree.map(
+        lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *segments
+    )
 
 
 def _row(programme: Segment, index) -> Segment:

@@ -121,7 +121,7 @@ def outcome(tests: LabTests, bed: Bed, record: Record) -> Outcome:
         confined=_whole(tests, samples, loading),
         unconfined=crushing,
         record=record,
-        failed=record.overflow(bed) | short | bad,
+        failed=record.overflow_of(bed.grid) | short | bad,
     )
 
 
@@ -139,4 +139,3 @@ def _whole(tests: LabTests, samples: Sample, loading: Curve) -> Curve:
     zero = displacement_at(loading, tests.seating_force)
     travel = samples.platen_height[0] - samples.platen_height - zero
     return Curve(travel * valid, samples.platen_force * valid, valid)
-

@@ -45,9 +45,7 @@ class UnconfinedCompression(AbstractApparatus):
         )
 
     def _resting(self) -> Segment:
-        return Segment(
-            damping=self.damping.resting, duration=self.rest, platen=KEEP, mould=REMOVE
-        )
+        return Segment(damping=self.damping.resting, duration=self.rest, platen=KEEP, mould=REMOVE)
 
     def _crushing(self) -> Segment:
         return Segment(

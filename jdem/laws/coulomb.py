@@ -34,7 +34,9 @@ class CoulombSpring(AbstractTangentialLaw):
         stretch = stretch * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0)
         stretch = stretch * jnp.where(limit > 0, 1.0, 0.0)
         load = jnp.minimum(load, longest)
-        secant = jnp.where(load > 0, smooth.divide(smooth.saturate(load, self.smoothing.slip), load), 1.0)
+        secant = jnp.where(
+            load > 0, smooth.divide(smooth.saturate(load, self.smoothing.slip), load), 1.0
+        )
         spring = stretch * (-stiffness * secant)
         beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, _TINY))
         sticking = smooth.saturate_slope(load, self.smoothing.slip) * jnp.where(limit > 0, 1.0, 0.0)

@@ -1,0 +1,274 @@
+"""Many simulations: cached on disk by content, resumable, parallel over cores.
+
+A run is one soil on one packing.  Its key is the hash of everything that its result
+depends on: parameters, packing, machine, numerics and the source of `jdem`.  Results are
+written as NetCDF the moment they exist, atomically, so a killed campaign repeats nothing
+and ends with the same numbers.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+import xarray as xr
+
+from calibrate.progress import AbstractProgress, Silent
+from jdem.experiments.composite import Outcome, VirtualLab
+from jdem.observables import inertial_number
+from jdem.packing import Packing, Specimen, load, prepare, save
+from jdem.soil import SoilParameters
+
+NETCDF = "h5netcdf"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One finished simulation in the units of the observables.
+
+    Curves are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
+    or one sentence; a failed run keeps its place and its numbers.
+    """
+
+    depression_depth_mm: float
+    crushing_force_n: float
+    confined: np.ndarray
+    unconfined: np.ndarray
+    quality: dict[str, float]
+    failure: str = ""
+
+    def observables(self) -> dict[str, float]:
+        return {
+            "depression_depth_mm": self.depression_depth_mm,
+            "crushing_force_n": self.crushing_force_n,
+        }
+
+
+@dataclass(eq=False)
+class Campaign:
+    """Runs soils on the packings of one specimen in one virtual laboratory.
+
+    `folder` holds packings/ and runs/; `workers` threads share one compiled program.
+    """
+
+    lab: VirtualLab
+    specimen: Specimen
+    folder: Path
+    progress: AbstractProgress = field(default_factory=Silent)
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    simulated: int = 0  # runs that were not in the cache
+    _compiled: dict[float, Any] = field(default_factory=dict)
+
+    def packings(self, seeds: Sequence[int]) -> list[Packing]:
+        """The specimen's packings of these seeds, prepared if they are not on disk yet."""
+        missing = [s for s in seeds if self._stored_packing(s) is None]
+        if missing:
+            self._in_parallel("preparing packings", self._prepare, missing)
+        packings = [self._stored_packing(seed) for seed in seeds]
+        return [packing for packing in packings if packing is not None]
+
+    def runs(self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str):
+        """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
+        packings = dict(zip(seeds, self.packings(seeds), strict=True))
+        keys = [[self.key(soil, seed) for seed in seeds] for soil in soils]
+        found = {key: self._stored_run(key) for row in keys for key in row}
+        tasks = [
+            (key, soil, packings[seed])
+            for soil, row in zip(soils, keys, strict=True)
+            for key, seed in zip(row, seeds, strict=True)
+            if found[key] is None
+        ]
+        for key, run in self._simulated(tasks, what):
+            found[key] = run
+        return [[found[key] for key in row] for row in keys]
+
+    def key(self, soil: SoilParameters, seed: int) -> str:
+        """Hash of everything that the run of `soil` on packing `seed` depends on."""
+        content = {
+            "soil": _numbers(soil),
+            "slope_exponent": soil.slope_exponent,
+            "lab": _numbers(self.lab),
+            "static": repr((self.lab.grid, self.lab.capacity, self.lab.tests, self.lab.numerics)),
+            "specimen": repr(self.specimen),
+            "seed": seed,
+            "engine": engine_hash(),
+        }
+        return _hash(content)
+
+    def _simulated(self, tasks, what: str):
+        if not tasks:
+            return []
+        for exponent in {soil.slope_exponent for _, soil, _ in tasks}:
+            soil, packing = next((s, p) for _, s, p in tasks if s.slope_exponent == exponent)
+            self._compile(exponent, packing, soil)
+        self.simulated += len(tasks)
+        return self._in_parallel(what, self._simulate, tasks)
+
+    def _compile(self, exponent: float, packing: Packing, soil: SoilParameters) -> None:
+        if exponent not in self._compiled:
+            begun = time.perf_counter()
+            run = eqx.filter_jit(VirtualLab.run)
+            self._compiled[exponent] = run.lower(self.lab, packing, soil).compile()
+            self.progress.say(f"compiled the simulation in {time.perf_counter() - begun:.1f} s")
+
+    def _simulate(self, task) -> tuple[str, Run]:
+        key, soil, packing = task
+        begun = time.perf_counter()
+        outcome = jax.block_until_ready(
+            self._compiled[soil.slope_exponent](self.lab, packing, soil)
+        )
+        seconds = time.perf_counter() - begun
+        run = summary(self.lab, packing, soil, outcome, seconds)
+        _write_run(run, self._run_path(key))
+        return key, run
+
+    def _prepare(self, seed: int) -> None:
+        save(prepare(self.specimen, seed), self._packing_path(seed))
+
+    def _in_parallel(self, what: str, function, tasks) -> list:
+        self.progress.start(what, len(tasks))
+        results = []
+        try:
+            with ThreadPoolExecutor(self.workers) as pool:
+                for result in pool.map(function, tasks):
+                    self.progress.advance()
+                    results.append(result)
+        finally:
+            self.progress.finish()
+        return results
+
+    def _packing_path(self, seed: int) -> Path:
+        content = {"specimen": repr(self.specimen), "seed": seed, "engine": engine_hash()}
+        return self.folder / "packings" / f"{_hash(content)}.npz"
+
+    def _stored_packing(self, seed: int) -> Packing | None:
+        try:
+            return load(self._packing_path(seed))
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def _run_path(self, key: str) -> Path:
+        return self.folder / "runs" / f"{key}.nc"
+
+    def _stored_run(self, key: str) -> Run | None:
+        path = self._run_path(key)
+        return _read_run(path) if path.exists() else None
+
+
+def summary(
+    lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome, seconds: float
+) -> Run:
+    """A run's numbers in mm and N, with the checks that say whether to believe them."""
+    record, tests = outcome.record, lab.tests
+    samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
+    steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
+    energy = record.state.energy
+    pressure = float(tests.confined.force_low) / (np.pi * float(packing.mould_radius) ** 2)
+    density = float(packing.bulk_density() / packing.solid_fraction())
+    rest = np.flatnonzero(np.asarray(record.samples.segment) == tests.names.index("resting"))
+    kinetic = np.asarray(record.samples.kinetic_energy)
+    quality = {
+        "inertial_number": float(
+            inertial_number(
+                tests.confined.simulated_rate,
+                packing.height,
+                packing.mean_diameter(),
+                density,
+                pressure,
+            )
+        ),
+        "overflow": float(_overflowed(lab, outcome)),
+        "energy_balance": float(abs(energy.integration) / abs(energy.platen)),
+        "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
+        "platen_work_j": float(energy.platen),
+        "time_step_s": float(lab.time_step(packing, soil)),
+        "steps": float(steps),
+        "spheres": float(packing.spheres.count),
+        "runtime_s": seconds,
+    }
+    return Run(
+        depression_depth_mm=1e3 * float(outcome.depression_depth),
+        crushing_force_n=float(outcome.crushing_force),
+        confined=_points(outcome.confined),
+        unconfined=_points(outcome.unconfined),
+        quality=quality,
+        failure=_failure(lab, outcome),
+    )
+
+
+def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
+    return bool(outcome.record.overflow_of(lab.grid))
+
+
+def _failure(lab: VirtualLab, outcome: Outcome) -> str:
+    if not bool(outcome.failed):
+        return ""
+    if _overflowed(lab, outcome):
+        return "a contact list was too small: " + outcome.record.explain_overflow(lab.grid)
+    if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
+        return "a number is not finite: the time step is too large or a parameter is extreme"
+    force = float(lab.tests.confined.force_high)
+    return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+
+
+def _points(curve) -> np.ndarray:
+    rows = np.asarray(curve.valid) > 0
+    columns = (1e3 * np.asarray(curve.displacement), np.asarray(curve.force))
+    return np.stack(columns, axis=1)[rows].astype(float)
+
+
+def _numbers(tree) -> list[str]:
+    """All array leaves as exact decimal strings, in the tree's order."""
+    leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
+    return [repr(np.asarray(leaf).tolist()) for leaf in leaves]
+
+
+def _hash(content: dict) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@cache
+def engine_hash() -> str:
+    """Hash of the source of `jdem`: a changed engine never meets old results."""
+    files = sorted(Path(str(resources.files("jdem"))).rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
+
+
+def _write_run(run: Run, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = xr.Dataset(
+        {
+            "confined": (("confined_point", "column"), run.confined),
+            "unconfined": (("unconfined_point", "column"), run.unconfined),
+        },
+        coords={"column": ["displacement_mm", "force_n"]},
+        attrs={**run.observables(), **run.quality, "failure": run.failure},
+    )
+    part = path.with_suffix(f".{os.getpid()}-{id(run)}.part")
+    data.to_netcdf(part, engine=NETCDF)
+    part.replace(path)
+
+
+def _read_run(path: Path) -> Run | None:
+    """What `_write_run` wrote, or None for a damaged file (it is simulated again)."""
+    try:
+        with xr.open_dataset(path, engine=NETCDF) as data:
+            attributes = {str(k): v for k, v in data.attrs.items()}
+            confined, unconfined = data["confined"].values, data["unconfined"].values
+        depth = float(attributes.pop("depression_depth_mm"))
+        force = float(attributes.pop("crushing_force_n"))
+        failure = str(attributes.pop("failure"))
+    except (OSError, KeyError, ValueError):
+        return None
+    quality = {name: float(value) for name, value in attributes.items()}
+    return Run(depth, force, confined, unconfined, quality, failure)

@@ -1,0 +1,126 @@
+"""The command line: `calibrate simulate`, `calibrate fit`, `calibrate contact`.
+
+Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
+field and repair), 1 anything else.
+"""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calibrate.errors import InputError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Calibrate a virtual soil against laboratory tests, by gradient.",
+)
+
+LabFile = Annotated[
+    Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: the bundled soil.")
+]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder for results; a second run resumes.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=10_000_000, help="Choice of packings.")]
+PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fine.")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
+]
+
+
+@app.command("simulate")
+def simulate_command(
+    lab: LabFile = None,
+    changes: Changes = None,
+    preset: PresetName = "quick",
+    seed: Seed = 0,
+    out: Out = Path("results/simulate"),
+    json: Json = None,
+) -> None:
+    """Run both virtual tests on several packings: curves, observables, scatter."""
+    from calibrate import output, workflow
+
+    session = output.Session.open(lab, preset, out)
+    values = output.parse_changes(changes or [])
+    work = workflow.campaign(session.lab, session.preset, out, session.progress)
+    result, runs = workflow.simulate(session.lab, session.preset, values, seed, work)
+    output.write_simulation(session, result, runs, json)
+
+
+@app.command("fit")
+def fit_command(
+    lab: LabFile = None,
+    free: Annotated[
+        str | None, typer.Option("--free", help="Names, comma-separated; default: chosen by data.")
+    ] = None,
+    changes: Changes = None,
+    preset: PresetName = "quick",
+    seed: Seed = 0,
+    out: Out = Path("results/fit"),
+    json: Json = None,
+) -> None:
+    """Calibrate the parameters that the data can fix; say which those are."""
+    from calibrate import output, workflow
+
+    session = output.Session.open(lab, preset, out)
+    values = output.parse_changes(changes or [])
+    names = output.parse_free(free)
+    work = workflow.campaign(session.lab, session.preset, out, session.progress)
+    done = workflow.calibrate(session.lab, session.preset, names, values, seed, work)
+    output.write_fit(session, done, json)
+
+
+@app.command("contact")
+def contact_command(
+    path_um: Annotated[
+        str, typer.Option("--path-um", help="Turning points of the overlap, micrometres.")
+    ],
+    changes: Changes = None,
+    radius_mm: Annotated[float, typer.Option("--radius-mm", help="Radius of both spheres.")] = 2.5,
+    young_mpa: Annotated[float, typer.Option("--young-mpa", help="Young's modulus.")] = 5.0,
+    poisson: Annotated[float, typer.Option("--poisson", help="Poisson's ratio.")] = 0.3,
+    smooth: Annotated[
+        bool, typer.Option("--smooth/--sharp", help="Default roundings, or the law as printed.")
+    ] = False,
+    out: Out = Path("results/contact"),
+    json: Json = None,
+) -> None:
+    """Drive two equal spheres through overlaps, quasi-statically: force-overlap loop."""
+    from calibrate import output, single_contact
+
+    points = output.parse_path(path_um)
+    values = output.parse_changes(changes or [])
+    pair = output.parse_pair(radius_mm, young_mpa, poisson)
+    result = single_contact.drive(pair, values, points, smooth)
+    output.write_contact(result, out, json)
+
+
+def main() -> None:
+    """Entry point: turns wrong input into one line and exit status 2."""
+    _configure_jax()
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from here", file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+def _configure_jax() -> None:
+    """Double precision, and a compilation cache so that the second start is quick."""
+    import jax
+
+    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "differentiable-soil"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+if __name__ == "__main__":
+    main()

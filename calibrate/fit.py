@@ -1,0 +1,249 @@
+"""Calibration: Levenberg-Marquardt on whitened residuals, over averages of packings.
+
+    r(y) = [ L^-1 (measured - mean over packings) ,  (ln p - ln p0)/prior_sd ],   L L' = Sigma
+
+The solver is Optimistix', stepped by hand: each step it asks for the residual at one
+point, and gets the simulated residual and its slopes there as an affine function.  So a
+fit can be watched, its best iterate kept, and, because every simulation is cached,
+killed at any moment and started again with the same end.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax import Array
+
+from calibrate.campaign import Campaign, Run
+from calibrate.identifiability import Identifiability, assess
+from calibrate.parameters import Space
+from calibrate.problem import Problem, shrunk_covariance
+from jdem.sensitivity.regression import Regression
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How long and how finely to fit.
+
+    A fit is done when every whitened data residual is below `tolerance`, when the solver
+    says so, or after `evaluations`.  Slopes come from `strategy` in ln p.
+    """
+
+    evaluations: int = 14
+    tolerance: float = 0.05
+    strategy: Regression = field(default_factory=lambda: Regression((0.25,)))
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One point that the solver asked for.
+
+    values (p,) are parameters in SI; features (n, m) on each packing; residual is
+    whitened, data first, then prior; cost is half its squared norm.
+    """
+
+    values: np.ndarray
+    features: np.ndarray
+    residual: np.ndarray
+    failures: tuple[str, ...]
+
+    @property
+    def cost(self) -> float:
+        return 0.5 * float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Best iterate, everything evaluated on the way, and what the data fix."""
+
+    best: Evaluation
+    history: list[dict]
+    identifiability: Identifiability
+    slopes: np.ndarray
+    covariance: np.ndarray
+    stopped: str
+
+
+@dataclass(eq=False)
+class Calibration:
+    """A problem, a space of parameters, and the packings on which both are evaluated.
+
+    relative_scatter (m, m) is the covariance of one packing's features over their mean,
+    from `scatter_packings` packings.
+    """
+
+    problem: Problem
+    space: Space
+    campaign: Campaign
+    seeds: Sequence[int]
+    relative_scatter: np.ndarray
+    scatter_packings: int
+    settings: Settings = field(default_factory=Settings)
+
+    def __post_init__(self):
+        self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
+        self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        self._centre = np.log(self.space.start())
+
+    def runs(self, points: np.ndarray, what: str) -> list[list[Run]]:
+        """Runs at points (k, p) of ln p, on every packing."""
+        soils = [self.space.soil(np.exp(point)) for point in points]
+        return self.campaign.runs(soils, self.seeds, what)
+
+    def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
+        """Features and whitened residual at parameter values (p,)."""
+        runs = self.runs(np.log(values)[None], what)[0]
+        features = self.problem.simulated(runs)
+        failures = tuple(run.failure for run in runs if run.failure)
+        residual = self._residual(features.mean(axis=0), np.log(values))
+        if failures or not np.all(np.isfinite(residual)):
+            residual = np.full_like(residual, _REJECTED)
+        return Evaluation(values, features, residual, failures)
+
+    def slopes(self, values: np.ndarray, what: str) -> np.ndarray:
+        """Slopes (m, p) of the mean features per unit of ln p."""
+
+        def response(points: Array) -> Array:
+            rows = self.runs(np.asarray(points), what)
+            return jnp.asarray(np.array([self.problem.simulated(row) for row in rows]))
+
+        return np.asarray(self.settings.strategy(response, jnp.log(values)).slopes)
+
+    def whitened(self, slopes: np.ndarray) -> np.ndarray:
+        return self._whitening @ slopes
+
+    def jacobian(self, slopes: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Of the residual with respect to y, from slopes per ln p."""
+        prior = np.diag(1 / self.space.prior_sd())
+        return np.concatenate([-self.whitened(slopes), prior]) * self.space.log_slope(y)
+
+    def _residual(self, mean: np.ndarray, log_values: np.ndarray) -> np.ndarray:
+        data = self._whitening @ (self.problem.measured - mean)
+        prior = (log_values - self._centre) / self.space.prior_sd()
+        return np.concatenate([data, prior])
+
+
+_REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
+
+
+def fit(calibration: Calibration, start: np.ndarray | None = None) -> Fit:
+    """Fits from `start` (p,), by default the base soil's values."""
+    space, settings = calibration.space, calibration.settings
+    first = space.start() if start is None else np.asarray(start, float)
+    walk = _Walk(calibration, space.to_unbounded(first))
+    stopped = f"after {settings.evaluations} evaluations"
+    for _ in range(settings.evaluations):
+        reason = walk.advance()
+        if reason:
+            stopped = reason
+            break
+    return _finished(calibration, walk, stopped)
+
+
+class _Walk:
+    """The solver's state between evaluations, and the best evaluation so far."""
+
+    def __init__(self, calibration: Calibration, y: np.ndarray):
+        self._calibration = calibration
+        self._solver = optx.LevenbergMarquardt(rtol=1e-3, atol=1e-3)
+        self.y = jnp.asarray(y)
+        rows = len(calibration.problem.measured) + len(y)
+        blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), self.y)
+        struct = eqx.filter_eval_shape(lambda: jnp.zeros(rows))
+        self._state = self._solver.init(_affine, self.y, blank, {}, struct, None, frozenset())
+        self.best: Evaluation | None = None
+        self.slopes = np.zeros((rows - len(y), len(y)))
+        self.history: list[dict] = []
+
+    def advance(self) -> str:
+        """One evaluation and one solver step; a reason to stop, or nothing."""
+        calibration, number = self._calibration, len(self.history) + 1
+        y = np.asarray(self._state.y_eval)
+        values = calibration.space.from_unbounded(y)
+        evaluation = calibration.evaluate(values, f"evaluation {number}")
+        better = self.best is None or evaluation.cost < self.best.cost
+        if better:
+            self.best = evaluation
+        self.history.append(_row(calibration, number, evaluation, better))
+        calibration.campaign.progress.say(_line(calibration, self.history[-1]))
+        if better and _close_enough(calibration, evaluation):
+            return "every target is met within the tolerance"
+        if better and not evaluation.failures:
+            self.slopes = calibration.slopes(values, f"slopes at evaluation {number}")
+        return self._step(evaluation, y)
+
+    def _step(self, evaluation: Evaluation, y: np.ndarray) -> str:
+        jacobian = self._calibration.jacobian(self.slopes, y)
+        local = (jnp.asarray(evaluation.residual), jnp.asarray(jacobian), jnp.asarray(y))
+        self.y, self._state, _ = self._solver.step(
+            _affine, self.y, local, {}, self._state, frozenset()
+        )
+        done, _ = self._solver.terminate(_affine, self.y, local, {}, self._state, frozenset())
+        return "the solver's step became small" if bool(done) else ""
+
+
+def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
+    """The residual near the point of evaluation: exact there, in value and slope."""
+    residual, jacobian, point = local
+    return residual + jacobian @ (y - point), None
+
+
+def _close_enough(calibration: Calibration, evaluation: Evaluation) -> bool:
+    data = evaluation.residual[: len(calibration.problem.measured)]
+    return bool(np.max(np.abs(data)) < calibration.settings.tolerance)
+
+
+def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
+    best = walk.best
+    if best is None or best.failures:
+        reasons = "; ".join(best.failures) if best else "nothing was evaluated"
+        raise FitError(f"no evaluation succeeded: {reasons}")
+    slopes = calibration.slopes(best.values, "slopes at the best point")
+    identifiability = assess(
+        calibration.space.names,
+        best.values,
+        calibration.whitened(slopes),
+        calibration.space.prior_sd(),
+        calibration.scatter_packings - 1,
+    )
+    return Fit(best, walk.history, identifiability, slopes, calibration.covariance, stopped)
+
+
+class FitError(RuntimeError):
+    """No point could be evaluated."""
+
+
+def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
+    names = [feature.name for feature in calibration.problem.features]
+    status = "failed" if evaluation.failures else ("better" if better else "rejected")
+    return {
+        "evaluation": number,
+        "status": status,
+        "failure": "; ".join(evaluation.failures),
+        "cost": evaluation.cost,
+        "parameters": dict(zip(calibration.space.names, evaluation.values.tolist(), strict=True)),
+        "features": dict(zip(names, evaluation.features.mean(axis=0).tolist(), strict=True)),
+    }
+
+
+def _line(calibration: Calibration, row: dict) -> str:
+    parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
+    features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
+    shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.kind == "target")
+    return f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}  {parameters}  {shown}"
+
+
+def packing_scatter(
+    problem: Problem, runs: Callable[[Sequence[int]], list[Run]], seeds: Sequence[int]
+) -> np.ndarray:
+    """Covariance (m, m) of one packing's features over their mean."""
+    features = problem.simulated(runs(seeds))
+    return shrunk_covariance(features / features.mean(axis=0))
+
+
+def with_space(calibration: Calibration, space: Space) -> Calibration:
+    """The same calibration over other free parameters."""
+    return replace(calibration, space=space)

@@ -1,0 +1,264 @@
+"""What the command line reads from its options and writes to files and terminal.
+
+Every file is written whole or not at all.  Options that are wrong raise `InputError`
+with the option's name as the field.
+"""
+
+import csv
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from calibrate import plotting
+from calibrate.campaign import Run
+from calibrate.errors import InputError, suggestion
+from calibrate.labfile import PARAMETER_UNITS, check_parameter
+from calibrate.measurements import Lab, bundled_lab, load_lab
+from calibrate.parameters import RANGES
+from calibrate.presets import PRESETS, Preset
+from calibrate.progress import AbstractProgress, for_terminal
+from calibrate.single_contact import Spheres
+from calibrate.workflow import Calibrated, fit_json
+
+COMMAND_LINE = "command line"
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a verb works with: the lab, the preset, where results go, who hears of progress."""
+
+    lab: Lab
+    preset: Preset
+    out: Path
+    progress: AbstractProgress
+
+    @staticmethod
+    def open(lab: Path | None, preset: str, out: Path) -> "Session":
+        if preset not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise InputError(COMMAND_LINE, "--preset", f"no preset '{preset}'", f"give {known}")
+        loaded = load_lab(bundled_lab() if lab is None else lab)
+        make_folder(out)
+        return Session(loaded, PRESETS[preset], out, for_terminal())
+
+
+def make_folder(out: Path) -> None:
+    """Creates the folder for results, and says so in one line where that is impossible."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".write-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        problem = error.strerror or str(error)
+        repair = "give a folder that can be written to"
+        raise InputError(str(out), "--out", problem, repair) from None
+
+
+def parse_changes(changes: Sequence[str]) -> dict[str, float]:
+    """`--set name=value` options as numbers in SI units."""
+    values = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise InputError(COMMAND_LINE, f"--set {change}", "no '='", "write name=value")
+        values[name.strip()] = check_parameter(
+            name.strip(), value.strip(), COMMAND_LINE, f"--set {name.strip()}"
+        )
+    return values
+
+
+def parse_free(free: str | None) -> tuple[str, ...] | None:
+    """`--free` as names of parameters that may be fitted."""
+    if free is None:
+        return None
+    names = tuple(name.strip() for name in free.split(",") if name.strip())
+    for name in names:
+        if name not in RANGES:
+            repair = suggestion(name, RANGES) or f"give some of {', '.join(RANGES)}"
+            raise InputError(COMMAND_LINE, "--free", f"'{name}' cannot be fitted", repair)
+    if not names or len(set(names)) < len(names):
+        raise InputError(
+            COMMAND_LINE, "--free", "no name, or one name twice", "name each parameter once"
+        )
+    return names
+
+
+def parse_path(path_um: str) -> list[float]:
+    """`--path-um` turning points in m."""
+    try:
+        points = [1e-6 * float(point) for point in path_um.split(",")]
+    except ValueError:
+        points = [float("nan")]
+    if not np.all(np.isfinite(points)):
+        raise InputError(
+            COMMAND_LINE, "--path-um", f"'{path_um}' is no list of numbers", "write 20,2,32,-28"
+        )
+    return points
+
+
+def parse_pair(radius_mm: float, young_mpa: float, poisson: float) -> Spheres:
+    """Radius, modulus and Poisson's ratio of `calibrate contact`, checked."""
+    for field, value in (("--radius-mm", radius_mm), ("--young-mpa", young_mpa)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(COMMAND_LINE, field, f"{value:g} is not positive", "give e.g. 2.5")
+    if not -1 < poisson < 0.5:
+        raise InputError(COMMAND_LINE, "--poisson", f"{poisson:g} is out of range", "give e.g. 0.3")
+    return Spheres(radius_mm * 1e-3, young_mpa * 1e6, poisson)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + f".{os.getpid()}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Strict JSON: NaN and infinities become null."""
+    write_text(path, json.dumps(_finite(content), indent=1, allow_nan=False) + "\n")
+
+
+def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
+    """result.json (and `--json`), a figure, and a table on the terminal."""
+    _write_result(session.out, {**_origin(session), **result}, path)
+    plotting.simulation_figure(runs, session.lab, session.out / "curves.png")
+    console = Console()
+    console.print(_observables_table(session.lab, {"simulated": result}))
+    for failure in result["failures"]:
+        console.print(f"failed: {failure}", markup=False)
+    speed = result["particle_steps_per_s"] / 1e6
+    inertial = result["quality"]["inertial_number"]
+    console.print(
+        f"inertial number {inertial:.1e}, {speed:.2f} M particle-steps/s per run; "
+        f"curves and figure in {session.out}",
+        highlight=False,
+    )
+
+
+def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
+    """result.json (and `--json`), history.csv, a figure, and what was found on the terminal."""
+    result = {**_origin(session), **fit_json(done)}
+    _write_result(session.out, result, path)
+    _write_history(session.out / "history.csv", result["history"])
+    plotting.fit_figure(done, session.out / "fit.png")
+    console = Console()
+    groups = {
+        **{f"set '{name}'": group for name, group in result["named_sets"].items()},
+        "fitted packings": result,
+        "fresh packings": result["fresh_packings"],
+    }
+    console.print(_observables_table(session.lab, groups))
+    console.print(_parameters_table(done))
+    for line in _conclusions(done, result):
+        console.print(line, markup=False, highlight=False)
+    console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
+
+
+def write_contact(result: dict, out: Path, path: Path | None) -> None:
+    """contact.json (and `--json`) and a figure."""
+    make_folder(out)
+    write_json(out / "contact.json", result)
+    if path is not None:
+        write_json(path, result)
+    overlap, force = np.array(result["overlap_m"]), np.array(result["normal_force_n"])
+    plotting.contact_figure(overlap, force, out / "contact.png")
+    print(f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N; in {out}")
+
+
+def _write_result(out: Path, result: dict, path: Path | None) -> None:
+    write_json(out / "result.json", result)
+    if path is not None:
+        write_json(path, result)
+
+
+def _origin(session: Session) -> dict:
+    """What made a result: soil, preset, versions."""
+    packages = ("jax", "equinox", "optimistix", "numpy")
+    return {
+        "soil": session.lab.name,
+        "preset": session.preset.name,
+        "versions": {name: metadata.version(name) for name in packages},
+    }
+
+
+def _write_history(path: Path, history: list[dict]) -> None:
+    rows = [
+        {k: v for k, v in row.items() if k not in ("parameters", "features")}
+        | row["parameters"]
+        | row["features"]
+        for row in history
+    ]
+    part = path.with_name(path.name + f".{os.getpid()}.part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    part.replace(path)
+
+
+def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
+    table = Table(title=lab.name, title_justify="left")
+    for column in ("", "depression depth (mm)", "crushing force (N)"):
+        table.add_column(column)
+    names = ("depression_depth_mm", "crushing_force_n")
+    measured = [
+        f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
+        for n in names
+    ]
+    table.add_row("measured (± one repeat)", *measured)
+    for label, group in groups.items():
+        cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
+        table.add_row(f"{label} (± one packing)", *cells)
+    return table
+
+
+def _parameters_table(done: Calibrated) -> Table:
+    table = Table(title="free parameters", title_justify="left")
+    for column in ("", "start", "fitted", "95 % interval", "unit"):
+        table.add_column(column)
+    found = done.result.identifiability
+    first = done.result.history[0]["parameters"]
+    for row, name in enumerate(found.names):
+        low, high = found.interval[row]
+        cells = [f"{x:.4g}" for x in (first[name], found.values[row])]
+        table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
+    return table
+
+
+def _conclusions(done: Calibrated, result: dict) -> list[str]:
+    """What the data fixed, what they left open, and how the fit ended."""
+    held = [name for name in RANGES if name not in done.space.names]
+    lines = [
+        f"stopped: {done.result.stopped}; {len(done.result.history)} evaluations, "
+        f"{done.simulations} simulations in this start",
+        "held at their starting values: " + ", ".join(held),
+    ]
+    for entry in result["identifiability"]["directions"]:
+        weights = " ".join(f"{w:+.2f} {name}" for name, w in entry["weights"].items())
+        verdict = "fixed by the data" if entry["fixed_by_data"] else "LEFT OPEN by the data"
+        lines.append(f"{verdict} (signal/noise {entry['signal_to_noise']:.1f}): {weights}")
+    for name in result["at_bound"]:
+        lines.append(f"warning: {name} ended at its bound")
+    return lines
+
+
+def _finite(value):
+    """The value with NaN and infinities replaced by None."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    return value

@@ -1,0 +1,146 @@
+"""The parameters that a fit may free: bounds, priors and the space a solver moves in.
+
+    y = logit((t(p) - t(low)) / (t(high) - t(low))),   t = ln
+
+A solver works on unbounded y; the parameter never leaves (low, high).  Priors are
+normal in ln p around the starting value.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.measurements import Lab
+from jdem.soil import SoilParameters
+
+
+@dataclass(frozen=True)
+class Range:
+    """Bounds of a parameter (SI) and the prior's standard deviation in ln p."""
+
+    low: float
+    high: float
+    prior_sd: float
+
+
+FACTORS = (
+    "restitution",
+    "static_friction",
+    "rolling_friction",
+    "surface_energy",
+    "plasticity_ratio",
+    "tensile_exponent",
+    "tangential_multiplier",
+)
+
+# Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
+RANGES = {
+    "restitution": Range(0.1, 0.9, 0.3),
+    "static_friction": Range(0.1, 1.5, 0.5),
+    "rolling_friction": Range(0.05, 1.0, 0.5),
+    "surface_energy": Range(1.0, 150.0, 1.0),
+    "plasticity_ratio": Range(0.05, 0.85, 0.4),
+    "tensile_exponent": Range(0.5, 5.0, 0.4),
+    "tangential_multiplier": Range(0.1, 2.0, 0.4),
+    "shear_modulus": Range(1e6, 60e6, 1.0),
+    "wall_friction": Range(0.01, 1.0, 1.0),
+    "platen_friction": Range(0.01, 1.5, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Space:
+    """Free parameters by name, each with its bounds, and the values of all others.
+
+    Arrays follow the order of `names`; `base` holds every parameter of the soil.
+    """
+
+    names: tuple[str, ...]
+    ranges: tuple[Range, ...]
+    base: SoilParameters
+
+    def start(self) -> np.ndarray:
+        """The base soil's values of the free parameters."""
+        return np.array([float(getattr(self.base, name)) for name in self.names])
+
+    def soil(self, values) -> SoilParameters:
+        """The base soil with the free parameters at `values`; differentiable."""
+        return with_values(self.base, dict(zip(self.names, jnp.asarray(values), strict=True)))
+
+    def to_unbounded(self, values: np.ndarray) -> np.ndarray:
+        """y of the values, which must lie within the bounds."""
+        low, high = self._log_bounds()
+        share = (np.log(values) - low) / (high - low)
+        share = np.clip(share, _EDGE, 1 - _EDGE)
+        return np.log(share / (1 - share))
+
+    def from_unbounded(self, y) -> np.ndarray:
+        """Values of y."""
+        low, high = self._log_bounds()
+        return np.exp(low + (high - low) / (1 + np.exp(-np.asarray(y))))
+
+    def log_slope(self, y) -> np.ndarray:
+        """d ln p / d y, to turn slopes per ln p into slopes per y."""
+        low, high = self._log_bounds()
+        share = 1 / (1 + np.exp(-np.asarray(y)))
+        return (high - low) * share * (1 - share)
+
+    def prior_sd(self) -> np.ndarray:
+        """Standard deviations of ln p."""
+        return np.array([entry.prior_sd for entry in self.ranges])
+
+    def at_bound(self, values: np.ndarray) -> list[str]:
+        """Names of parameters within one per cent of a bound, in ln p."""
+        low, high = self._log_bounds()
+        share = (np.log(values) - low) / (high - low)
+        return [n for n, s in zip(self.names, share, strict=True) if s < 0.01 or s > 0.99]
+
+    def _log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        low = np.log([entry.low for entry in self.ranges])
+        return low, np.log([entry.high for entry in self.ranges])
+
+
+_EDGE = 1e-6  # keeps a start on a bound off infinity
+
+
+def with_values(soil: SoilParameters, values: dict) -> SoilParameters:
+    """The soil with some parameters replaced, by name."""
+    values = dict(values)
+    exponent = values.pop("slope_exponent", None)
+    for name, value in values.items():
+        soil = eqx.tree_at(lambda s, n=name: getattr(s, n), soil, jnp.asarray(value, float))
+    if exponent is not None:
+        soil = _with_exponent(soil, float(exponent))
+    return soil
+
+
+def _with_exponent(soil: SoilParameters, exponent: float) -> SoilParameters:
+    fields = {name: getattr(soil, name) for name in SoilParameters.__dataclass_fields__}
+    return SoilParameters(**{**fields, "slope_exponent": exponent})
+
+
+def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:
+    """The soil that a lab file describes: defaults, its particles, its parameters."""
+    soil = with_values(SoilParameters(), {"poisson_ratio": lab.particles.poisson_ratio})
+    if lab.particles.reference_diameter is not None:
+        soil = with_values(soil, {"reference_diameter": lab.particles.reference_diameter})
+    chosen = {n: c.value for n, c in lab.parameters.items() if c.value is not None}
+    soil = with_values(soil, chosen)
+    return with_values(soil, lab.named_sets[named_set]) if named_set else soil
+
+
+def space(lab: Lab, names: tuple[str, ...], base: SoilParameters | None = None) -> Space:
+    """Free parameters with the lab file's bounds and priors where it states them."""
+    base = base_soil(lab) if base is None else base
+    return Space(names, tuple(_range(lab, name) for name in names), base)
+
+
+def _range(lab: Lab, name: str) -> Range:
+    default, choice = RANGES[name], lab.parameters.get(name)
+    if choice is None:
+        return default
+    stated = (choice.low, choice.high, choice.prior_sd)
+    usual = (default.low, default.high, default.prior_sd)
+    return Range(*[u if s is None else s for s, u in zip(stated, usual, strict=True)])

@@ -1,0 +1,138 @@
+"""Figures: curves with their scatter, a calibration at a glance, one contact.
+
+Colours differ in lightness as well as hue, so figures survive greyscale; packings that
+were not fitted are dashed.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from calibrate.campaign import Run
+from calibrate.measurements import Lab
+from calibrate.workflow import Calibrated
+
+DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
+
+
+def simulation_figure(runs: Sequence[Run], lab: Lab, path: Path) -> None:
+    """Both tests' curves, one line a packing, beside measured curves and targets."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    _confined(left, runs, lab, DARK, "-", "packings")
+    _unconfined(right, runs, lab, DARK, "-", "packings")
+    _finish(figure, (left, right), path)
+
+
+def fit_figure(done: Calibrated, path: Path) -> None:
+    """Curves of fitted and fresh packings, observables against targets, parameters."""
+    figure, axes = plt.subplots(2, 2, figsize=(10.5, 8), layout="constrained")
+    for axis, draw in ((axes[0, 0], _confined), (axes[0, 1], _unconfined)):
+        draw(axis, done.fitted_runs, done.lab, DARK, "-", "fitted packings")
+        draw(axis, done.fresh_runs, done.lab, MIDDLE, "--", "fresh packings")
+    _observables(axes[1, 0], done)
+    _parameters(axes[1, 1], done)
+    _finish(figure, axes.ravel()[:3], path)
+
+
+def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:
+    """Normal force against overlap of one contact."""
+    figure, axis = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
+    axis.plot(1e6 * overlap_m, force_n, color=DARK)
+    axis.axhline(0, color="0.6", linewidth=0.8)
+    axis.set(xlabel="overlap (µm)", ylabel="normal force (N)")
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def _confined(axis: Axes, runs, lab: Lab, colour: str, line: str, label: str) -> None:
+    for number, run in enumerate(runs):
+        name = label if number == 0 else None
+        axis.plot(run.confined[:, 0], run.confined[:, 1], line, color=colour, lw=1, label=name)
+    _measured(axis, lab, "confined", colour)
+    if line == "-":
+        for force in (lab.confined.force_low, lab.confined.force_high):
+            axis.axhline(force, color="0.7", lw=0.7)
+    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title="confined compression")
+
+
+def _unconfined(axis: Axes, runs, lab: Lab, colour: str, line: str, label: str) -> None:
+    for number, run in enumerate(runs):
+        name = label if number == 0 else None
+        axis.plot(run.unconfined[:, 0], run.unconfined[:, 1], line, color=colour, lw=1, label=name)
+    _measured(axis, lab, "unconfined", colour)
+    target = lab.targets.get("crushing_force_n")
+    if target is not None and line == "-":
+        axis.axhspan(
+            target.mean - target.scatter,
+            target.mean + target.scatter,
+            color=LIGHT,
+            alpha=0.5,
+            lw=0,
+            label="measured crushing force ± scatter",
+        )
+    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title="unconfined compression")
+
+
+def _measured(axis: Axes, lab: Lab, test: str, colour: str) -> None:
+    if colour != DARK:
+        return
+    for number, curve in enumerate(c for c in lab.curves if c.test == test):
+        name = "measured" if number == 0 else None
+        axis.plot(curve.displacement_mm, curve.force_n, ":", color="0.35", lw=1.5, label=name)
+
+
+def _observables(axis: Axes, done: Calibrated) -> None:
+    """Each observable over its target: packings as points, means as bars, the target's scatter."""
+    for place, (name, target) in enumerate(done.lab.targets.items()):
+        axis.errorbar(
+            place, 1.0, yerr=target.scatter / target.mean, color="0.5", lw=8, alpha=0.4, zorder=0
+        )
+        for shift, runs, colour, marker, label in (
+            (-0.12, done.fitted_runs, DARK, "o", "fitted packings"),
+            (0.12, done.fresh_runs, MIDDLE, "D", "fresh packings"),
+        ):
+            values = np.array([run.observables()[name] for run in runs]) / target.mean
+            first = label if place == 0 else None
+            axis.plot(np.full(len(values), place + shift), values, marker, color=colour, ms=5)
+            axis.hlines(
+                values.mean(), place + shift - 0.08, place + shift + 0.08, colour, lw=2, label=first
+            )
+    axis.axhline(1, color="0.6", lw=0.8)
+    axis.set_xticks(range(len(done.lab.targets)), [_pretty(n) for n in done.lab.targets])
+    axis.set_xlim(-0.6, len(done.lab.targets) - 0.4)
+    axis.set(ylabel="simulated / measured", title="observables (bars: means; grey: repeats)")
+
+
+def _parameters(axis: Axes, done: Calibrated) -> None:
+    """Free parameters over their start, 95 % intervals, priors behind."""
+    found = done.result.identifiability
+    first = done.result.history[0]["parameters"]
+    for row, name in enumerate(found.names):
+        start, value = first[name], found.values[row]
+        low, high = found.interval[row] / start
+        axis.plot([low, high], [row, row], color=DARK, lw=3)
+        axis.plot(value / start, row, "o", color=MIDDLE, ms=8)
+        axis.annotate(f"{value:.4g}", (value / start, row), (0, 9), textcoords="offset points")
+    axis.axvline(1, color="0.6", lw=0.8)
+    axis.set_xscale("log")
+    axis.set_yticks(range(len(found.names)), [_pretty(name) for name in found.names])
+    axis.set_ylim(-0.6, len(found.names) - 0.4)
+    axis.set(xlabel="value / starting value (95 % interval)", title="free parameters (SI)")
+
+
+def _pretty(name: str) -> str:
+    return name.removesuffix("_mm").removesuffix("_n").replace("_", " ")
+
+
+def _finish(figure, axes, path: Path) -> None:
+    for axis in axes:
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=8, frameon=False)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

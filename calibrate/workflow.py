@@ -1,0 +1,244 @@
+"""What the verbs do, from a lab file to a result: simulate, and fit.
+
+    lab file -> packings -> scatter -> screening -> free parameters -> fit -> fresh packings
+
+Each function returns plain data (the contract's JSON keys) and what a plot needs; the
+command line only reads options and writes files.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.campaign import Campaign, Run
+from calibrate.fit import Calibration, Fit, Settings, fit, packing_scatter
+from calibrate.identifiability import choose_free
+from calibrate.measurements import Lab
+from calibrate.parameters import FACTORS, Space, base_soil, space, with_values
+from calibrate.presets import Preset, specimen, virtual_lab
+from calibrate.problem import Problem, pose
+from calibrate.progress import AbstractProgress
+from jdem.sensitivity.regression import Regression
+from jdem.soil import SoilParameters
+
+SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
+FRESH_PACKINGS = 3  # on which a fit is checked
+CANDIDATES = (*FACTORS, "shear_modulus")
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Packings that are fitted, packings held back, and all that scatter is taken from."""
+
+    fitted: tuple[int, ...]
+    fresh: tuple[int, ...]
+    scatter: tuple[int, ...]
+
+    @staticmethod
+    def of(seed: int, fitted: int) -> "Seeds":
+        every = tuple(
+            range(100 * seed, 100 * seed + max(SCATTER_PACKINGS, fitted + FRESH_PACKINGS))
+        )
+        return Seeds(every[:fitted], every[fitted : fitted + FRESH_PACKINGS], every)
+
+
+def campaign(lab: Lab, preset: Preset, folder: Path, progress: AbstractProgress) -> Campaign:
+    """The lab's virtual tests at a preset, with results kept in `folder`."""
+    return Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, progress)
+
+
+def simulate(
+    lab: Lab, preset: Preset, settings: dict[str, float], seed: int, work: Campaign
+) -> tuple[dict, list[Run]]:
+    """Both tests on the preset's packings; the contract's JSON and the runs."""
+    soil = with_values(base_soil(lab), settings)
+    seeds = Seeds.of(seed, preset.packings).fitted
+    runs = work.runs([soil], seeds, "simulating")[0]
+    return {**simulation_json(runs), "parameters": soil_json(soil), "seeds": list(seeds)}, runs
+
+
+def simulation_json(runs: Sequence[Run]) -> dict:
+    """Means and scatter over packings, the first packing's curves, quality and speed."""
+    seconds = sum(run.quality["runtime_s"] for run in runs)
+    work = sum(run.quality["steps"] * run.quality["spheres"] for run in runs)
+    quality = {
+        name: float(np.max([run.quality[name] for run in runs]))
+        for name in runs[0].quality
+        if name not in ("runtime_s", "steps", "overflow")
+    }
+    return {
+        "observables": mean_observables(runs),
+        "spread": spread_observables(runs),
+        "curves": curves_json(runs[0]),
+        "packings": [{**run.observables(), "failure": run.failure} for run in runs],
+        "quality": {**quality, "overflow": any(run.quality["overflow"] > 0 for run in runs)},
+        "failures": [run.failure for run in runs if run.failure],
+        "runtime_s": seconds,
+        "particle_steps_per_s": work / seconds,
+    }
+
+
+def curves_json(run: Run) -> dict:
+    """A run's curves as lists."""
+    return {
+        name: {"displacement_mm": curve[:, 0].tolist(), "force_n": curve[:, 1].tolist()}
+        for name, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+    }
+
+
+def mean_observables(runs: Sequence[Run]) -> dict[str, float]:
+    return _over_packings(runs, np.mean)
+
+
+def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
+    """Standard deviation over packings (one packing's scatter)."""
+    return _over_packings(runs, lambda v: np.std(v, ddof=1) if len(v) > 1 else float("nan"))
+
+
+def soil_json(soil: SoilParameters) -> dict[str, float]:
+    """All parameters by name, SI."""
+    return {name: float(getattr(soil, name)) for name in SoilParameters.__dataclass_fields__}
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A fit with everything around it that a report shows."""
+
+    lab: Lab
+    problem: Problem
+    result: Fit
+    soil: SoilParameters
+    space: Space
+    screening: dict
+    fitted_runs: list[Run]
+    fresh_runs: list[Run]
+    scatter: np.ndarray
+    simulations: int
+    named: dict[str, dict]
+
+
+def calibrate(
+    lab: Lab,
+    preset: Preset,
+    free: tuple[str, ...] | None,
+    changes: dict[str, float],
+    seed: int,
+    work: Campaign,
+) -> Calibrated:
+    """The whole calibration of a lab file; resumes from what `work.folder` holds."""
+    problem, seeds = pose(lab), Seeds.of(seed, preset.packings)
+    base = with_values(base_soil(lab), changes)
+    scatter = packing_scatter(
+        problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
+    )
+    screening: dict = {}
+    if free is None:
+        screening = screen(lab, problem, base, scatter, seeds, work)
+        free = tuple(screening["free"])
+        work.progress.say("free parameters: " + ", ".join(free))
+    free_space = space(lab, free, base)
+    calibration = Calibration(
+        problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
+    )
+    result = fit(calibration)
+    soil = free_space.soil(result.best.values)
+    fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
+    fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
+    named = _named_sets(lab, base, seeds.fitted, work)
+    return Calibrated(
+        lab,
+        problem,
+        result,
+        soil,
+        free_space,
+        screening,
+        fitted,
+        fresh,
+        scatter,
+        work.simulated,
+        named,
+    )
+
+
+def screen(
+    lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: Campaign
+) -> dict:
+    """Slopes of all features in all candidates, and the parameters that the data can fix."""
+    candidates = tuple(CANDIDATES) + tuple(
+        name for name, c in lab.parameters.items() if c.free and name not in CANDIDATES
+    )
+    held = {name for name, choice in lab.parameters.items() if choice.free is False}
+    candidates = tuple(name for name in candidates if name not in held)
+    every = space(lab, candidates, base)
+    settings = Settings(strategy=Regression((0.3,)))
+    calibration = Calibration(
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
+    )
+    slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
+    whitened = calibration.whitened(slopes)
+    rank = len(problem.measured)
+    chosen = choose_free(candidates, whitened, every.prior_sd(), rank)
+    names = [feature.name for feature in problem.features]
+    return {
+        "free": [name for name, _ in chosen],
+        "signal_to_noise": dict(chosen),
+        "slopes_per_ln": {
+            feature: dict(zip(candidates, row.tolist(), strict=True))
+            for feature, row in zip(names, slopes, strict=True)
+        },
+    }
+
+
+def fit_json(done: Calibrated) -> dict:
+    """The contract's keys for `fit`, and what was checked on fresh packings."""
+    features = [feature.name for feature in done.problem.features]
+    best = done.result.best
+    return {
+        "parameters": soil_json(done.soil),
+        "free": list(done.space.names),
+        "observables": mean_observables(done.fitted_runs),
+        "spread": spread_observables(done.fitted_runs),
+        "fresh_packings": {
+            "observables": mean_observables(done.fresh_runs),
+            "spread": spread_observables(done.fresh_runs),
+        },
+        "targets": {name: target.mean for name, target in done.lab.targets.items()},
+        "features": {
+            name: {"measured": float(m), "simulated": float(s), "sd": float(sd)}
+            for name, m, s, sd in zip(
+                features,
+                done.problem.measured,
+                best.features.mean(axis=0),
+                np.sqrt(np.diag(done.result.covariance)),
+                strict=True,
+            )
+        },
+        "packing_scatter": dict(
+            zip(features, np.sqrt(np.diag(done.scatter)).tolist(), strict=True)
+        ),
+        "simulations": done.simulations,
+        "stopped": done.result.stopped,
+        "strategy": "regression over +-25 % with common random numbers, antithetic steps",
+        "identifiability": done.result.identifiability.as_json(),
+        "screening": done.screening,
+        "history": done.result.history,
+        "named_sets": done.named,
+        "at_bound": done.space.at_bound(best.values),
+    }
+
+
+def _named_sets(lab: Lab, base: SoilParameters, seeds, work: Campaign) -> dict[str, dict]:
+    """Observables of the lab file's named parameter sets on the fitted packings."""
+    soils = [with_values(base, values) for values in lab.named_sets.values()]
+    rows = work.runs(soils, seeds, "named parameter sets") if soils else []
+    return {
+        name: {"observables": mean_observables(row), "spread": spread_observables(row)}
+        for name, row in zip(lab.named_sets, rows, strict=True)
+    }
+
+
+def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
+    names = runs[0].observables()
+    return {n: float(statistic([run.observables()[n] for run in runs])) for n in names}

@@ -1,0 +1,1 @@
+"""How a response is differentiated, one strategy per file; see `base` for the contract."""
