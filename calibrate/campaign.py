@@ -77,7 +77,9 @@ class Campaign:
         packings = [self._stored_packing(seed) for seed in seeds]
         return [packing for packing in packings if packing is not None]
 
-    def runs(self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str):
+    def runs(
+        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
         """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
         packings = dict(zip(seeds, self.packings(seeds), strict=True))
         keys = [[self.key(soil, seed) for seed in seeds] for soil in soils]
@@ -88,9 +90,8 @@ class Campaign:
             for key, seed in zip(row, seeds, strict=True)
             if found[key] is None
         ]
-        for key, run in self._simulated(tasks, what):
-            found[key] = run
-        return [[found[key] for key in row] for row in keys]
+        found.update(self._simulated(tasks, what))
+        return [[run for key in row if (run := found[key])] for row in keys]
 
     def key(self, soil: SoilParameters, seed: int) -> str:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""

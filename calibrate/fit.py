@@ -233,7 +233,8 @@ def _line(calibration: Calibration, row: dict) -> str:
     parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
     features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
     shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.kind == "target")
-    return f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}  {parameters}  {shown}"
+    begin = f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}"
+    return f"{begin}  {parameters}  {shown}"
 
 
 def packing_scatter(

@@ -98,7 +98,7 @@ def _observables(axis: Axes, done: Calibrated) -> None:
             (0.12, done.fresh_runs, MIDDLE, "D", "fresh packings"),
         ):
             values = np.array([run.observables()[name] for run in runs]) / target.mean
-            first = label if place == 0 else None
+            first = label if place == 0 else "_"
             axis.plot(np.full(len(values), place + shift), values, marker, color=colour, ms=5)
             axis.hlines(
                 values.mean(), place + shift - 0.08, place + shift + 0.08, colour, lw=2, label=first

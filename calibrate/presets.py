@@ -77,7 +77,7 @@ def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> V
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:
     """Numerics whose lists are rebuilt before a sphere that falls off the top outruns them."""
     skin = Numerics().skin * 2 * cylinder.mean_radius()
-    fall = float(np.sqrt(2 * GRAVITY * cylinder.height))
+    fall = 1.5 * float(np.sqrt(2 * GRAVITY * cylinder.height))
     return Numerics(sample_time=0.5 * skin / fall, **choices)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from calibrate.parameters import with_values
@@ -33,9 +34,11 @@ def drive(
         "reference_diameter": 2 * pair.radius,
     }
     soil = with_values(SoilParameters(), {**own, **values})
-    law = particle_law(soil, 2 * pair.radius, Smoothing() if smooth else Smoothing.sharp())
+    law = particle_law(
+        soil, jnp.asarray(2 * pair.radius), Smoothing() if smooth else Smoothing.sharp()
+    )
     overlaps = overlap_path(turning_points_m, POINTS_PER_LEG)
-    force = eqx.filter_jit(drive_overlap)(law, SpherePair(pair.radius), overlaps)
+    force = eqx.filter_jit(drive_overlap)(law, SpherePair(jnp.asarray(pair.radius)), overlaps)
     return {
         "overlap_m": np.asarray(overlaps).tolist(),
         "normal_force_n": np.asarray(force).tolist(),

@@ -16,6 +16,8 @@ from jdem.quantity import cast
 from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law, wall_law
 
+MOST_SPHERES = 46_000
+
 
 class Numerics(eqx.Module):
     """Choices of the method, not of the soil.
@@ -93,6 +95,8 @@ def plan_grid(
 
     `extent` is the width and height (m) that the search grid covers before it wraps.
     """
+    if count > MOST_SPHERES:
+        raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
     skin = numerics.skin * 2 * mean_radius
     cell = 2 * max_radius + skin
     across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)

@@ -9,10 +9,12 @@ springs the rebound is slower still: e is the dashpot's share only.
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.quantity import Real
 
-def dashpot_constant(restitution: Array, mass: Array, stiffness: Array) -> Array:
+
+def dashpot_constant(restitution: Real, mass: Array, stiffness: Array) -> Array:
     """beta, N s/m, for 0 < restitution <= 1, effective mass (kg) and stiffness (N/m)."""
-    log = jnp.log(restitution)
+    log = jnp.log(jnp.asarray(restitution))
     return 2 * jnp.sqrt(mass * stiffness) * damping_ratio(log)
 
 

@@ -15,13 +15,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem import smooth, walls as wall_module
+from jdem import smooth
+from jdem import walls as wall_module
 from jdem.contact import Contact, ContactForce
 from jdem.energy import Ledger
 from jdem.laws.base import AbstractContactLaw
 from jdem.neighbors import ContactList, Grid
 from jdem.particles import Motion, Spheres
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.vector import Vector
 from jdem.walls import Walls
 
@@ -32,17 +33,17 @@ class Bed(eqx.Module):
     """What does not change while a bed is tested: spheres, laws, numerics.
 
     friction (-) between spheres; wall_friction (-) of base, platen and mould, shape (3,);
-    time_step in s; roll_width is the rounding of the onset of rolling, as a fraction.
+    time_step in s; roll_width (rad/s) is the spin at which half of the rolling torque acts.
     """
 
     spheres: Spheres
     particle_law: AbstractContactLaw
     wall_law: AbstractContactLaw
-    friction: Array = quantity()
+    friction: Real = quantity()
     wall_friction: Array = quantity()
-    time_step: Array = quantity()
-    roll_width: Array = quantity()
-    gravity: Array = quantity(GRAVITY)
+    time_step: Real = quantity()
+    roll_width: Real = quantity()
+    gravity: Real = quantity(GRAVITY)
     grid: Grid = eqx.field(static=True, kw_only=True)
     boundaries: bool = eqx.field(static=True, default=True)
 
@@ -64,8 +65,8 @@ class Command(eqx.Module):
     """What the machine does during one step: wall speeds (m/s), background damping (1/s)."""
 
     platen_speed: Array
-    mould_speed: Array
-    damping: Array
+    mould_speed: Real
+    damping: Real
 
 
 class Loads(eqx.Module):
@@ -213,12 +214,11 @@ def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
     return jnp.sum(jnp.stack([base, platen, mould, drag]), axis=1)
 
 
-def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, damping: Array):
+def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, damping: Real):
     """Motion one step later, and energies of the step as `_absorbed` lists them."""
     spheres, dt = bed.spheres, bed.time_step
-    weight = Vector(0.0, 0.0, -bed.gravity)
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
-    impulse = (push + weight) * dt
+    impulse = Vector(push.x, push.y, push.z - bed.gravity) * dt
     free = motion.velocity + impulse
     affine = walls.axial_strain_rate() * motion.position.z
     keep = 1 / (1 + damping * dt)
@@ -253,11 +253,21 @@ def _absorbed(spheres: Spheres, before: Motion, after: Motion, increments, free)
     return jnp.sum(sums, axis=1)
 
 
-def _braked(spin: Vector, limit: Array, width: Array) -> Vector:
-    """Spin after a rolling resistance that could take away `limit` (rad/s) in this step."""
+def _braked(spin: Vector, limit: Array, width: Real) -> Vector:
+    """Spin after an implicit step of the rolling torque limit w/(w + width), in rad/s.
+
+    `limit` is the spin that the full torque takes away in this step.  The new rate w
+    solves w + limit w/(w + width) = |spin|: it has the old direction and cannot reverse.
+    """
     rate = smooth.norm(spin)
-    left = smooth.ramp(rate - limit, width * limit)
-    return spin * jnp.minimum(smooth.divide(left, rate), 1.0)
+    excess = rate - limit - width
+    root = jnp.sqrt(excess * excess + 4 * rate * width + _TINY)
+    slow = 2 * width / jnp.where(excess > 0, 1.0, root - excess)
+    fast = 0.5 * smooth.divide(excess + root, rate)
+    return spin * jnp.minimum(jnp.where(excess > 0, fast, slow), 1.0)
+
+
+_TINY = 1e-30  # rad2/s2; keeps the square root's gradient finite at rest
 
 
 def _stage(bed: Bed, function, *arguments):

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 
 
 class AbstractStiffness(eqx.Module):
@@ -66,8 +66,8 @@ class AbstractLinear(AbstractStiffness):
 class LinearStiffness(AbstractLinear):
     """n = 1, k1 = factor E* R*; contact modulus E* in Pa."""
 
-    modulus: Array = quantity()
-    factor: Array = quantity(2.0)
+    modulus: Real = quantity()
+    factor: Real = quantity(2.0)
 
     def normal(self, radius):
         return self.factor * self.modulus * radius
@@ -76,7 +76,7 @@ class LinearStiffness(AbstractLinear):
 class GivenStiffness(AbstractLinear):
     """n = 1 with k1 (N/m) given, the same for all sizes, as in Thakur et al. 2014."""
 
-    stiffness: Array = quantity()
+    stiffness: Real = quantity()
 
     def normal(self, radius):
         return self.stiffness * jnp.ones_like(radius)
@@ -85,8 +85,8 @@ class GivenStiffness(AbstractLinear):
 class HertzStiffness(AbstractStiffness):
     """n = 1.5, k1 = 4/3 E* sqrt(R*); tangential 8 G* sqrt(R* d) (Mindlin)."""
 
-    modulus: Array = quantity()
-    shear_modulus: Array = quantity()
+    modulus: Real = quantity()
+    shear_modulus: Real = quantity()
 
     def normal(self, radius):
         return 4 / 3 * self.modulus * jnp.sqrt(radius)

@@ -41,7 +41,7 @@ class Grid(eqx.Module):
 
 
 class ContactList(eqx.Module):
-    """Entries sorted by key; unused ones repeat the last key and have `alive` 0.
+    """Entries sorted by key; unused ones stand at the end and have `alive` 0.
 
     For pairs, `second` is a sphere; for wall contacts it is the wall's number.
     """
@@ -55,7 +55,7 @@ class ContactList(eqx.Module):
     @staticmethod
     def empty(capacity: int, dtype) -> "ContactList":
         zero = jnp.zeros(capacity, jnp.int32)
-        key = jnp.full(capacity, _NO_KEY)
+        key = jnp.full(capacity, _NO_KEY, jnp.int32)
         history = ContactHistory.zeros(capacity, dtype)
         return ContactList(key, zero, zero, jnp.zeros(capacity, dtype), history)
 

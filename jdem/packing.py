@@ -18,7 +18,7 @@ from jax import Array
 from jdem.bed import Numerics, build_bed, plan_grid, steps_per_sample
 from jdem.neighbors import Grid
 from jdem.particles import Spheres
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.simulate import LOWER, REMOVE, Record, Segment, run, stack, start
 from jdem.soil import SoilParameters
 from jdem.vector import Vector
@@ -65,8 +65,8 @@ class Packing(eqx.Module):
 
     position: Vector
     spheres: Spheres
-    height: Array = quantity()
-    mould_radius: Array = quantity()
+    height: Real = quantity()
+    mould_radius: Real = quantity()
 
     def mean_diameter(self) -> Array:
         return 2 * jnp.mean(self.spheres.radius)
@@ -101,7 +101,7 @@ def prepare(
     """
     radius, position = _draw(specimen, seed)
     mass = specimen.density / 0.6 * 4 / 3 * np.pi * radius**3
-    spheres = Spheres(radius, mass)
+    spheres = Spheres(jnp.asarray(radius), jnp.asarray(mass))
     soil = neutral_soil() if soil is None else soil
     loose = Packing(position, spheres, float(position.z.max()) * 1.1, specimen.diameter / 2)
     record = _settled(specimen, loose, soil, seating_force)

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+Real = jax.Array | float  # what a scalar quantity may be given as; it becomes an array
+
 
 def as_quantity(value) -> jax.Array:
     """A floating-point array in the default precision (float64 if JAX has it enabled)."""

@@ -15,7 +15,7 @@ from jdem.dynamics import Bed, BedState, Command, step
 from jdem.energy import Ledger
 from jdem.neighbors import ContactList, Demand, Grid, rebuild
 from jdem.particles import Motion, kinetic_energy
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.walls import BASE, COUNT, PLATEN, Walls
 
 KEEP, REMOVE, LOWER = 0, 1, 2
@@ -32,13 +32,13 @@ class Segment(eqx.Module):
     first: KEEP, REMOVE, or LOWER the platen onto the highest sphere.
     """
 
-    platen_speed: Array = quantity(0.0)
-    force_target: Array = quantity(jnp.inf)
-    servo_width: Array = quantity(1.0)
-    tolerance: Array = quantity(0.0)
-    mould_speed: Array = quantity(0.0)
-    damping: Array = quantity(0.0)
-    duration: Array = quantity(0.0)
+    platen_speed: Real = quantity(0.0)
+    force_target: Real = quantity(jnp.inf)
+    servo_width: Real = quantity(1.0)
+    tolerance: Real = quantity(0.0)
+    mould_speed: Real = quantity(0.0)
+    damping: Real = quantity(0.0)
+    duration: Real = quantity(0.0)
     platen: Array = eqx.field(default=KEEP, converter=jnp.asarray)
     mould: Array = eqx.field(default=KEEP, converter=jnp.asarray)
 
@@ -67,6 +67,7 @@ class Record(eqx.Module):
     state: BedState
     demand: Demand
     drift: Array  #: m; largest motion of a sphere between two rebuilds
+    finished: Array  #: True if the programme ended within the capacity
 
     def overflow_of(self, grid: Grid) -> Array:
         """True if a list was too small or a sphere outran the skin of its list."""
@@ -117,7 +118,7 @@ def run(
 
     Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode.
     """
-    count = programme.platen_speed.shape[0]
+    count = jnp.shape(programme.platen_speed)[0]
     dtype = state.time.dtype
     empty = _empty_samples(capacity, dtype)
     zero = jnp.zeros((), dtype)
@@ -138,10 +139,11 @@ def run(
         segment = _row(programme, progress.segment)
         state, sample, demand, drift = _sampled(bed, progress.state, segment, steps_per_sample)
         sample = eqx.tree_at(lambda s: s.segment, sample, progress.segment)
-        ended = _ended(segment, state, sample, progress.begun)
+        ended = _ended(segment, sample, progress.begun, progress.state.time)
         following = _row(programme, jnp.minimum(progress.segment + 1, count - 1))
+        changes = (ended > 0) & (progress.segment + 1 < count)
         prepared = _prepared(bed, state, following)
-        state = jax.tree.map(lambda a, b: jnp.where(ended, a, b), prepared, state)
+        state = jax.tree.map(lambda a, b: jnp.where(changes, a, b), prepared, state)
         return _Progress(
             state,
             progress.segment + ended,
@@ -153,7 +155,8 @@ def run(
         )
 
     final = jax.lax.while_loop(unfinished, advance, progress)
-    return Record(final.samples, final.state, final.demand, final.drift)
+    finished = final.segment >= count
+    return Record(final.samples, final.state, final.demand, final.drift, finished)
 
 
 def stack(segments: list[Segment]) -> Segment:
@@ -169,7 +172,8 @@ def _row(programme: Segment, index) -> Segment:
 
 def _empty_samples(capacity: int, dtype) -> Sample:
     blank = jnp.zeros(capacity, dtype)
-    return Sample(jnp.full(capacity, -1, jnp.int32), *[blank] * 7)
+    unreached = jnp.full(capacity, -1, jnp.int32)
+    return Sample(unreached, blank, blank, blank, blank, blank, blank, blank)
 
 
 def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
@@ -183,10 +187,11 @@ def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
     return eqx.tree_at(lambda s: s.walls, state, Walls(height, zero, radius, zero))
 
 
-def _ended(segment: Segment, state: BedState, sample: Sample, begun) -> Array:
+def _ended(segment: Segment, sample: Sample, begun, previous_time) -> Array:
+    """1 once the force is reached, or after the duration to the nearest interval."""
     reached = jnp.abs(sample.platen_force - segment.force_target) < segment.tolerance
-    half = 0.5 * (state.time - sample.time)
-    return (reached | (state.time - begun >= segment.duration + half)).astype(jnp.int32)
+    half = 0.5 * (sample.time - previous_time)
+    return (reached | (sample.time - begun >= segment.duration - half)).astype(jnp.int32)
 
 
 def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
@@ -206,10 +211,14 @@ def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
     state, sums = jax.lax.fori_loop(0, steps, advance, (state, sums))
     means = sums / steps
     sample = Sample(
-        jnp.zeros((), jnp.int32),
-        state.time,
-        *[means[k] for k in range(5)],
-        kinetic_energy(bed.spheres, state.motion),
+        segment=jnp.zeros((), jnp.int32),
+        time=state.time,
+        platen_height=means[0],
+        platen_force=means[1],
+        base_force=means[2],
+        mould_force=means[3],
+        mould_drag=means[4],
+        kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
     moved = state.motion.position - origin
     drift = jnp.sqrt(jnp.max(moved.dot(moved)))

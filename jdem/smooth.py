@@ -12,12 +12,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.vector import Vector
 
 
 class Smoothing(eqx.Module):
-    """Widths of all roundings, each as a fraction of the quantity named.
+    """Widths of all roundings, each a fraction of the quantity named, or in its unit.
 
     | field | rounds | unit of the width |
     |---|---|---|
@@ -25,21 +25,23 @@ class Smoothing(eqx.Module):
     | cap | switch to the capped adhesion | x cap, N |
     | reload | hand-over of the plastic memory on adhesive reload | x d_p, m |
     | slip | stick to slip of the tangential spring | x friction limit, N |
-    | roll | onset of rolling | x rolling limit, N m |
+    | roll | onset of the rolling torque with the spin | rad/s |
+    | load | sign of the normal force in the rolling limit | x friction's load, N |
     | onset | switching on of the dashpot with the overlap | x R*, m |
     """
 
-    branch: Array = quantity(0.2)
-    cap: Array = quantity(0.2)
-    reload: Array = quantity(0.02)
-    slip: Array = quantity(0.5)
-    roll: Array = quantity(0.5)
-    onset: Array = quantity(1e-4)
+    branch: Real = quantity(0.2)
+    cap: Real = quantity(0.2)
+    reload: Real = quantity(0.02)
+    slip: Real = quantity(0.5)
+    roll: Real = quantity(0.01)
+    load: Real = quantity(0.05)
+    onset: Real = quantity(1e-4)
 
     @staticmethod
     def sharp() -> "Smoothing":
         """All widths zero: the laws as they are printed."""
-        return Smoothing(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Smoothing(*[0.0] * 7)
 
 
 def divide(numerator, denominator) -> Array:
@@ -50,7 +52,8 @@ def divide(numerator, denominator) -> Array:
 
 def ramp(x, width) -> Array:
     """max(x, 0); at the kink: value width/4, slope 1/2."""
-    inside = jnp.maximum(width - jnp.abs(x), 0.0)
+    size = jnp.maximum(x, -x)  # |x| with slope 0 at 0, where JAX's abs has 1
+    inside = jnp.maximum(width - size, 0.0)
     return jnp.maximum(x, 0.0) + divide(inside * inside, 4 * width)
 
 
@@ -100,5 +103,5 @@ def power(base, exponent, floor) -> Array:
     """
     above = jnp.maximum(base, floor)
     curve = jnp.exp(exponent * jnp.log(above))
-    chord = jnp.maximum(base, 0.0) * jnp.exp((exponent - 1) * jnp.log(floor))
+    chord = base * jnp.exp((exponent - 1) * jnp.log(floor))
     return jnp.where(base < floor, chord, curve)

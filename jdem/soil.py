@@ -10,10 +10,6 @@ its meaning at `reference_diameter` while the spheres are of any size.
 import equinox as eqx
 from jax import Array
 
-from jdem.laws.base import AbstractContactLaw
-from jdem.laws.composite import ContactLaw
-from jdem.laws.coulomb import CoulombSpring
-from jdem.laws.eepa import EEPA
 from jdem.elasticity import (
     AbstractStiffness,
     HertzStiffness,
@@ -21,8 +17,12 @@ from jdem.elasticity import (
     contact_modulus,
     contact_shear_modulus,
 )
+from jdem.laws.base import AbstractContactLaw
+from jdem.laws.composite import ContactLaw
+from jdem.laws.coulomb import CoulombSpring
+from jdem.laws.eepa import EEPA
 from jdem.laws.rolling import ConstantTorque
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
 
 
@@ -36,21 +36,21 @@ class SoilParameters(eqx.Module):
     slope_exponent (1 or 1.5) chooses the law, so it is static.
     """
 
-    restitution: Array = quantity(0.322)
-    static_friction: Array = quantity(0.676)
-    rolling_friction: Array = quantity(0.5)
-    surface_energy: Array = quantity(17.158)
-    plasticity_ratio: Array = quantity(0.358)
-    tensile_exponent: Array = quantity(2.0)
-    tangential_multiplier: Array = quantity(0.8)
-    shear_modulus: Array = quantity(12e6)
-    pull_off_force: Array = quantity(0.0)
-    wall_friction: Array = quantity(0.1)
-    platen_friction: Array = quantity(0.3)
-    poisson_ratio: Array = quantity(0.3)
-    reference_diameter: Array = quantity(6e-5)
-    wall_adhesion: Array = quantity(0.0)
-    stiffness_factor: Array = quantity(2.0)
+    restitution: Real = quantity(0.322)
+    static_friction: Real = quantity(0.676)
+    rolling_friction: Real = quantity(0.1)
+    surface_energy: Real = quantity(17.158)
+    plasticity_ratio: Real = quantity(0.7)
+    tensile_exponent: Real = quantity(2.0)
+    tangential_multiplier: Real = quantity(0.8)
+    shear_modulus: Real = quantity(7e6)
+    pull_off_force: Real = quantity(0.0)
+    wall_friction: Real = quantity(0.1)
+    platen_friction: Real = quantity(0.3)
+    poisson_ratio: Real = quantity(0.3)
+    reference_diameter: Real = quantity(8e-5)
+    wall_adhesion: Real = quantity(0.0)
+    stiffness_factor: Real = quantity(2.0)
     slope_exponent: float = eqx.field(static=True, default=1.0)
 
     def __check_init__(self):

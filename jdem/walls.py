@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem import smooth
+from jdem.quantity import Real
 from jdem.vector import Vector
 
 BASE, PLATEN, MOULD = 0, 1, 2
@@ -19,11 +20,11 @@ class Walls(eqx.Module):
     """Places (m) and speeds (m/s) of the walls; upward and outward are positive."""
 
     platen_height: Array
-    platen_speed: Array
+    platen_speed: Real
     mould_radius: Array
-    mould_speed: Array
+    mould_speed: Real
 
-    def axial_strain_rate(self) -> Array:
+    def axial_strain_rate(self) -> Real:
         """Rate at which the platen stretches the specimen, 1/s (negative in compression)."""
         return self.platen_speed / self.platen_height
 

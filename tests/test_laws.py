@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jdem.contact import Contact, ContactHistory, NormalForce
+from jdem.contact import ContactHistory, NormalForce
 from jdem.experiments.pair import SpherePair, drive_overlap, overlap_path
 from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.rolling import ConstantTorque
@@ -54,9 +54,13 @@ def plackett_burman_signs():
     return np.array([*(np.roll(generator, k) for k in range(7)), np.zeros(7, int)])
 
 
+PAPER_OPTIMUM = {"plasticity_ratio": 0.358, "rolling_friction": 0.5, "shear_modulus": 12e6}
+
+
 def soil_of(exponent, **values):
-    """A soil whose reference diameter is the spheres' own: surface energy is not scaled."""
-    return SoilParameters(**values, reference_diameter=2 * RADIUS, slope_exponent=exponent)
+    """The paper's optimum; the reference diameter is the spheres' own (energy not scaled)."""
+    given = {**PAPER_OPTIMUM, **values}
+    return SoilParameters(**given, reference_diameter=2 * RADIUS, slope_exponent=exponent)
 
 
 def corner_soils(exponent):
@@ -161,8 +165,9 @@ def all_jacobians(soils, smoothing, overlaps):
 @every_smoothing
 def test_no_force_and_no_memory_without_overlap(exponent, smoothing):
     soils = corner_soils(exponent)
-    loaded_then_apart = jnp.asarray([[1e-5, MOST, 0.5 * MOST, 0.0, -1e-9, -1.0]] * len(soils))
-    forces, memory = all_rows(stacked(soils), smoothing, loaded_then_apart)
+    apart = -np.geomspace(1e-12, 1.0, 22)  # as many points as all paths of this file have
+    loaded_then_apart = [[1e-5, MOST, 0.5 * MOST, 0.0, *apart]] * len(soils)
+    forces, memory = all_rows(stacked(soils), smoothing, jnp.asarray(loaded_then_apart))
     assert not np.any(forces[:, 3:])
     assert not np.any(memory[:, 3:])
 
@@ -171,7 +176,9 @@ def test_no_force_and_no_memory_without_overlap(exponent, smoothing):
 def test_no_pull_off_force_without_overlap(exponent):
     law = law_of(soil_of(exponent, pull_off_force=-0.01))
     for overlap, expected in ((0.0, 0.0), (-1e-6, 0.0), (1e-6, -0.01)):
-        normal = law.normal._pull_off(contact_at(jnp.asarray(overlap)), jnp.asarray(overlap).clip(0))
+        normal = law.normal._pull_off(
+            contact_at(jnp.asarray(overlap)), jnp.asarray(overlap).clip(0)
+        )
         assert normal == expected
 
 
@@ -251,7 +258,7 @@ def work_done(law, turns):
 
 @every_exponent
 @every_smoothing
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(turns=turning_points, corner=st.integers(0, 10))
 def test_no_energy_is_gained_over_a_closed_cycle_of_overlap(exponent, smoothing, turns, corner):
     work, uncertainty = work_done(law_of(corner_soils(exponent)[corner], smoothing), [*turns, 0.0])
@@ -260,7 +267,7 @@ def test_no_energy_is_gained_over_a_closed_cycle_of_overlap(exponent, smoothing,
 
 @every_exponent
 @every_smoothing
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(turns=turning_points)
 def test_an_elastic_contact_keeps_its_energy(exponent, smoothing, turns):
     soil = soil_of(exponent, plasticity_ratio=1e-9, surface_energy=0.0)
@@ -288,10 +295,11 @@ def test_a_reload_is_never_above_virgin_loading(exponent):
 
 @every_exponent
 def test_narrow_roundings_recover_the_sharp_law(exponent):
-    """The mean deviation from the sharp law shrinks at least as the width, and vanishes.
+    """The mean deviation from the sharp law shrinks with the width, and vanishes with it.
 
-    The mean, because the sharp law jumps (adhesive reload; d_min at the cap for n = 1.5), so
-    that next to a jump any width deviates.
+    The mean, because the sharp law jumps (d_min at the cap for n = 1.5), so that next to a
+    jump any width deviates.  It shrinks in proportion to the width near a jump, as its
+    square at a fillet; a factor of 5 is left for how few points lie in a narrow one.
     """
     soils = corner_soils(exponent)
     paths = jnp.stack([sampled_cycle(soil) for soil in soils])
@@ -303,8 +311,8 @@ def test_narrow_roundings_recover_the_sharp_law(exponent):
         return np.abs(rows - sharp).mean(axis=(0, 1))[[0, 2, 4, 6]] / largest
 
     largest = np.abs(sharp).max(axis=(0, 1))[[0, 2, 4, 6]]
-    assert (deviation(1.0) > 1e-4).all()  # else nothing was rounded on this path
-    assert (deviation(0.1) < 0.2 * deviation(1.0)).all()
+    assert (deviation(1.0) > 1e-5).all()  # else nothing was rounded on this path
+    assert (deviation(0.01) < 0.05 * deviation(1.0)).all()
     assert not np.any(deviation(0.0))
 
 
@@ -343,11 +351,17 @@ def test_float32_agrees_with_float64(exponent, smoothing):
 # ------------------------------------------------------------------ memory and adhesion
 
 
-def largest_overlap_remembered(soil, smoothing, turns):
-    """d_max at the end of a path, which first loads in as many legs as make paths alike."""
+def last_row(soil, smoothing, turns):
+    """Force parts and d_max at the end of a path, which first loads in as many legs as make
+    all paths alike (one compiled program)."""
     turns = [*np.linspace(0, turns[0], 6 - len(turns))[1:-1], *turns]
     overlaps = overlap_path(jnp.asarray(turns), 200)[None]
-    return float(all_rows(stacked([soil]), smoothing, overlaps)[1][0, -1, 0])
+    forces, memory = all_rows(stacked([soil]), smoothing, overlaps)
+    return np.asarray(forces)[0, -1], float(memory[0, -1, 0])
+
+
+def largest_overlap_remembered(soil, smoothing, turns):
+    return last_row(soil, smoothing, turns)[1]
 
 
 @every_exponent
@@ -416,7 +430,7 @@ def test_friction_feels_adhesion_at_zero_total_force(exponent, smoothing):
     """At d = dp the hysteretic force is zero and the load is f_min (dp/d_min)^x."""
     soil = soil_of(exponent)
     plastic = plastic_overlap_of(soil)
-    rows = all_rows(stacked([soil]), smoothing, jnp.asarray([[MOST, plastic]]))[0][0, -1]
+    rows = last_row(soil, smoothing, [MOST, plastic])[0]
     strength, turn = minimum_of(soil)
     expected = strength * (plastic / turn) ** float(soil.tensile_exponent)
     scale = stiffness_of(soil) * MOST**exponent
@@ -428,15 +442,18 @@ def test_friction_feels_adhesion_at_zero_total_force(exponent, smoothing):
 def test_friction_load_is_zero_on_the_adhesive_branch():
     soil = soil_of(1.0)
     turn = minimum_of(soil)[1]
-    rows = all_rows(stacked([soil]), Smoothing.sharp(), jnp.asarray([[MOST, 0.5 * turn]]))[0]
-    assert rows[0, -1, 0] < 0
-    assert rows[0, -1, 2] == 0.0
+    rows = last_row(soil, Smoothing.sharp(), [MOST, 0.5 * turn])[0]
+    assert rows[0] < 0
+    assert rows[2] == 0.0
 
 
 LOAD, STIFFNESS = 2.0, 1e4
 pull = eqx.filter_jit(
     lambda spring, contact, history: spring.force(
-        contact, NormalForce(jnp.asarray(LOAD), jnp.asarray(0.0), jnp.asarray(LOAD)), STIFFNESS, history
+        contact,
+        NormalForce(jnp.asarray(LOAD), jnp.asarray(0.0), jnp.asarray(LOAD)),
+        STIFFNESS,
+        history,
     )
 )
 
@@ -491,6 +508,9 @@ def test_sliding_has_no_dashpot_and_no_load_means_no_friction(smoothing):
     assert spring.y == dashpot.y == kept.stretch.y == 0.0
 
 
+force_of = eqx.filter_jit(lambda law, contact, history: law.force(contact, history))
+
+
 def rotation(seed):
     """A random rotation matrix."""
     matrix = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
@@ -506,11 +526,13 @@ def test_the_law_turns_with_its_contact(smoothing, seed):
     history = ContactHistory(jnp.asarray(MOST), jnp.asarray(0.8 * MOST), stretch)
     contact = contact_at(jnp.asarray(0.9 * MOST))
     turned = eqx.tree_at(
-        lambda c: (c.normal, c.slip), contact, (turned_by(turn, contact.normal), turned_by(turn, contact.slip))
+        lambda c: (c.normal, c.slip),
+        contact,
+        (turned_by(turn, contact.normal), turned_by(turn, contact.slip)),
     )
     turned_history = eqx.tree_at(lambda h: h.stretch, history, turned_by(turn, stretch))
-    force = eqx.filter_jit(law.force)(contact, history)[0]
-    rotated = eqx.filter_jit(law.force)(turned, turned_history)[0]
+    force = force_of(law, contact, history)[0]
+    rotated = force_of(law, turned, turned_history)[0]
     expected = turned_by(turn, force.traction()).stack()
     assert np.abs(rotated.traction().stack() - expected).max() < 1e-13 * np.abs(expected).max()
     assert rotated.normal.total() == force.normal.total()

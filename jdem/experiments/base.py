@@ -7,17 +7,16 @@ An apparatus knows rates, forces and durations.  It does not know how a bed is a
 import abc
 
 import equinox as eqx
-from jax import Array
 
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.simulate import Segment
 
 
 class Damping(eqx.Module):
     """Background damping (1/s) while the machine loads, and while a specimen comes to rest."""
 
-    loading: Array = quantity(200.0)
-    resting: Array = quantity(500.0)
+    loading: Real = quantity(200.0)
+    resting: Real = quantity(500.0)
 
 
 class AbstractApparatus(eqx.Module):

@@ -83,7 +83,7 @@ class VirtualLab(eqx.Module):
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:
         """Stable time step, s."""
-        return self._bed(packing, soil, None).time_step
+        return jnp.asarray(self._bed(packing, soil, None).time_step)
 
     def run(
         self, packing: Packing, soil: SoilParameters, time_step: Array | None = None
@@ -121,7 +121,7 @@ def outcome(tests: LabTests, bed: Bed, record: Record) -> Outcome:
         confined=_whole(tests, samples, loading),
         unconfined=crushing,
         record=record,
-        failed=record.overflow_of(bed.grid) | short | bad,
+        failed=record.overflow_of(bed.grid) | ~record.finished | short | bad,
     )
 
 

@@ -5,10 +5,9 @@ and explicit, and has to be shown to be quasi-static (inertial number, halved ra
 """
 
 import equinox as eqx
-from jax import Array
 
 from jdem.experiments.base import AbstractApparatus, Damping
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.simulate import KEEP, LOWER, Segment
 
 
@@ -19,14 +18,14 @@ class ConfinedCompression(AbstractApparatus):
     is within `tolerance` (N); stroke (m) is the farthest it may go.
     """
 
-    simulated_rate: Array = quantity(0.1)
-    nominal_rate: Array = quantity(8e-3)
-    force_low: Array = quantity(200.0)
-    force_high: Array = quantity(400.0)
-    servo_width: Array = quantity(4.0)
-    tolerance: Array = quantity(0.05)
-    stroke: Array = quantity(0.025)
-    hold: Array = quantity(0.0)
+    simulated_rate: Real = quantity(0.1)
+    nominal_rate: Real = quantity(8e-3)
+    force_low: Real = quantity(200.0)
+    force_high: Real = quantity(400.0)
+    servo_width: Real = quantity(4.0)
+    tolerance: Real = quantity(0.05)
+    stroke: Real = quantity(0.025)
+    hold: Real = quantity(0.0)
     damping: Damping = eqx.field(default_factory=Damping)
 
     @property

@@ -4,6 +4,8 @@ The smallest apparatus: it needs a contact law and no bed, so a law can be drawn
 compared with another code's and tested in a fraction of a second.
 """
 
+from itertools import pairwise
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ from jax import Array
 
 from jdem.contact import Contact, ContactHistory
 from jdem.laws.base import AbstractContactLaw
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.vector import Vector
 
 
@@ -19,7 +21,7 @@ class SpherePair(eqx.Module):
     """Two equal spheres; radius in m, density in kg/m3."""
 
     radius: Array = quantity()
-    density: Array = quantity(2650.0)
+    density: Real = quantity(2650.0)
 
     def effective_radius(self) -> Array:
         return self.radius / 2
@@ -47,7 +49,7 @@ def overlap_path(turning_points, points_per_leg: int) -> Array:
     """Overlaps (m) from 0 through the turning points, evenly spaced on each leg."""
     corners = [0.0, *turning_points]
     share = jnp.arange(1, points_per_leg + 1) / points_per_leg
-    legs = [a + (b - a) * share for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    legs = [a + (b - a) * share for a, b in pairwise(corners)]
     return jnp.concatenate(legs)
 
 

@@ -5,10 +5,9 @@ lasts until the kinetic energy is gone; the platen is then lowered onto the spec
 """
 
 import equinox as eqx
-from jax import Array
 
 from jdem.experiments.base import AbstractApparatus, Damping
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.simulate import KEEP, LOWER, REMOVE, Segment
 
 
@@ -20,13 +19,13 @@ class UnconfinedCompression(AbstractApparatus):
     kinetic energy out faster; times in s.
     """
 
-    simulated_rate: Array = quantity(0.05)
-    nominal_rate: Array = quantity(1e-5)
-    nominal_rest: Array = quantity(1.0)
-    stroke: Array = quantity(0.010)
-    opening: Array = quantity(1e-3)
-    opening_rate: Array = quantity(0.02)
-    rest: Array = quantity(0.05)
+    simulated_rate: Real = quantity(0.05)
+    nominal_rate: Real = quantity(1e-5)
+    nominal_rest: Real = quantity(1.0)
+    stroke: Real = quantity(0.010)
+    opening: Real = quantity(1e-3)
+    opening_rate: Real = quantity(0.02)
+    rest: Real = quantity(0.05)
     damping: Damping = eqx.field(default_factory=Damping)
 
     @property

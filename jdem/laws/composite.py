@@ -1,16 +1,14 @@
 """A whole contact: normal law, tangential law and rolling law in their slots."""
 
-from jax import Array
-
 from jdem.contact import Contact, ContactForce, ContactHistory
+from jdem.elasticity import AbstractStiffness
 from jdem.laws.base import (
     AbstractContactLaw,
     AbstractNormalLaw,
     AbstractRollingLaw,
     AbstractTangentialLaw,
 )
-from jdem.elasticity import AbstractStiffness
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 
 
 class ContactLaw(AbstractContactLaw):
@@ -24,7 +22,7 @@ class ContactLaw(AbstractContactLaw):
     shear: AbstractStiffness
     tangential: AbstractTangentialLaw
     rolling: AbstractRollingLaw
-    tangential_multiplier: Array = quantity(1.0)
+    tangential_multiplier: Real = quantity(1.0)
 
     def force(self, contact: Contact, history: ContactHistory):
         normal, history = self.normal.force(contact, history)

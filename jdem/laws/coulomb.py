@@ -10,20 +10,19 @@ no energy.  The dashpot fades as the spring saturates: sliding friction is mu N.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
 from jdem import smooth
 from jdem.contact import Contact, ContactHistory, NormalForce
-from jdem.laws.base import AbstractTangentialLaw
 from jdem.damping import dashpot_constant
-from jdem.quantity import quantity
+from jdem.laws.base import AbstractTangentialLaw
+from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
 
 
 class CoulombSpring(AbstractTangentialLaw):
     """Spring, slider and dashpot; `restitution` sets the dashpot as in the normal law."""
 
-    restitution: Array = quantity()
+    restitution: Real = quantity()
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
     def force(self, contact: Contact, normal: NormalForce, stiffness, history: ContactHistory):

@@ -18,10 +18,10 @@ from jax import Array
 
 from jdem import smooth
 from jdem.contact import Contact, ContactHistory, NormalForce
-from jdem.laws.base import AbstractNormalLaw
 from jdem.damping import dashpot_constant
 from jdem.elasticity import AbstractStiffness
-from jdem.quantity import quantity
+from jdem.laws.base import AbstractNormalLaw
+from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
 
 
@@ -41,11 +41,11 @@ class EEPA(AbstractNormalLaw):
     """
 
     stiffness: AbstractStiffness
-    restitution: Array = quantity()
-    surface_energy: Array = quantity()
-    plasticity_ratio: Array = quantity()
-    tensile_exponent: Array = quantity(2.0)
-    pull_off_force: Array = quantity(0.0)
+    restitution: Real = quantity()
+    surface_energy: Real = quantity()
+    plasticity_ratio: Real = quantity()
+    tensile_exponent: Real = quantity(2.0)
+    pull_off_force: Real = quantity(0.0)
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
     def force(self, contact: Contact, history: ContactHistory):
@@ -106,16 +106,18 @@ class EEPA(AbstractNormalLaw):
     def _reloaded(self, contact: Contact, overlap, plastic, history: ContactHistory):
         """Plastic overlap after adhesive reload, and the memory once it has taken over.
 
-        On the unloading line `lowered` is above `plastic`, so the minimum leaves it alone.
+        On the unloading line `lowered` is above `plastic`, so the minimum leaves it alone; a
+        reload that has come back to virgin loading takes the memory of the present overlap.
         """
         low = history.low_overlap
         tension = self._tension(low, self._adhesion(contact, plastic))
         raised = self.stiffness.raised(low) + tension / self.unloading_stiffness(contact)
         lowered = jnp.minimum(self.stiffness.root(raised), plastic)
+        lowered = jnp.maximum(lowered, self._plastic_overlap(overlap))  # never above k1 d^n
         share = smooth.step(overlap - low, self.smoothing.reload * plastic)
         done = (share >= 1.0) & (lowered < plastic)
         raised_max = self.stiffness.raised(lowered) / self.plasticity_ratio
-        memory = jnp.maximum(self.stiffness.root(raised_max), overlap)
+        memory = self.stiffness.root(raised_max)
         history = ContactHistory(
             max_overlap=jnp.where(done, memory, history.max_overlap),
             low_overlap=jnp.where(done, memory, low),

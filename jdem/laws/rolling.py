@@ -6,21 +6,20 @@ implicitly, as friction that can stop a spin within a step but never reverse it.
 """
 
 import equinox as eqx
-from jax import Array
 
 from jdem import smooth
 from jdem.contact import NormalForce
 from jdem.laws.base import AbstractRollingLaw
-from jdem.quantity import quantity
+from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
 
 
 class ConstantTorque(AbstractRollingLaw):
     """Limit mu_r |f_hys|; rolling_friction is mu_r, dimensionless."""
 
-    rolling_friction: Array = quantity()
+    rolling_friction: Real = quantity()
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
     def limit(self, normal: NormalForce):
-        width = self.smoothing.roll * 0.1 * normal.frictional_load
+        width = self.smoothing.load * normal.frictional_load
         return self.rolling_friction * smooth.absolute(normal.hysteretic, width)
