@@ -66,6 +66,7 @@ class Campaign:
     folder: Path
     progress: AbstractProgress = field(default_factory=Silent)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    preparation: SoilParameters | None = None  # soil that beds settle with; None: neutral
     simulated: int = 0  # runs that were not in the cache
     _compiled: dict[float, Any] = field(default_factory=dict)
 
@@ -100,9 +101,7 @@ class Campaign:
             "slope_exponent": soil.slope_exponent,
             "lab": _numbers(self.lab),
             "static": repr((self.lab.grid, self.lab.capacity, self.lab.tests, self.lab.numerics)),
-            "specimen": repr(self.specimen),
-            "seed": seed,
-            "engine": engine_hash(),
+            **self._packing_content(seed),
         }
         return _hash(content)
 
@@ -134,7 +133,7 @@ class Campaign:
         return key, run
 
     def _prepare(self, seed: int) -> None:
-        save(prepare(self.specimen, seed), self._packing_path(seed))
+        save(prepare(self.specimen, seed, self.preparation), self._packing_path(seed))
 
     def _in_parallel(self, what: str, function, tasks) -> list:
         self.progress.start(what, len(tasks))
@@ -149,8 +148,17 @@ class Campaign:
         return results
 
     def _packing_path(self, seed: int) -> Path:
-        content = {"specimen": repr(self.specimen), "seed": seed, "engine": engine_hash()}
-        return self.folder / "packings" / f"{_hash(content)}.npz"
+        return self.folder / "packings" / f"{_hash(self._packing_content(seed))}.npz"
+
+    def _packing_content(self, seed: int) -> dict:
+        """All that a packing depends on."""
+        soil = self.preparation
+        return {
+            "specimen": repr(self.specimen),
+            "seed": seed,
+            "preparation": None if soil is None else [*_numbers(soil), soil.slope_exponent],
+            "engine": engine_hash(),
+        }
 
     def _stored_packing(self, seed: int) -> Packing | None:
         try:

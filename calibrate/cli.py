@@ -27,6 +27,9 @@ Json = Annotated[Path | None, typer.Option("--json", help="Write the result to t
 Out = Annotated[Path, typer.Option("--out", help="Folder for results; a second run resumes.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=10_000_000, help="Choice of packings.")]
 PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fine.")]
+Preparation = Annotated[
+    bool, typer.Option("--prepare-with-soil", help="Settle beds with the soil under test.")
+]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
 ]
@@ -38,6 +41,7 @@ def simulate_command(
     changes: Changes = None,
     preset: PresetName = "quick",
     seed: Seed = 0,
+    prepare_with_soil: Preparation = False,
     out: Out = Path("results/simulate"),
     json: Json = None,
 ) -> None:
@@ -46,7 +50,7 @@ def simulate_command(
 
     session = output.Session.open(lab, preset, out)
     values = output.parse_changes(changes or [])
-    work = workflow.campaign(session.lab, session.preset, out, session.progress)
+    work = session.campaign(out, values if prepare_with_soil else None)
     result, runs = workflow.simulate(session.lab, session.preset, values, seed, work)
     output.write_simulation(session, result, runs, json)
 
@@ -60,6 +64,7 @@ def fit_command(
     changes: Changes = None,
     preset: PresetName = "quick",
     seed: Seed = 0,
+    prepare_with_soil: Preparation = False,
     out: Out = Path("results/fit"),
     json: Json = None,
 ) -> None:
@@ -69,7 +74,7 @@ def fit_command(
     session = output.Session.open(lab, preset, out)
     values = output.parse_changes(changes or [])
     names = output.parse_free(free)
-    work = workflow.campaign(session.lab, session.preset, out, session.progress)
+    work = session.campaign(out, values if prepare_with_soil else None)
     done = workflow.calibrate(session.lab, session.preset, names, values, seed, work)
     output.write_fit(session, done, json)
 

@@ -62,6 +62,7 @@ class Fit:
     best: Evaluation
     history: list[dict]
     identifiability: Identifiability
+    profiles: dict[str, list[dict]]
     slopes: np.ndarray
     covariance: np.ndarray
     stopped: str
@@ -99,7 +100,7 @@ class Calibration:
         features = self.problem.simulated(runs)
         failures = tuple(run.failure for run in runs if run.failure)
         residual = self._residual(features.mean(axis=0), np.log(values))
-        if failures or not np.all(np.isfinite(residual)):
+        if not np.all(np.isfinite(residual)):
             residual = np.full_like(residual, _REJECTED)
         return Evaluation(values, features, residual, failures)
 
@@ -110,7 +111,10 @@ class Calibration:
             rows = self.runs(np.asarray(points), what)
             return jnp.asarray(np.array([self.problem.simulated(row) for row in rows]))
 
-        return np.asarray(self.settings.strategy(response, jnp.log(values)).slopes)
+        slopes = np.asarray(self.settings.strategy(response, jnp.log(values)).slopes)
+        if not np.all(np.isfinite(slopes)):
+            self.campaign.progress.say("  a probe failed: its parameter keeps its place this step")
+        return np.nan_to_num(slopes)
 
     def whitened(self, slopes: np.ndarray) -> np.ndarray:
         return self._whitening @ slopes
@@ -126,6 +130,7 @@ class Calibration:
         return np.concatenate([data, prior])
 
 
+PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 _REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 
 
@@ -209,7 +214,35 @@ def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
         calibration.space.prior_sd(),
         calibration.scatter_packings - 1,
     )
-    return Fit(best, walk.history, identifiability, slopes, calibration.covariance, stopped)
+    profiles = _profiles(calibration, identifiability)
+    covariance = calibration.covariance
+    return Fit(best, walk.history, identifiability, profiles, slopes, covariance, stopped)
+
+
+def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, list[dict]]:
+    """Objective along each free parameter, the others where the slopes say is best.
+
+    Points lie at -2, -1, 0, 1, 2 posterior deviations.  `linearised` is the profile that
+    the covariance implies; `simulated` is what simulation gives at the same point.
+    """
+    sd, covariance = found.sd_log, found.covariance_log
+    profiles = {}
+    for column, name in enumerate(found.names):
+        rows = []
+        for steps in PROFILE_STEPS:
+            shift = covariance[:, column] / sd[column] * steps
+            values = found.values * np.exp(shift)
+            evaluation = calibration.evaluate(values, f"profile of {name}")
+            rows.append(
+                {
+                    "value": float(values[column]),
+                    "linearised": 0.5 * steps**2,
+                    "simulated": evaluation.cost,
+                    "failure": "; ".join(evaluation.failures),
+                }
+            )
+        profiles[name] = rows
+    return profiles
 
 
 class FitError(RuntimeError):
@@ -241,7 +274,11 @@ def packing_scatter(
     problem: Problem, runs: Callable[[Sequence[int]], list[Run]], seeds: Sequence[int]
 ) -> np.ndarray:
     """Covariance (m, m) of one packing's features over their mean."""
-    features = problem.simulated(runs(seeds))
+    finished = runs(seeds)
+    failures = [run.failure for run in finished if run.failure]
+    if failures:
+        raise FitError(f"the starting soil cannot be simulated: {failures[0]}")
+    features = problem.simulated(finished)
     return shrunk_covariance(features / features.mean(axis=0))
 
 

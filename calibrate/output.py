@@ -16,12 +16,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calibrate import plotting
-from calibrate.campaign import Run
+from calibrate import plotting, workflow
+from calibrate.campaign import Campaign, Run
 from calibrate.errors import InputError, suggestion
 from calibrate.labfile import PARAMETER_UNITS, check_parameter
 from calibrate.measurements import Lab, bundled_lab, load_lab
-from calibrate.parameters import RANGES
+from calibrate.parameters import RANGES, base_soil, with_values
 from calibrate.presets import PRESETS, Preset
 from calibrate.progress import AbstractProgress, for_terminal
 from calibrate.single_contact import Spheres
@@ -47,6 +47,12 @@ class Session:
         loaded = load_lab(bundled_lab() if lab is None else lab)
         make_folder(out)
         return Session(loaded, PRESETS[preset], out, for_terminal())
+
+    def campaign(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
+        """Simulations of this session; beds settle with the soil under test if its changed
+        parameters are given, with a neutral soil if not."""
+        soil = None if preparation is None else with_values(base_soil(self.lab), preparation)
+        return workflow.campaign(self.lab, self.preset, out, self.progress, soil)
 
 
 def make_folder(out: Path) -> None:

@@ -18,6 +18,7 @@ from calibrate.campaign import Run
 from calibrate.measurements import Lab
 from calibrate.workflow import Calibrated
 
+RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 
 
@@ -121,6 +122,10 @@ def _parameters(axis: Axes, done: Calibrated) -> None:
         axis.annotate(f"{value:.4g}", (value / start, row), (0, 9), textcoords="offset points")
     axis.axvline(1, color="0.6", lw=0.8)
     axis.set_xscale("log")
+    axis.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
+    axis.minorticks_off()
+    reach = 1.15 * max(np.max(np.abs(np.log(found.interval.T / list(first.values())))), 0.35)
+    axis.set_xlim(np.exp(-reach), np.exp(reach))
     axis.set_yticks(range(len(found.names)), [_pretty(name) for name in found.names])
     axis.set_ylim(-0.6, len(found.names) - 0.4)
     axis.set(xlabel="value / starting value (95 % interval)", title="free parameters (SI)")

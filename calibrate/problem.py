@@ -67,8 +67,13 @@ class Problem:
     repeats: np.ndarray
 
     def simulated(self, runs: list[Run]) -> np.ndarray:
-        """Features of each run, shape (packings, m)."""
-        return np.array([[feature.of_run(run) for feature in self.features] for run in runs])
+        """Features of each run, shape (packings, m); NaN where a run failed."""
+        return np.array([self._of_run(run) for run in runs])
+
+    def _of_run(self, run: Run) -> list[float]:
+        if run.failure:
+            return [np.nan] * len(self.features)
+        return [feature.of_run(run) for feature in self.features]
 
     def covariance(self, relative_scatter: np.ndarray, packings: int) -> np.ndarray:
         """Covariance (m, m) of measured minus simulated mean.

@@ -44,9 +44,19 @@ class Seeds:
         return Seeds(every[:fitted], every[fitted : fitted + FRESH_PACKINGS], every)
 
 
-def campaign(lab: Lab, preset: Preset, folder: Path, progress: AbstractProgress) -> Campaign:
-    """The lab's virtual tests at a preset, with results kept in `folder`."""
-    return Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, progress)
+def campaign(
+    lab: Lab,
+    preset: Preset,
+    folder: Path,
+    progress: AbstractProgress,
+    preparation: SoilParameters | None = None,
+) -> Campaign:
+    """The lab's virtual tests at a preset, with results kept in `folder`.
+
+    Beds settle with `preparation`, or by default with a slippery, cohesionless soil.
+    """
+    laboratory, cylinder = virtual_lab(lab, preset), specimen(lab, preset)
+    return Campaign(laboratory, cylinder, folder, progress, preparation=preparation)
 
 
 def simulate(
@@ -56,7 +66,13 @@ def simulate(
     soil = with_values(base_soil(lab), settings)
     seeds = Seeds.of(seed, preset.packings).fitted
     runs = work.runs([soil], seeds, "simulating")[0]
-    return {**simulation_json(runs), "parameters": soil_json(soil), "seeds": list(seeds)}, runs
+    result = {
+        **simulation_json(runs),
+        "rates": rates_json(work),
+        "parameters": soil_json(soil),
+        "seeds": list(seeds),
+    }
+    return result, runs
 
 
 def simulation_json(runs: Sequence[Run]) -> dict:
@@ -77,6 +93,19 @@ def simulation_json(runs: Sequence[Run]) -> dict:
         "failures": [run.failure for run in runs if run.failure],
         "runtime_s": seconds,
         "particle_steps_per_s": work / seconds,
+    }
+
+
+def rates_json(work: Campaign) -> dict:
+    """Nominal and simulated platen speeds (mm/s) of both tests, and their ratio."""
+    tests = work.lab.tests
+    return {
+        name: {
+            "nominal_mm_s": 1e3 * float(test.nominal_rate),
+            "simulated_mm_s": 1e3 * float(test.simulated_rate),
+            "scaled_by": float(test.simulated_rate / test.nominal_rate),
+        }
+        for name, test in (("confined", tests.confined), ("unconfined", tests.unconfined))
     }
 
 
@@ -117,6 +146,7 @@ class Calibrated:
     scatter: np.ndarray
     simulations: int
     named: dict[str, dict]
+    strategy: str
 
 
 def calibrate(
@@ -134,6 +164,7 @@ def calibrate(
         problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
     )
     screening: dict = {}
+    free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
     if free is None:
         screening = screen(lab, problem, base, scatter, seeds, work)
         free = tuple(screening["free"])
@@ -148,17 +179,18 @@ def calibrate(
     fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
     named = _named_sets(lab, base, seeds.fitted, work)
     return Calibrated(
-        lab,
-        problem,
-        result,
-        soil,
-        free_space,
-        screening,
-        fitted,
-        fresh,
-        scatter,
-        work.simulated,
-        named,
+        lab=lab,
+        problem=problem,
+        result=result,
+        soil=soil,
+        space=free_space,
+        screening=screening,
+        fitted_runs=fitted,
+        fresh_runs=fresh,
+        scatter=scatter,
+        simulations=work.simulated,
+        named=named,
+        strategy=calibration.settings.strategy.describe(),
     )
 
 
@@ -166,11 +198,8 @@ def screen(
     lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: Campaign
 ) -> dict:
     """Slopes of all features in all candidates, and the parameters that the data can fix."""
-    candidates = tuple(CANDIDATES) + tuple(
-        name for name, c in lab.parameters.items() if c.free and name not in CANDIDATES
-    )
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
-    candidates = tuple(name for name in candidates if name not in held)
+    candidates = tuple(name for name in CANDIDATES if name not in held)
     every = space(lab, candidates, base)
     settings = Settings(strategy=Regression((0.3,)))
     calibration = Calibration(
@@ -220,7 +249,8 @@ def fit_json(done: Calibrated) -> dict:
         ),
         "simulations": done.simulations,
         "stopped": done.result.stopped,
-        "strategy": "regression over +-25 % with common random numbers, antithetic steps",
+        "strategy": done.strategy,
+        "profiles": done.result.profiles,
         "identifiability": done.result.identifiability.as_json(),
         "screening": done.screening,
         "history": done.result.history,

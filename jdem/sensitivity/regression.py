@@ -32,6 +32,11 @@ class Regression(AbstractStrategy):
         slopes = jnp.einsum("s,spnm->nmp", weight, probed)
         return averaged(values[0], slopes)
 
+    def describe(self) -> str:
+        """One line for a report."""
+        steps = ", ".join(f"{step:g}" for step in self.steps)
+        return f"regression over antithetic steps of +-{steps} in ln p, common random numbers"
+
     def offsets(self) -> np.ndarray:
         """All steps, positive and negative."""
         positive = np.asarray(self.steps)
