@@ -81,8 +81,12 @@ class Packing(eqx.Module):
 
 
 def neutral_soil() -> SoilParameters:
-    """Slippery, cohesionless, strongly damped: what beds are settled with by default."""
+    """Slippery, cohesionless, strongly damped: what beds are settled with by default.
+
+    Nearly elastic, because plasticity would stiffen unloading and shorten the time step.
+    """
     return SoilParameters(
+        plasticity_ratio=0.05,
         restitution=0.1,
         static_friction=0.15,
         rolling_friction=0.0,
