@@ -1,0 +1,229 @@
+"""How much the observables depend on choices of the method, beside the scatter of packings.
+
+On the bundled soil at the quick preset (150 spheres): depression depth H and crushing
+force F with both simulated rates halved, with the time step halved, with every rounding
+sharp, with half the background damping, with two and four times the spheres, and with
+the shear modulus changed by one part in 10^9 (what chaos alone does).  Differences are
+paired by packing where the packing is the same bed; spheres of another number are another
+bed, so those differences are not paired.
+
+    python benchmarks/convergence.py               all parts, about 10 minutes on two cores
+    python benchmarks/convergence.py --part rate   one part, about 1 minute
+
+Runs are kept in results/benchmarks; a second call resumes.  Writes
+benchmarks/results/convergence.json and .md; single parts are added to what is there.
+"""
+
+import argparse
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import reporting
+
+from calibrate.campaign import Campaign, Run
+from calibrate.measurements import Lab, bundled_lab, load_lab
+from calibrate.parameters import base_soil, with_values
+from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
+from calibrate.progress import for_terminal
+from jdem.experiments.base import Damping
+from jdem.experiments.composite import VirtualLab
+from jdem.smooth import Smoothing
+
+OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One change of the method; factors are relative to the quick preset."""
+
+    part: str
+    what: str
+    spheres: int = 150
+    rate: float = 1.0
+    damping: float = 1.0
+    modulus: float = 1.0
+    numerics: dict = field(default_factory=dict)
+    packings: int = 4
+
+    @property
+    def paired(self) -> bool:
+        return self.spheres == BASE.spheres
+
+
+BASE = Variant("base", "quick preset")
+VARIANTS = (
+    Variant("chaos", "shear modulus + 1e-9 of itself", modulus=1 + 1e-9),
+    Variant("rate", "both rates halved", rate=0.5),
+    Variant("step", "time step halved", numerics={"safety": 0.125}),
+    Variant("sharp", "all roundings sharp", numerics={"smoothing": Smoothing.sharp()}),
+    Variant("damping", "background damping halved", damping=0.5),
+    Variant("spheres", "300 spheres", spheres=300),
+    Variant("spheres", "600 spheres", spheres=600, packings=2),
+)
+
+
+def laboratory(lab: Lab, variant: Variant) -> tuple[VirtualLab, object]:
+    """The virtual tests and the specimen of a variant."""
+    quick = PRESETS["quick"]
+    preset = replace(
+        quick,
+        spheres=variant.spheres,
+        confined_rate=variant.rate * quick.confined_rate,
+        unconfined_rate=variant.rate * quick.unconfined_rate,
+    )
+    cylinder = specimen(lab, preset)
+    virtual = virtual_lab(lab, preset, numerics_for(cylinder, **variant.numerics))
+    return _damped(virtual, variant.damping), cylinder
+
+
+def _damped(virtual: VirtualLab, factor: float) -> VirtualLab:
+    usual = Damping()
+    damping = Damping(factor * usual.loading, factor * usual.resting)
+    return eqx.tree_at(
+        lambda v: (v.tests.confined.damping, v.tests.unconfined.damping), virtual, (damping,) * 2
+    )
+
+
+def measured(lab: Lab, variant: Variant, seed: int, folder: Path) -> list[Run]:
+    """The variant's runs, one a packing."""
+    work = Campaign(*laboratory(lab, variant), folder, for_terminal())
+    soil = base_soil(lab)
+    soil = with_values(soil, {"shear_modulus": variant.modulus * float(soil.shear_modulus)})
+    seeds = range(seed, seed + variant.packings)
+    return work.runs([soil], seeds, variant.what)[0]
+
+
+def row(variant: Variant, runs: list[Run], base: list[Run]) -> dict:
+    """Numbers of one variant and its differences from the base."""
+    return {
+        "part": variant.part,
+        "spheres": variant.spheres,
+        "paired": variant.paired,
+        **{
+            name: compared(_values(runs, name), _values(base, name), variant.paired)
+            for name in OBSERVABLES
+        },
+        **quality(runs),
+        "failures": [run.failure for run in runs if run.failure],
+    }
+
+
+def compared(values: np.ndarray, base: np.ndarray, paired: bool) -> dict:
+    """Mean and scatter over packings; difference from the base and its standard error."""
+    if paired:
+        differences = values - base
+        error = differences.std(ddof=1) / np.sqrt(len(differences))
+    else:
+        error = np.sqrt(values.var(ddof=1) / len(values) + base.var(ddof=1) / len(base))
+    return {
+        "values": values.tolist(),
+        "mean": float(values.mean()),
+        "scatter": float(values.std(ddof=1)),
+        "difference": float(values.mean() - base.mean()),
+        "standard_error": float(error),
+    }
+
+
+def quality(runs: list[Run]) -> dict:
+    """Largest over packings of what says whether to believe a run; mean cost."""
+    energy = [r.quality["kinetic_energy_after_rest_j"] / r.quality["platen_work_j"] for r in runs]
+    return {
+        "inertial_number": _largest(runs, "inertial_number"),
+        "energy_balance": _largest(runs, "energy_balance"),
+        "kinetic_energy_after_rest_j": _largest(runs, "kinetic_energy_after_rest_j"),
+        "kinetic_energy_after_rest_over_work": float(max(energy)),
+        "time_step_s": _largest(runs, "time_step_s"),
+        "steps": float(np.mean([run.quality["steps"] for run in runs])),
+        "runtime_s": float(np.mean([run.quality["runtime_s"] for run in runs])),
+    }
+
+
+def _largest(runs: list[Run], name: str) -> float:
+    return float(np.max([run.quality[name] for run in runs]))
+
+
+def _values(runs: list[Run], name: str) -> np.ndarray:
+    return np.array([run.observables()[name] for run in runs])
+
+
+def markdown(variants: dict, origin: dict) -> str:
+    """The table, with scatter beside every difference."""
+    header = (
+        "variant",
+        "packings",
+        "H (mm) ± scatter",
+        "ΔH ± s.e.",
+        "F (N) ± scatter",
+        "ΔF ± s.e.",
+        "inertial number",
+        "energy balance",
+        "kinetic energy after rest (J)",
+        "time steps",
+    )
+    rows = [_cells(what, entry) for what, entry in variants.items()]
+    return (
+        "# Convergence\n\nBundled soil. Scatter is the standard deviation over packings; "
+        "differences are from the first row, paired by packing unless marked *. The inertial "
+        "number is that of the confined test; energy balance is the integration error over "
+        "the platen's work; quality columns give the worst packing.\n\n"
+        + reporting.table(header, rows)
+        + reporting.footer(origin)
+    )
+
+
+def _cells(what: str, entry: dict) -> list[str]:
+    depth, force = (entry[name] for name in OBSERVABLES)
+    mark = "" if entry["paired"] else " *"
+    return [
+        what,
+        str(len(depth["values"])),
+        f"{depth['mean']:.3f} ± {depth['scatter']:.3f}",
+        f"{depth['difference']:+.3f} ± {depth['standard_error']:.3f}{mark}",
+        f"{force['mean']:.1f} ± {force['scatter']:.1f}",
+        f"{force['difference']:+.1f} ± {force['standard_error']:.1f}{mark}",
+        f"{entry['inertial_number']:.1e}",
+        f"{entry['energy_balance']:.1e}",
+        f"{entry['kinetic_energy_after_rest_j']:.1e}",
+        f"{entry['steps']:.0f}",
+    ]
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
+    parts = sorted({variant.part for variant in VARIANTS})
+    parser.add_argument("--part", choices=parts, action="append", help="default: all parts")
+    parser.add_argument("--seed", type=int, default=0, help="first packing")
+    parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
+    return parser.parse_args()
+
+
+class _Plain(argparse.RawDescriptionHelpFormatter):
+    """Help that keeps the docstring's lines."""
+
+
+def main() -> None:
+    chosen = arguments()
+    reporting.configure()
+    lab = load_lab(bundled_lab())
+    base = measured(lab, BASE, chosen.seed, chosen.folder)
+    found = {BASE.what: row(BASE, base, base)}
+    known = reporting.earlier("convergence", "variants")
+    for variant in VARIANTS:
+        if chosen.part is None or variant.part in chosen.part:
+            runs = measured(lab, variant, chosen.seed, chosen.folder)
+            found[variant.what] = row(variant, runs, base)
+        elif variant.what in known:
+            found[variant.what] = known[variant.what]
+        _save(found, chosen.seed)
+
+
+def _save(found: dict, seed: int) -> None:
+    origin = reporting.provenance()
+    content = {**origin, "seed": seed, "variants": found}
+    reporting.write("convergence", content, markdown(found, origin))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""What all benchmarks share: JAX's settings, provenance, JSON and Markdown files."""
+
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+import jax
+
+from calibrate.campaign import engine_hash
+from calibrate.output import write_json, write_text
+
+CACHE = Path("results/benchmarks")  # campaigns: packings and runs
+RESULTS = Path(__file__).parent / "results"  # what is committed
+PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
+
+
+def configure(compilation_cache: bool = True) -> None:
+    """Double precision, and compiled programs kept between calls."""
+    jax.config.update("jax_enable_x64", True)
+    if compilation_cache:
+        jax.config.update("jax_compilation_cache_dir", str((CACHE / "compiled").resolve()))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def provenance() -> dict:
+    """Command, machine and versions; no date, so that equal results are equal files."""
+    return {
+        "command": shlex.join(["python", _relative(sys.argv[0]), *sys.argv[1:]]),
+        "machine": {"cores": os.cpu_count(), "cpu": _cpu_model(), "system": platform.system()},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in PACKAGES},
+        },
+        "engine": engine_hash(),
+    }
+
+
+def write(name: str, content: dict, markdown: str) -> None:
+    """benchmarks/results/<name>.json and .md; says where they are."""
+    write_json(RESULTS / f"{name}.json", content)
+    write_text(RESULTS / f"{name}.md", markdown)
+    print(markdown)
+    print(f"written: {RESULTS / name}.json and .md", file=sys.stderr)
+
+
+def earlier(name: str, key: str) -> dict:
+    """Entry `key` of results written before by the same engine, or an empty dict."""
+    path = RESULTS / f"{name}.json"
+    if not path.exists():
+        return {}
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return content[key] if content.get("engine") == engine_hash() and key in content else {}
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def footer(origin: dict) -> str:
+    """One line of provenance for a Markdown file."""
+    machine, versions = origin["machine"], origin["versions"]
+    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return (
+        f"\nMade by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
+        f"{listed}; engine {origin['engine']}.\n"
+    )
+
+
+def _relative(path: str) -> str:
+    resolved = Path(path).resolve()
+    root = Path(__file__).resolve().parent.parent
+    return str(resolved.relative_to(root)) if resolved.is_relative_to(root) else resolved.name
+
+
+def _cpu_model() -> str:
+    """The processor's name where the system tells it, else its architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
