@@ -9,6 +9,7 @@ and ends with the same numbers.
 import hashlib
 import json
 import os
+import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -68,7 +69,8 @@ class Campaign:
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     preparation: SoilParameters | None = None  # soil that beds settle with; None: neutral
     simulated: int = 0  # runs that were not in the cache
-    _compiled: dict[float, Any] = field(default_factory=dict)
+    _compiled: dict[tuple, Any] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def packings(self, seeds: Sequence[int]) -> list[Packing]:
         """The specimen's packings of these seeds, prepared if they are not on disk yet."""
@@ -108,29 +110,37 @@ class Campaign:
     def _simulated(self, tasks, what: str):
         if not tasks:
             return []
-        for exponent in {soil.slope_exponent for _, soil, _ in tasks}:
-            soil, packing = next((s, p) for _, s, p in tasks if s.slope_exponent == exponent)
-            self._compile(exponent, packing, soil)
+        for _, soil, packing in tasks:
+            self._program(self.lab, packing, soil)
         self.simulated += len(tasks)
         return self._in_parallel(what, self._simulate, tasks)
 
-    def _compile(self, exponent: float, packing: Packing, soil: SoilParameters) -> None:
-        if exponent not in self._compiled:
-            begun = time.perf_counter()
-            run = eqx.filter_jit(VirtualLab.run)
-            self._compiled[exponent] = run.lower(self.lab, packing, soil).compile()
-            self.progress.say(f"compiled the simulation in {time.perf_counter() - begun:.1f} s")
+    def _program(self, lab: VirtualLab, packing: Packing, soil: SoilParameters):
+        """The compiled simulation of a laboratory; one serves all soils of one exponent."""
+        kind = (soil.slope_exponent, lab.capacity)
+        with self._lock:
+            if kind not in self._compiled:
+                begun = time.perf_counter()
+                run = eqx.filter_jit(VirtualLab.run)
+                self._compiled[kind] = run.lower(lab, packing, soil).compile()
+                seconds = time.perf_counter() - begun
+                self.progress.say(f"compiled the simulation in {seconds:.1f} s")
+        return self._compiled[kind]
 
     def _simulate(self, task) -> tuple[str, Run]:
+        """One run; once more with larger lists if they were too small."""
         key, soil, packing = task
-        begun = time.perf_counter()
-        outcome = jax.block_until_ready(
-            self._compiled[soil.slope_exponent](self.lab, packing, soil)
-        )
-        seconds = time.perf_counter() - begun
-        run = summary(self.lab, packing, soil, outcome, seconds)
+        run = self._timed(self.lab, packing, soil)
+        if run.quality["overflow"] > 0:
+            run = self._timed(self.lab.roomier(self.specimen), packing, soil)
         _write_run(run, self._run_path(key))
         return key, run
+
+    def _timed(self, lab: VirtualLab, packing: Packing, soil: SoilParameters) -> Run:
+        program = self._program(lab, packing, soil)
+        begun = time.perf_counter()
+        outcome = jax.block_until_ready(program(lab, packing, soil))
+        return summary(lab, packing, soil, outcome, time.perf_counter() - begun)
 
     def _prepare(self, seed: int) -> None:
         save(prepare(self.specimen, seed, self.preparation), self._packing_path(seed))

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from calibrate.errors import InputError
+from calibrate.errors import CalibrationError, InputError
 
 app = typer.Typer(
     add_completion=False,
@@ -112,6 +112,9 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except CalibrationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
         print("stopped; the same command goes on from here", file=sys.stderr)
         raise SystemExit(1) from None

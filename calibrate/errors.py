@@ -64,3 +64,7 @@ def one_line(text: str) -> str:
     """`text` on a single line, with characters that a terminal cannot print replaced by '?'."""
     line = " ".join(text.split())
     return "".join(c if c.isprintable() else "?" for c in line)
+
+
+class CalibrationError(RuntimeError):
+    """A calibration cannot go on, in one sentence; what was simulated stays on disk."""

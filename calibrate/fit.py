@@ -18,6 +18,7 @@ import optimistix as optx
 from jax import Array
 
 from calibrate.campaign import Campaign, Run
+from calibrate.errors import CalibrationError
 from calibrate.identifiability import Identifiability, assess
 from calibrate.parameters import Space
 from calibrate.problem import Problem, shrunk_covariance
@@ -205,7 +206,7 @@ def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
     best = walk.best
     if best is None or best.failures:
         reasons = "; ".join(best.failures) if best else "nothing was evaluated"
-        raise FitError(f"no evaluation succeeded: {reasons}")
+        raise CalibrationError(f"no evaluation succeeded: {reasons}")
     slopes = calibration.slopes(best.values, "slopes at the best point")
     identifiability = assess(
         calibration.space.names,
@@ -245,10 +246,6 @@ def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, lis
     return profiles
 
 
-class FitError(RuntimeError):
-    """No point could be evaluated."""
-
-
 def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
     names = [feature.name for feature in calibration.problem.features]
     status = "failed" if evaluation.failures else ("better" if better else "rejected")
@@ -276,9 +273,9 @@ def packing_scatter(
     """Covariance (m, m) of one packing's features over their mean."""
     finished = runs(seeds)
     failures = [run.failure for run in finished if run.failure]
-    if failures:
-        raise FitError(f"the starting soil cannot be simulated: {failures[0]}")
-    features = problem.simulated(finished)
+    if len(failures) > len(finished) // 2:
+        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}")
+    features = problem.simulated([run for run in finished if not run.failure])
     return shrunk_covariance(features / features.mean(axis=0))
 
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jdem import smooth
 from jdem.dynamics import Bed, BedState, Command, step
 from jdem.energy import Ledger
 from jdem.neighbors import ContactList, Demand, Grid, rebuild
@@ -66,17 +67,17 @@ class Record(eqx.Module):
     samples: Sample
     state: BedState
     demand: Demand
-    drift: Array  #: m; largest motion of a sphere between two rebuilds
+    drift: Array  #: m; most that two spheres together moved between two rebuilds
     finished: Array  #: True if the programme ended within the capacity
 
     def overflow_of(self, grid: Grid) -> Array:
-        """True if a list was too small or a sphere outran the skin of its list."""
-        return self.demand.exceeds(grid) | (self.drift > 0.5 * grid.skin)
+        """True if a list was too small or two spheres could outrun the skin of the list."""
+        return self.demand.exceeds(grid) | (self.drift > grid.skin)
 
     def explain_overflow(self, grid: Grid) -> str:
         """Which list or skin was too small, and the capacity that would do."""
         demand = self.demand
-        have = [grid.pairs, grid.wall_contacts, grid.per_cell, 0.5 * grid.skin]
+        have = [grid.pairs, grid.wall_contacts, grid.per_cell, grid.skin]
         need = [int(demand.pairs), int(demand.wall_contacts), int(demand.per_cell), self.drift]
         names = ["pairs", "wall contacts", "spheres per cell", "motion between rebuilds (m)"]
         rows = zip(names, have, need, strict=True)
@@ -220,9 +221,9 @@ def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
         mould_drag=means[4],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
-    moved = state.motion.position - origin
-    drift = jnp.sqrt(jnp.max(moved.dot(moved)))
-    return state, sample, demand, jax.lax.stop_gradient(drift)
+    moved = smooth.norm(state.motion.position - origin)
+    drift = jnp.sum(jax.lax.top_k(jax.lax.stop_gradient(moved), 2)[0])
+    return state, sample, demand, drift
 
 
 def _command(segment: Segment, state: BedState) -> Command:

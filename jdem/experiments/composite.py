@@ -4,6 +4,8 @@ The unconfined test inherits the specimen that the confined test left.  All mach
 movements form one programme for the one loop, so the pair is compiled once.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -80,6 +82,18 @@ class VirtualLab(eqx.Module):
     def of(specimen: Specimen, tests: LabTests, numerics: Numerics) -> "VirtualLab":
         grid = specimen.grid(numerics)
         return VirtualLab(tests, numerics, grid, tests.capacity(numerics.sample_time))
+
+    def roomier(self, specimen: Specimen) -> "VirtualLab":
+        """The same laboratory with larger lists, rebuilt and sampled three times as often."""
+        numerics = replace(
+            self.numerics,
+            sample_time=self.numerics.sample_time / 3,
+            pairs_per_sphere=1.5 * self.numerics.pairs_per_sphere,
+            wall_layer=1.5 * self.numerics.wall_layer,
+            per_cell=self.numerics.per_cell + 4,
+        )
+        tests = replace(self.tests, peak_rows=3 * self.tests.peak_rows)
+        return VirtualLab.of(specimen, tests, numerics)
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:
         """Stable time step, s."""
