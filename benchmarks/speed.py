@@ -10,7 +10,7 @@ LIGGGHTS on PATH our own packing is used and the peer is reported as not measure
     python benchmarks/speed.py                 about 5 minutes on two idle cores
     python benchmarks/speed.py --rounds 1      quicker, less certain
 
-The load of the machine is noted before every measurement; --wait gives other work some
+Cores that other work keeps busy are noted before every measurement; --wait gives it some
 time to end.  Writes benchmarks/results/speed.json and .md.
 """
 
@@ -180,7 +180,7 @@ def _steps(record: Record, every: int) -> int:
 
 def once(timed: Timed, threads: int) -> dict:
     """Particle-steps per second of `threads` simultaneous runs together, and cores used."""
-    load = os.getloadavg()[0]
+    busy = busy_cores()
     begun, processor = time.perf_counter(), time.process_time()
     with ThreadPoolExecutor(threads) as pool:
         list(
@@ -191,13 +191,13 @@ def once(timed: Timed, threads: int) -> dict:
         "seconds": seconds,
         "particle_steps_per_s": threads * timed.steps * timed.spheres / seconds,
         "cores_used": (time.process_time() - processor) / seconds,
-        "load": load,
+        "busy_cores_before": busy,
     }
 
 
 def peer(folder: Path) -> dict[str, dict]:
     """What benchmarks/peers/run.sh prints, by number of ranks."""
-    load = os.getloadavg()[0]
+    busy = busy_cores()
     command = ["bash", str(PEERS / "run.sh"), str(folder)]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     pattern = r"ranks (\d+): (\d+) steps, ([\d.]+) s"
@@ -206,7 +206,7 @@ def peer(folder: Path) -> dict[str, dict]:
             "seconds": float(seconds),
             "particle_steps_per_s": 1000 * int(steps) / float(seconds),
             "steps": int(steps),
-            "load": load,
+            "busy_cores_before": busy,
         }
         for ranks, steps, seconds in re.findall(pattern, printed)
     }
@@ -240,12 +240,27 @@ def summarised(found: dict[str, list[dict]]) -> dict[str, dict]:
     }
 
 
-def wait_for_idle(most: float) -> float:
-    """Waits until the load is small, at most `most` seconds; the load then."""
+def wait_for_idle(most: float) -> None:
+    """Waits until other work leaves the cores alone, at most `most` seconds."""
     begun = time.monotonic()
-    while os.getloadavg()[0] > 0.5 and time.monotonic() - begun < most:
-        time.sleep(5)
-    return os.getloadavg()[0]
+    while busy_cores(2.0) > 0.2 and time.monotonic() - begun < most:
+        time.sleep(3)
+
+
+def busy_cores(seconds: float = 0.5) -> float:
+    """Cores that other work keeps busy while this process sleeps; on Linux, else the load."""
+    stat = Path("/proc/stat")
+    if not stat.exists():
+        return os.getloadavg()[0]
+    first = _busy_ticks(stat)
+    time.sleep(seconds)
+    return (_busy_ticks(stat) - first) / os.sysconf("SC_CLK_TCK") / seconds
+
+
+def _busy_ticks(stat: Path) -> int:
+    """Clock ticks spent so far on anything but idling and waiting for disks."""
+    ticks = [int(cell) for cell in stat.read_text(encoding="utf-8").split("\n")[0].split()[1:9]]
+    return sum(ticks) - ticks[3] - ticks[4]
 
 
 def markdown(content: dict) -> str:
@@ -258,7 +273,9 @@ def markdown(content: dict) -> str:
         f"# Speed\n\n{content['spheres']} spheres ({content['bed']}) in confined compression "
         f"from 100 N to 400 N, dt {TIME_STEP:g} s; M particle-steps/s, median and range of "
         f"{content['rounds']} rounds measured in turn. {content['peer']}\n\n"
-        + reporting.table(("", "M particle-steps/s", "range", "cores used", "load before"), rows)
+        + reporting.table(
+            ("", "M particle-steps/s", "range", "cores used", "others busy (cores)"), rows
+        )
         + "\n"
         + "".join(compiled)
         + reporting.footer(content)
@@ -268,13 +285,13 @@ def markdown(content: dict) -> str:
 def _cells(name: str, entry: dict) -> list[str]:
     low, high = (1e-6 * value for value in entry["range"])
     used = [r["cores_used"] for r in entry["rounds"] if "cores_used" in r]
-    load = [r["load"] for r in entry["rounds"]]
+    busy = [r["busy_cores_before"] for r in entry["rounds"]]
     return [
         name,
         f"{1e-6 * entry['particle_steps_per_s']:.2f}",
         f"{low:.2f} to {high:.2f}",
         f"{np.median(used):.1f}" if used else "-",
-        f"{min(load):.1f} to {max(load):.1f}",
+        f"{min(busy):.1f} to {max(busy):.1f}",
     ]
 
 

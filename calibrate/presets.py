@@ -76,9 +76,9 @@ def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> V
 
 
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:
-    """Numerics whose lists are rebuilt in time for twice the speed of a fall off the top."""
+    """Numerics sampled so often that a sphere falling off the top stays within its skin."""
     skin = Numerics().skin * 2 * cylinder.mean_radius()
-    fall = 2.0 * float(np.sqrt(2 * GRAVITY * cylinder.height))
+    fall = float(np.sqrt(2 * GRAVITY * cylinder.height))
     return Numerics(sample_time=0.5 * skin / fall, **choices)
 
 

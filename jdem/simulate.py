@@ -1,7 +1,7 @@
 """The one loop: segments of a machine's programme, sampled into a curve.
 
 A programme is a table of segments (numbers, not code), so one compiled loop serves
-every apparatus and any parameter values.  Each sample rebuilds the contact lists, runs
+every apparatus and any parameter values.  Each sample sees to the contact lists, runs
 `steps_per_sample` time steps and stores means over them.  A segment ends after its
 duration or once its servo force is reached; the loop ends with the last segment.
 """
@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem import smooth
 from jdem.dynamics import Bed, BedState, Command, step
 from jdem.energy import Ledger
-from jdem.neighbors import ContactList, Demand, Grid, rebuild
+from jdem.neighbors import ContactList, Demand, Grid
 from jdem.particles import Motion, kinetic_energy
 from jdem.quantity import Real, quantity
+from jdem.upkeep import Upkeep, checked, refreshed
 from jdem.walls import BASE, COUNT, PLATEN, Walls
 
 KEEP, REMOVE, LOWER = 0, 1, 2
@@ -67,11 +67,11 @@ class Record(eqx.Module):
     samples: Sample
     state: BedState
     demand: Demand
-    drift: Array  #: m; most that two spheres together moved between two rebuilds
+    drift: Array  #: m; most that spheres and walls moved between two rebuilds (`upkeep`)
     finished: Array  #: True if the programme ended within the capacity
 
     def overflow_of(self, grid: Grid) -> Array:
-        """True if a list was too small or two spheres could outrun the skin of the list."""
+        """True if a list was too small or something may have crossed its skin unseen."""
         return self.demand.exceeds(grid) | (self.drift > grid.skin)
 
     def explain_overflow(self, grid: Grid) -> str:
@@ -108,8 +108,7 @@ class _Progress(eqx.Module):
     begun: Array
     sample: Array
     samples: Sample
-    demand: Demand
-    drift: Array
+    upkeep: Upkeep
 
 
 def run(
@@ -120,44 +119,37 @@ def run(
     Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode.
     """
     count = jnp.shape(programme.platen_speed)[0]
-    dtype = state.time.dtype
-    empty = _empty_samples(capacity, dtype)
-    zero = jnp.zeros((), dtype)
-    progress = _Progress(
-        _prepared(bed, state, _row(programme, 0)),
-        jnp.zeros((), jnp.int32),
-        state.time,
-        jnp.zeros((), jnp.int32),
-        empty,
-        Demand.none(),
-        zero,
-    )
+    prepared = _prepared(bed, state, _row(programme, 0))
+    none = jnp.zeros((), jnp.int32)
+    samples = _empty_samples(capacity, state.time.dtype)
+    progress = _Progress(prepared, none, state.time, none, samples, Upkeep.begin(prepared))
 
     def unfinished(progress: _Progress):
         return (progress.segment < count) & (progress.sample < capacity)
 
     def advance(progress: _Progress):
         segment = _row(programme, progress.segment)
-        state, sample, demand, drift = _sampled(bed, progress.state, segment, steps_per_sample)
+        state, upkeep, motion = refreshed(bed, progress.state, progress.upkeep)
+        state, sample = _sampled(bed, state, segment, steps_per_sample)
         sample = eqx.tree_at(lambda s: s.segment, sample, progress.segment)
         ended = _ended(segment, sample, progress.begun, progress.state.time)
+        upkeep = checked(state, upkeep, motion)
         following = _row(programme, jnp.minimum(progress.segment + 1, count - 1))
         changes = (ended > 0) & (progress.segment + 1 < count)
-        prepared = _prepared(bed, state, following)
-        state = jax.tree.map(lambda a, b: jnp.where(changes, a, b), prepared, state)
+        walls = _prepared(bed, state, following).walls
+        walls = jax.tree.map(lambda a, b: jnp.where(changes, a, b), walls, state.walls)
         return _Progress(
-            state,
+            eqx.tree_at(lambda s: s.walls, state, walls),
             progress.segment + ended,
             jnp.where(ended, state.time, progress.begun),
             progress.sample + 1,
             jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
-            progress.demand.including(demand),
-            jnp.maximum(progress.drift, drift),
+            upkeep,
         )
 
     final = jax.lax.while_loop(unfinished, advance, progress)
-    finished = final.segment >= count
-    return Record(final.samples, final.state, final.demand, final.drift, finished)
+    upkeep, finished = final.upkeep, final.segment >= count
+    return Record(final.samples, final.state, upkeep.demand, upkeep.largest, finished)
 
 
 def stack(segments: list[Segment]) -> Segment:
@@ -196,12 +188,7 @@ def _ended(segment: Segment, sample: Sample, begun, previous_time) -> Array:
 
 
 def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
-    """Rebuilds the lists, runs `steps` time steps, and returns the means."""
-    origin = state.motion.position
-    pairs, contacts, demand = rebuild(
-        bed.grid, bed.spheres, state.walls, origin, state.pairs, state.wall_contacts
-    )
-    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+    """The state after `steps` time steps, and means over them."""
 
     def advance(_, carry):
         state, sums = carry
@@ -221,9 +208,7 @@ def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
         mould_drag=means[4],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
-    moved = smooth.norm(state.motion.position - origin)
-    drift = jnp.sum(jax.lax.top_k(jax.lax.stop_gradient(moved), 2)[0])
-    return state, sample, demand, drift
+    return state, sample
 
 
 def _command(segment: Segment, state: BedState) -> Command:
