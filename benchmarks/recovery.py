@@ -236,7 +236,7 @@ def markdown(cases: dict, origin: dict) -> str:
     text = (
         "# Recovery of hidden parameters\n\nReal DEM, quick preset, three fitted packings; "
         "the data come from four other packings. Intervals are at 95 %. Simulations are "
-        "those a start takes from nothing, the eight for the scatter included.\n"
+        "those a start takes from nothing, with the eight for the scatter and those for profiles.\n"
     )
     for name, case in cases.items():
         text += f"\n## {name}: {', '.join(case['hidden'])} from {case['data']}\n\n"

@@ -3,15 +3,15 @@
 The bed, soil and time step are those of benchmarks/peers: LIGGGHTS settles the spheres
 and times its own EEPA ('edinburgh') on 1 and 2 ranks, measured in turn with ours
 (A/B/A/B), because a machine's speed drifts.  Ours is timed in float64 and float32, one
-run alone and two runs in two threads (what a campaign does), with the contact lists
-rebuilt as often as campaigns do it and as rarely as the skin allows in this test.  Without
-LIGGGHTS on PATH our own packing is used and the peer is reported as not measured.
+run alone and two runs in two threads (what a campaign does).  Without LIGGGHTS on PATH our
+own packing is used and the peer is reported as not measured.
 
-    python benchmarks/speed.py                 about 5 minutes on two idle cores
+    python benchmarks/speed.py                 about 3 minutes on two idle cores
     python benchmarks/speed.py --rounds 1      quicker, less certain
 
 Cores that other work keeps busy are noted before every measurement; --wait gives it some
-time to end.  Writes benchmarks/results/speed.json and .md.
+time to end.  Where it does not end, compare rates per second of processor time.
+Writes benchmarks/results/speed.json and .md.
 """
 
 import argparse
@@ -45,7 +45,6 @@ PEERS = Path(__file__).parent / "peers"
 MOULD_RADIUS = 0.025  # m, as in benchmarks/peers
 DENSITY = 1830.0  # kg/m3 of the spheres, as in benchmarks/peers
 TIME_STEP = 1.5e-5  # s, as in benchmarks/peers
-RARE = 30  # time steps between rebuilds: a sphere then moves a tenth of the skin
 
 # As in benchmarks/peers/in.common.edinburgh: k2/k1 = 1.667 is a plasticity ratio of 0.4.
 SOIL = SoilParameters(
@@ -113,11 +112,11 @@ class Timed:
     steps: int
 
 
-def ready(bed: Spread, dtype: str, rebuild: str) -> Timed:
+def ready(bed: Spread, dtype: str) -> Timed:
     """Compiles, loads the bed to 100 N, and runs to 400 N once to warm up."""
     numerics = _numerics(bed, dtype)
     built = _built(bed, numerics)
-    every = RARE if rebuild == "rare" else max(1, round(numerics.sample_time / TIME_STEP))
+    every = max(1, round(numerics.sample_time / TIME_STEP))
     state = cast(start(built, _vector(bed.centres), bed.height, MOULD_RADIUS), jnp.dtype(dtype))
     capacity = int(np.ceil(0.3 / (every * TIME_STEP)))
     begun = time.perf_counter()
@@ -126,8 +125,7 @@ def ready(bed: Spread, dtype: str, rebuild: str) -> Timed:
     seated = compiled(built, state, _loading(100.0, dtype), jnp.asarray(every)).state
     inputs = (built, seated, _loading(400.0, dtype), jnp.asarray(every))
     record = _checked(compiled(*inputs), built)
-    name = f"{dtype}, lists rebuilt every {every} steps"
-    return Timed(name, compiled, inputs, every, len(bed.radius), seconds, _steps(record, every))
+    return Timed(dtype, compiled, inputs, every, len(bed.radius), seconds, _steps(record, every))
 
 
 def _numerics(bed: Spread, dtype: str) -> Numerics:
@@ -274,7 +272,15 @@ def markdown(content: dict) -> str:
         f"from 100 N to 400 N, dt {TIME_STEP:g} s; M particle-steps/s, median and range of "
         f"{content['rounds']} rounds measured in turn. {content['peer']}\n\n"
         + reporting.table(
-            ("", "M particle-steps/s", "range", "cores used", "others busy (cores)"), rows
+            (
+                "",
+                "M particle-steps/s",
+                "range",
+                "cores used",
+                "M a second of processor time",
+                "others busy (cores)",
+            ),
+            rows,
         )
         + "\n"
         + "".join(compiled)
@@ -284,13 +290,16 @@ def markdown(content: dict) -> str:
 
 def _cells(name: str, entry: dict) -> list[str]:
     low, high = (1e-6 * value for value in entry["range"])
-    used = [r["cores_used"] for r in entry["rounds"] if "cores_used" in r]
+    timed = [r for r in entry["rounds"] if "cores_used" in r]
+    used = [r["cores_used"] for r in timed]
+    rates = [1e-6 * r["particle_steps_per_s"] / r["cores_used"] for r in timed]
     busy = [r["busy_cores_before"] for r in entry["rounds"]]
     return [
         name,
         f"{1e-6 * entry['particle_steps_per_s']:.2f}",
         f"{low:.2f} to {high:.2f}",
         f"{np.median(used):.1f}" if used else "-",
+        f"{np.median(rates):.2f}" if used else "-",
         f"{min(busy):.1f} to {max(busy):.1f}",
     ]
 
@@ -317,11 +326,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         peer(folder)  # settles the bed and warms up
     bed = liggghts_bed(folder / "bed.data") if folder else own_bed()
-    ours = [
-        ready(bed, dtype, rebuild)
-        for rebuild in ("usual", "rare")
-        for dtype in ("float64", "float32")
-    ]
+    ours = [ready(bed, dtype) for dtype in ("float64", "float32")]
     wait_for_idle(chosen.wait)
     measured = summarised(rounds(chosen.rounds, ours, folder))
     content = {

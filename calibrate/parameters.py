@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from calibrate.errors import InputError
 from calibrate.measurements import Lab
 from jdem.soil import SoilParameters
 
@@ -134,7 +135,21 @@ def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:
 def space(lab: Lab, names: tuple[str, ...], base: SoilParameters | None = None) -> Space:
     """Free parameters with the lab file's bounds and priors where it states them."""
     base = base_soil(lab) if base is None else base
-    return Space(names, tuple(_range(lab, name) for name in names), base)
+    ranges = tuple(_range(lab, name) for name in names)
+    for name, bounds in zip(names, ranges, strict=True):
+        _check_inside(lab, name, float(getattr(base, name)), bounds)
+    return Space(names, ranges, base)
+
+
+def _check_inside(lab: Lab, name: str, value: float, bounds: Range) -> None:
+    """Refuses a start on or beyond the bounds of a free parameter."""
+    if not bounds.low < value < bounds.high:
+        raise InputError(
+            lab.file,
+            f"parameters.{name}",
+            f"{value:g} is not between the bounds {bounds.low:g} and {bounds.high:g} of a fit",
+            "change the value, or give its low and high",
+        )
 
 
 def _range(lab: Lab, name: str) -> Range:

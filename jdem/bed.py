@@ -29,7 +29,7 @@ class Numerics(eqx.Module):
     boundaries keeps the CPU compiler from fusing across stages (switch off on a GPU).
     """
 
-    safety: float = eqx.field(static=True, default=0.25)
+    safety: float = eqx.field(static=True, default=0.3)
     sample_time: float = eqx.field(static=True, default=2.5e-4)
     skin: float = eqx.field(static=True, default=0.08)
     pairs_per_sphere: float = eqx.field(static=True, default=3.3)

@@ -2,7 +2,7 @@
 
 Exact for the simulation as computed.  Where the motion is chaotic (crushing of small
 beds) the exact derivative of one path is not the slope of the response: see
-docs/gradients.md, and `regression`.
+docs/decisions.md, and `regression`.
 """
 
 import jax
