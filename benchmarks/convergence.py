@@ -3,9 +3,11 @@
 On the bundled soil at the quick preset (150 spheres): depression depth H and crushing
 force F with both simulated rates halved, with the time step halved, with every rounding
 sharp, with half the background damping, with two and four times the spheres, and with
-the shear modulus changed by one part in 10^9 (what chaos alone does).  Differences are
-paired by packing where the packing is the same bed; spheres of another number are another
-bed, so those differences are not paired.
+the shear modulus changed by one part in 10^9 (what chaos alone does).  H is also read up
+to two servo widths below the largest force, where the platen has not slowed down yet: the
+difference tells creep under the nearly constant force from the response to loading.
+Differences are paired by packing where the packing is the same bed; spheres of another
+number are another bed, so those differences are not paired.
 
     python benchmarks/convergence.py               all parts, about 10 minutes on two cores
     python benchmarks/convergence.py --part rate   one part, about 1 minute
@@ -27,11 +29,14 @@ from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.parameters import base_soil, with_values
 from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
 from calibrate.progress import for_terminal
+from jdem.bed import Numerics
 from jdem.experiments.base import Damping
 from jdem.experiments.composite import VirtualLab
+from jdem.experiments.confined import ConfinedCompression
 from jdem.smooth import Smoothing
 
-OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
+EARLY = "depth_before_servo_mm"
+OBSERVABLES = ("depression_depth_mm", EARLY, "crushing_force_n")
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ BASE = Variant("base", "quick preset")
 VARIANTS = (
     Variant("chaos", "shear modulus + 1e-9 of itself", modulus=1 + 1e-9),
     Variant("rate", "both rates halved", rate=0.5),
-    Variant("step", "time step halved", numerics={"safety": 0.125}),
+    Variant("step", "time step halved", numerics={"safety": 0.5 * Numerics().safety}),
     Variant("sharp", "all roundings sharp", numerics={"smoothing": Smoothing.sharp()}),
     Variant("damping", "background damping halved", damping=0.5),
     Variant("spheres", "300 spheres", spheres=300),
@@ -145,7 +150,18 @@ def _largest(runs: list[Run], name: str) -> float:
 
 
 def _values(runs: list[Run], name: str) -> np.ndarray:
+    if name == EARLY:
+        return np.array([depth_before_servo(run) for run in runs])
     return np.array([run.observables()[name] for run in runs])
+
+
+def depth_before_servo(run: Run) -> float:
+    """Displacement (mm) from force_low to two servo widths below force_high, on loading."""
+    test = ConfinedCompression()
+    highest = np.maximum.accumulate(run.confined[:, 1])
+    ends = (float(test.force_low), float(test.force_high - 2 * test.servo_width))
+    low, high = np.interp(ends, highest, run.confined[:, 0])
+    return float(high - low)
 
 
 def markdown(variants: dict, origin: dict) -> str:
@@ -155,6 +171,7 @@ def markdown(variants: dict, origin: dict) -> str:
         "packings",
         "H (mm) ± scatter",
         "ΔH ± s.e.",
+        "Δ(H up to 392 N) ± s.e.",
         "F (N) ± scatter",
         "ΔF ± s.e.",
         "inertial number",
@@ -174,13 +191,14 @@ def markdown(variants: dict, origin: dict) -> str:
 
 
 def _cells(what: str, entry: dict) -> list[str]:
-    depth, force = (entry[name] for name in OBSERVABLES)
+    depth, early, force = (entry[name] for name in OBSERVABLES)
     mark = "" if entry["paired"] else " *"
     return [
         what,
         str(len(depth["values"])),
         f"{depth['mean']:.3f} ± {depth['scatter']:.3f}",
         f"{depth['difference']:+.3f} ± {depth['standard_error']:.3f}{mark}",
+        f"{early['difference']:+.3f} ± {early['standard_error']:.3f}{mark}",
         f"{force['mean']:.1f} ± {force['scatter']:.1f}",
         f"{force['difference']:+.1f} ± {force['standard_error']:.1f}{mark}",
         f"{entry['inertial_number']:.1e}",

@@ -107,6 +107,9 @@ def made_lab(name: str, case: Case, seed: int, folder: Path) -> tuple[Path, list
     seeds = range(LABORATORY + seed, LABORATORY + seed + REPEATS)
     hidden = scaled(base_soil(lab), case.hidden)
     runs = campaign(lab, folder).runs([hidden], seeds, f"laboratory, case {name}")[0]
+    failures = [run.failure for run in runs if run.failure]
+    if failures:
+        raise RuntimeError(f"a laboratory specimen failed: {failures[0]}; give another --seed")
     path = folder / "recovery" / f"{name}-{seed}" / "lab.toml"
     measured = _curves(runs, path.parent) if case.whole_curves else _targets(runs)
     write_text(path, _lab_text(lab, name, measured))
@@ -226,7 +229,6 @@ def measured_case(name: str, case: Case, seed: int, folder: Path) -> dict:
         "repeats": REPEATS,
         "observables": mean_observables(runs),
         "spread": spread_observables(runs),
-        "failures": [run.failure for run in runs if run.failure],
         "starts": {},
     }
 

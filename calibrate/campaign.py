@@ -234,6 +234,8 @@ def _failure(lab: VirtualLab, outcome: Outcome) -> str:
         return ""
     if _overflowed(lab, outcome):
         return "a contact list was too small: " + outcome.record.explain_overflow(lab.grid)
+    if not bool(outcome.record.finished):
+        return "the tests took longer than their capacity of samples"
     if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
         return "a number is not finite: the time step is too large or a parameter is extreme"
     force = float(lab.tests.confined.force_high)

@@ -7,15 +7,14 @@ field and repair), 1 anything else.
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
-from calibrate.errors import CalibrationError, InputError
+from calibrate.errors import CalibrationError, InputError, one_line
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Calibrate a virtual soil against laboratory tests, by gradient.",
 )
@@ -48,6 +47,7 @@ def simulate_command(
     """Run both virtual tests on several packings: curves, observables, scatter."""
     from calibrate import output, workflow
 
+    output.check_writable(json)
     session = output.Session.open(lab, preset, out)
     values = output.parse_changes(changes or [])
     work = session.campaign(out, values if prepare_with_soil else None)
@@ -71,6 +71,7 @@ def fit_command(
     """Calibrate the parameters that the data can fix; say which those are."""
     from calibrate import output, workflow
 
+    output.check_writable(json)
     session = output.Session.open(lab, preset, out)
     values = output.parse_changes(changes or [])
     names = output.parse_free(free)
@@ -97,6 +98,7 @@ def contact_command(
     """Drive two equal spheres through overlaps, quasi-statically: force-overlap loop."""
     from calibrate import output, single_contact
 
+    output.check_writable(json)
     points = output.parse_path(path_um)
     values = output.parse_changes(changes or [])
     pair = output.parse_pair(radius_mm, young_mpa, poisson)
@@ -108,16 +110,26 @@ def main() -> None:
     """Entry point: turns wrong input into one line and exit status 2."""
     _configure_jax()
     try:
-        app()
+        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+        _leave(2, f"error: {error}")
     except CalibrationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on from here", file=sys.stderr)
-        raise SystemExit(1) from None
+        _leave(1, f"error: {error}")
+    except (KeyboardInterrupt, typer.Abort):
+        _leave(1, STOPPED)
+    except typer.exceptions.TyperException as error:
+        _leave(2, f"error: command line: {one_line(error.format_message())}; see calibrate --help")
+    if status == INTERRUPTED:
+        _leave(1, STOPPED)
+
+
+STOPPED = "stopped; the same command goes on from here"
+INTERRUPTED = 130  # what Typer makes of Ctrl-C
+
+
+def _leave(status: int, line: str) -> NoReturn:
+    print(line, file=sys.stderr)
+    raise SystemExit(status)
 
 
 def _configure_jax() -> None:

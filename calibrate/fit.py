@@ -33,8 +33,8 @@ class Settings:
     says so, or after `evaluations`.  Slopes come from `strategy` in ln p.
     """
 
-    evaluations: int = 14
-    tolerance: float = 0.05
+    evaluations: int = 16
+    tolerance: float = 0.15
     strategy: Regression = field(default_factory=lambda: Regression((0.25,)))
 
 
@@ -92,7 +92,7 @@ class Calibration:
 
     def runs(self, points: np.ndarray, what: str) -> list[list[Run]]:
         """Runs at points (k, p) of ln p, on every packing."""
-        soils = [self.space.soil(np.exp(point)) for point in points]
+        soils = [self.space.soil(np.exp(point)) for point in self.space.inside(points)]
         return self.campaign.runs(soils, self.seeds, what)
 
     def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
@@ -232,7 +232,7 @@ def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, lis
         rows = []
         for steps in PROFILE_STEPS:
             shift = covariance[:, column] / sd[column] * steps
-            values = found.values * np.exp(shift)
+            values = np.exp(calibration.space.inside(np.log(found.values) + shift))
             evaluation = calibration.evaluate(values, f"profile of {name}")
             rows.append(
                 {

@@ -55,7 +55,7 @@ class Session:
         return workflow.campaign(self.lab, self.preset, out, self.progress, soil)
 
 
-def make_folder(out: Path) -> None:
+def make_folder(out: Path, option: str = "--out") -> None:
     """Creates the folder for results, and says so in one line where that is impossible."""
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -65,7 +65,16 @@ def make_folder(out: Path) -> None:
     except OSError as error:
         problem = error.strerror or str(error)
         repair = "give a folder that can be written to"
-        raise InputError(str(out), "--out", problem, repair) from None
+        raise InputError(str(out), option, problem, repair) from None
+
+
+def check_writable(path: Path | None) -> None:
+    """Refuses a `--json` path that cannot be written, before anything is simulated."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(COMMAND_LINE, "--json", f"{path} is a folder", "give the name of a file")
+    make_folder(path.parent, "--json")
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, float]:

@@ -88,6 +88,10 @@ class Space:
         share = 1 / (1 + np.exp(-np.asarray(y)))
         return (high - low) * share * (1 - share)
 
+    def inside(self, log_values: np.ndarray) -> np.ndarray:
+        """ln p moved to the nearest point within the bounds; shape (..., p)."""
+        return np.clip(log_values, *self._log_bounds())
+
     def prior_sd(self) -> np.ndarray:
         """Standard deviations of ln p."""
         return np.array([entry.prior_sd for entry in self.ranges])

@@ -8,6 +8,8 @@ numbers); `prepare` takes another soil if the bed is to be made with the paramet
 under test.
 """
 
+import zipfile
+import zlib
 from pathlib import Path
 
 import equinox as eqx
@@ -112,7 +114,19 @@ def prepare(
     motion = record.state.motion
     height = float(record.samples.platen_height[np.flatnonzero(record.samples.segment >= 0)[-1]])
     packing = Packing(motion.position, spheres, height, specimen.diameter / 2)
+    if not bool(record.finished) or not _is_dense(packing, specimen):
+        raise ValueError(
+            f"{specimen.count} spheres of {2e3 * specimen.mean_radius():.1f} mm did not settle in "
+            f"a mould of {1e3 * specimen.diameter:.0f} mm (solid fraction "
+            f"{float(packing.solid_fraction()):.2f}); use more spheres or a lower specimen"
+        )
     return _with_density(packing, specimen.density)
+
+
+def _is_dense(packing: Packing, specimen: Specimen) -> bool:
+    """Whether the bed has at least three quarters of the solid fraction of its like."""
+    usual = solid_fraction(2 * specimen.mean_radius() / specimen.diameter)
+    return float(packing.solid_fraction()) > 0.75 * usual
 
 
 def _draw(specimen: Specimen, seed: int):
@@ -133,10 +147,14 @@ def _draw(specimen: Specimen, seed: int):
 
 
 def _layer(radius: float, pitch: float) -> list[tuple[float, float]]:
-    """Points of a square lattice within a circle."""
-    side = np.arange(-np.ceil(radius / pitch), np.ceil(radius / pitch) + 1) * pitch
-    points = [(x, y) for x in side for y in side if x * x + y * y < (0.97 * radius) ** 2]
-    return points or [(0.0, 0.0)]
+    """Points of a square lattice within a circle, on a node or between nodes: the fuller."""
+    whole = np.arange(-np.ceil(radius / pitch) - 1, np.ceil(radius / pitch) + 2)
+    lattices = [(whole + shift) * pitch for shift in (0.0, 0.5)]
+    layers = [
+        [(x, y) for x in side for y in side if x * x + y * y < (0.97 * radius) ** 2]
+        for side in lattices
+    ]
+    return max(layers, key=len) or [(0.0, 0.0)]
 
 
 def _settled(
@@ -215,7 +233,10 @@ def save(packing: Packing, path: Path) -> None:
 
 def load(path: Path) -> Packing:
     """Reads what `save` wrote; raises OSError or ValueError on a damaged file."""
-    with np.load(path, allow_pickle=False) as data:
-        position = Vector.from_rows(jnp.asarray(data["position"]))
-        spheres = Spheres(data["radius"], data["mass"])
-        return Packing(position, spheres, data["height"], data["mould_radius"])
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            position = Vector.from_rows(jnp.asarray(data["position"]))
+            spheres = Spheres(data["radius"], data["mass"])
+            return Packing(position, spheres, data["height"], data["mould_radius"])
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None

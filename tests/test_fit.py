@@ -2,7 +2,7 @@
 
 Recovery runs on a soil of formulas with the scatter of packings and the interface of a
 campaign, so that it is statistics and not DEM that is tested.  The cache, the damaged
-file and the killed fit run real simulations of 30 spheres.
+file and the killed fit run real simulations of 48 spheres.
 """
 
 import json
@@ -284,7 +284,7 @@ def test_the_jacobian_is_that_of_the_residual():
 
 # ------------------------------------------------------------------ cache, and killed fits
 
-TINY = Preset("tiny", 30, 0.2, 0.2, 2)
+TINY = Preset("tiny", 48, 0.1, 0.2, 2)
 
 SCRIPT = """
 import json, sys

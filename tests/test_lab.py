@@ -34,17 +34,23 @@ HIGH = dict(zip(FACTORS, (0.7, 1.0, 0.6, 20.0, 0.7, 3.0, 1.0), strict=True))
 GENERATOR = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])  # Plackett and Burman 1946, 12 runs
 
 
-def laboratory(confined_rate, unconfined_rate, crushing, rest=0.05, opening=1e-3, **numerics):
-    """Rates in m/s; `crushing` is the stroke of the unconfined test in m."""
-    confined = ConfinedCompression(simulated_rate=confined_rate, stroke=0.35 * SMALL.height)
-    unconfined = UnconfinedCompression(
-        simulated_rate=unconfined_rate, stroke=crushing, rest=rest, opening=opening
+def brief(**numerics):
+    """Half the paper's forces and hardly any crushing: for what needs many runs."""
+    confined = ConfinedCompression(
+        simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
+    unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-3, opening=1e-4)
     return VirtualLab.of(SMALL, LabTests(confined, unconfined), replace(NUMERICS, **numerics))
 
 
-WHOLE = laboratory(0.05, 0.05, 0.004)
-BRIEF = laboratory(0.05, 0.05, 5e-4, rest=2e-3, opening=1e-4)  # H, and hardly any crushing
+def full():
+    """The paper's forces, and crushing past the first peak; rates in m/s, strokes in m."""
+    confined = ConfinedCompression(simulated_rate=0.05, stroke=0.35 * SMALL.height)
+    tests = LabTests(confined, UnconfinedCompression(stroke=0.004))
+    return VirtualLab.of(SMALL, tests, NUMERICS)
+
+
+WHOLE, BRIEF = full(), brief()
 
 
 def soil_of(log_factors):
@@ -95,6 +101,22 @@ def observables(lab, packing, point, tangent, time_step):
 @eqx.filter_jit
 def depth(lab, packing, point, time_step):
     return 1e3 * lab.run(packing, soil_of(point), time_step).depression_depth
+
+
+@pytest.fixture(scope="session")
+def calm_packing():
+    """A bed on which BRIEF is not chaotic: 1e-10 in every ln p moves H by less than 1e-9 mm.
+
+    On other beds a rattling sphere amplifies such a change a million times and more; their
+    tangents are as large, and no difference quotient can confirm or refute them.
+    """
+    for seed in (2, 3, 4, 5, 6):
+        packing = prepare(SMALL, seed)
+        step = 0.8 * BRIEF.time_step(packing, SOIL)
+        moved = [depth(BRIEF, packing, CENTRE + shift, step) for shift in (0.0, 1e-10)]
+        if abs(float(moved[1] - moved[0])) < 1e-9:
+            return packing
+    pytest.fail("every bed that was tried is chaotic under BRIEF")
 
 
 # ------------------------------------------------------------------ weight and energy
@@ -165,22 +187,22 @@ def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_pack
     assert len(set(depths)) == 3
 
 
-def test_a_batch_of_soils_gives_what_single_runs_give(packing):
+def test_a_batch_of_soils_gives_what_single_runs_give(calm_packing):
     """The same arithmetic in another order: equal until chaos has amplified round-off.
 
-    At 0.05 m/s perturbations of 1e-16 grow to at most 1e-9 of the depth; 1e-6 has room.
+    On the calm bed round-off of 1e-16 stays below 1e-9 of the depth; 1e-6 has room.
     """
     points = jnp.stack([CENTRE, CENTRE + 0.05])
-    steps = WHOLE.time_step(packing, SOIL) * jnp.ones(2) * 0.8
-    batch = jax.vmap(depth, in_axes=(None, None, 0, 0))(BRIEF, packing, points, steps)
-    single = [depth(BRIEF, packing, point, steps[0]) for point in points]
+    step = 0.8 * BRIEF.time_step(calm_packing, SOIL)
+    batch = jax.vmap(depth, in_axes=(None, None, 0, None))(BRIEF, calm_packing, points, step)
+    single = [depth(BRIEF, calm_packing, point, step) for point in points]
     np.testing.assert_allclose(batch, single, rtol=1e-6)
 
 
 def test_single_precision_gives_the_same_depth(packing):
     """Within 2 %: round-off of 1e-7 decides otherwise at slips and rearrangements, and a bed
     of 60 spheres answers one of these with some 1e-2 mm (scatter of packings: several %)."""
-    coarse = laboratory(0.05, 0.05, 5e-4, rest=2e-3, opening=1e-4, dtype="float32")
+    coarse = brief(dtype="float32")
     step = BRIEF.time_step(packing, SOIL) * 0.8
     double, single = (float(depth(lab, packing, CENTRE, step)) for lab in (BRIEF, coarse))
     print(f"depth in float64 {double:.5f} mm, in float32 {single:.5f} mm")
@@ -190,29 +212,29 @@ def test_single_precision_gives_the_same_depth(packing):
 # ------------------------------------------------------------------ derivatives
 
 
-def test_depth_has_its_exact_derivative(packing):
+def test_depth_has_its_exact_derivative(calm_packing):
     """Tangents against central differences in each of the seven ln p, at a fixed time step.
 
-    Step 1e-7: round-off in H is about 3e-14 mm here, so 3e-7 mm per unit, 1e-6 of the
-    largest derivative (0.23 mm).  A larger step crosses contacts that open or slip one
-    time step earlier or later: at 1e-5 the difference quotient of rolling friction is
-    already wrong by half.  The bed is pressed at 0.05 m/s; at 0.2 m/s it is chaotic, and
-    neither number means anything.
+    Step 1e-7: round-off in H is about 3e-14 mm, so 3e-7 mm per unit of ln p, 1e-5 of a
+    small derivative (0.02 mm).  A larger step crosses contacts that open or slip one time
+    step earlier or later: at 1e-5 a difference quotient can be wrong by half.
 
-    Four factors hardly move H of this bed (0.004 to 0.025 mm per unit of ln p), and those
-    events hide their last digits, so the tolerance is 2e-4 of the LARGEST derivative.
+    Some factors hardly move H (0.003 to 0.02 mm per unit of ln p), and those events hide
+    their last digits: the tolerance is 1e-4 of the LARGEST derivative, not of each.
     """
-    time_step, size = 0.8 * BRIEF.time_step(packing, SOIL), 1e-7
+    time_step, size = 0.8 * BRIEF.time_step(calm_packing, SOIL), 1e-7
     found, expected = [], []
     for direction in np.eye(len(FACTORS)):
-        found.append(observables(BRIEF, packing, CENTRE, direction, time_step)[1][0])
-        ends = [depth(BRIEF, packing, CENTRE + s * direction, time_step) for s in (size, -size)]
+        found.append(observables(BRIEF, calm_packing, CENTRE, direction, time_step)[1][0])
+        ends = [
+            depth(BRIEF, calm_packing, CENTRE + s * direction, time_step) for s in (size, -size)
+        ]
         expected.append((ends[0] - ends[1]) / (2 * size))
     found, expected = np.array(found), np.array(expected)
     for name, ours, theirs in zip(FACTORS, found, expected, strict=True):
         print(f"dH/dln {name:22s} tangent {ours: .7f}  difference {theirs: .7f} mm")
     assert np.abs(found).max() > 0.05, "the bed does not respond: nothing was tested"
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
 
 
 def plackett_burman():
