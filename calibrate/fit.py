@@ -33,7 +33,7 @@ class Settings:
     says so, or after `evaluations`.  Slopes come from `strategy` in ln p.
     """
 
-    evaluations: int = 16
+    evaluations: int = 24
     tolerance: float = 0.15
     strategy: Regression = field(default_factory=lambda: Regression((0.25,)))
 
@@ -114,7 +114,9 @@ class Calibration:
 
         slopes = np.asarray(self.settings.strategy(response, jnp.log(values)).slopes)
         if not np.all(np.isfinite(slopes)):
-            self.campaign.progress.say("  a probe failed: its parameter keeps its place this step")
+            self.campaign.progress.say(
+                "  a probe failed on every packing: that slope is set to zero"
+            )
         return np.nan_to_num(slopes)
 
     def whitened(self, slopes: np.ndarray) -> np.ndarray:
@@ -154,7 +156,7 @@ class _Walk:
 
     def __init__(self, calibration: Calibration, y: np.ndarray):
         self._calibration = calibration
-        self._solver = optx.LevenbergMarquardt(rtol=1e-3, atol=1e-3)
+        self._solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
         self.y = jnp.asarray(y)
         rows = len(calibration.problem.measured) + len(y)
         blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), self.y)

@@ -76,9 +76,9 @@ def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> V
 
 
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:
-    """Numerics sampled so often that a sphere falling off the top stays within its skin."""
+    """Numerics sampled so often that spheres falling off the top stay within their skin."""
     skin = Numerics().skin * 2 * cylinder.mean_radius()
-    fall = float(np.sqrt(2 * GRAVITY * cylinder.height))
+    fall = 1.5 * float(np.sqrt(2 * GRAVITY * cylinder.height))
     return Numerics(sample_time=0.5 * skin / fall, **choices)
 
 

@@ -17,7 +17,7 @@ Real = jax.Array | float  # what a scalar quantity may be given as; it becomes a
 def as_quantity(value) -> jax.Array:
     """A floating-point array in the default precision (float64 if JAX has it enabled)."""
     if eqx.is_array(value) and jnp.issubdtype(value.dtype, jnp.floating):
-        return value
+        return jnp.asarray(value, dtype=value.dtype)  # the same, but never weakly typed
     if eqx.is_array_like(value) or isinstance(value, np.ndarray):
         return jnp.asarray(value, dtype=jnp.result_type(float))
     return value  # placeholders that JAX's own tree transformations put into fields

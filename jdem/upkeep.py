@@ -18,6 +18,8 @@ from jdem.neighbors import Demand, rebuild
 from jdem.vector import Vector
 from jdem.walls import Walls
 
+RESERVE = 0.25  # of the skin, kept for motion that sets in within an interval
+
 
 class Upkeep(eqx.Module):
     """Where everything was at the last rebuild (m), and what the lists demanded so far.
@@ -42,7 +44,8 @@ class Upkeep(eqx.Module):
 def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upkeep, Array]:
     """The state with lists that will last an interval, and the motion that they have seen."""
     motion = _motion(state, upkeep)
-    due = motion + 2 * upkeep.latest > bed.grid.skin
+    reserve = jnp.maximum(2 * upkeep.latest, RESERVE * bed.grid.skin)
+    due = motion + reserve > bed.grid.skin
 
     def renew(state: BedState):
         lists = (state.pairs, state.wall_contacts)

@@ -51,6 +51,10 @@ def full():
 
 
 WHOLE, BRIEF = full(), brief()
+# The same laboratory with five times the background damping: rattling spheres calm down.
+QUIET = eqx.tree_at(
+    lambda lab: lab.tests.confined.damping.loading, BRIEF, jnp.asarray(1000.0, float)
+)
 
 
 def soil_of(log_factors):
@@ -105,40 +109,41 @@ def depth(lab, packing, point, time_step):
 
 @pytest.fixture(scope="session")
 def calm_packing():
-    """A bed on which BRIEF is not chaotic: 1e-10 in every ln p moves H by less than 1e-9 mm.
+    """A bed on which QUIET is not chaotic: 1e-10 in every ln p moves H by less than 3e-10 mm.
 
     On other beds a rattling sphere amplifies such a change a million times and more; their
     tangents are as large, and no difference quotient can confirm or refute them.
     """
     for seed in (2, 3, 4, 5, 6):
         packing = prepare(SMALL, seed)
-        step = 0.8 * BRIEF.time_step(packing, SOIL)
-        moved = [depth(BRIEF, packing, CENTRE + shift, step) for shift in (0.0, 1e-10)]
-        if abs(float(moved[1] - moved[0])) < 1e-9:
+        step = 0.8 * QUIET.time_step(packing, SOIL)
+        moved = [depth(QUIET, packing, CENTRE + shift, step) for shift in (0.0, 1e-10)]
+        if abs(float(moved[1] - moved[0])) < 3e-10:
             return packing
-    pytest.fail("every bed that was tried is chaotic under BRIEF")
+    pytest.fail("every bed that was tried is chaotic under QUIET")
 
 
 # ------------------------------------------------------------------ weight and energy
 
 
 def at_rest(packing, soil, mould):
-    """Half a second without platen, damped so strongly that nothing moves at its end."""
+    """Means over the second half of a damped second without platen."""
     bed = build_bed(packing.spheres, soil, WHOLE.grid, NUMERICS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    rest = Segment(damping=100.0, duration=0.5, platen=REMOVE, mould=mould)
+    rest = Segment(damping=100.0, duration=1.0, platen=REMOVE, mould=mould)
     steps = steps_per_sample(bed, NUMERICS)
-    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 2400)
+    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 12000)
     assert not record.overflow_of(WHOLE.grid), record.explain_overflow(WHOLE.grid)
-    row = np.flatnonzero(np.asarray(record.samples.segment) == 0)[-1]
-    return jax.tree.map(lambda leaf: float(leaf[row]), record.samples)
+    rows = np.flatnonzero(np.asarray(record.samples.segment) == 0)
+    late = rows[len(rows) // 2 :]
+    return jax.tree.map(lambda leaf: float(np.mean(np.asarray(leaf)[late])), record.samples)
 
 
 @pytest.mark.parametrize("wall_friction", [0.0, 0.3])
 def test_base_and_mould_carry_the_weight(packing, wall_friction):
     """Base force (down) and drag on the mould (up is positive): base - drag = sum m g.
 
-    1e-3 of the weight: what the slowest sphere still accelerates by after half a second.
+    1e-3 of the weight: what the slowest sphere still accelerates by after a second.
     """
     soil = replace(neutral_soil(), wall_friction=jnp.asarray(wall_friction))
     last = at_rest(packing, soil, KEEP)
@@ -172,7 +177,7 @@ def test_nothing_failed(outcome):
     assert not outcome.failed
     assert 0.5e-3 < outcome.depression_depth < 10e-3
     assert outcome.crushing_force > 5.0
-    assert outcome.confined.force.max() == pytest.approx(400.0, abs=0.5)
+    assert 400.0 < outcome.confined.force.max() < 404.0  # two servo widths beyond 400 N
 
 
 # ------------------------------------------------------------------ one program for all
@@ -181,7 +186,9 @@ def test_nothing_failed(outcome):
 def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_packing):
     """`whole` may be traced once; the fixture `outcome` was its first call."""
     harder = replace(SOIL, shear_modulus=jnp.asarray(2e7), restitution=jnp.asarray(0.5))
-    slower = eqx.tree_at(lambda lab: lab.tests.confined.simulated_rate, WHOLE, jnp.asarray(0.07))
+    slower = eqx.tree_at(
+        lambda lab: lab.tests.confined.simulated_rate, WHOLE, jnp.asarray(0.07, float)
+    )
     outcomes = [whole(WHOLE, other_packing, harder), whole(slower, other_packing, SOIL)]
     depths = [float(o.depression_depth) for o in (outcome, *outcomes)]
     assert len(set(depths)) == 3
@@ -192,10 +199,10 @@ def test_a_batch_of_soils_gives_what_single_runs_give(calm_packing):
 
     On the calm bed round-off of 1e-16 stays below 1e-9 of the depth; 1e-6 has room.
     """
-    points = jnp.stack([CENTRE, CENTRE + 0.05])
-    step = 0.8 * BRIEF.time_step(calm_packing, SOIL)
-    batch = jax.vmap(depth, in_axes=(None, None, 0, None))(BRIEF, calm_packing, points, step)
-    single = [depth(BRIEF, calm_packing, point, step) for point in points]
+    points = jnp.stack([CENTRE, CENTRE + 1e-3])
+    step = 0.8 * QUIET.time_step(calm_packing, SOIL)
+    batch = jax.vmap(depth, in_axes=(None, None, 0, None))(QUIET, calm_packing, points, step)
+    single = [depth(QUIET, calm_packing, point, step) for point in points]
     np.testing.assert_allclose(batch, single, rtol=1e-6)
 
 
@@ -215,26 +222,24 @@ def test_single_precision_gives_the_same_depth(packing):
 def test_depth_has_its_exact_derivative(calm_packing):
     """Tangents against central differences in each of the seven ln p, at a fixed time step.
 
-    Step 1e-7: round-off in H is about 3e-14 mm, so 3e-7 mm per unit of ln p, 1e-5 of a
-    small derivative (0.02 mm).  A larger step crosses contacts that open or slip one time
-    step earlier or later: at 1e-5 a difference quotient can be wrong by half.
-
-    Some factors hardly move H (0.003 to 0.02 mm per unit of ln p), and those events hide
-    their last digits: the tolerance is 1e-4 of the LARGEST derivative, not of each.
+    Step 3e-7: round-off in H is some 1e-13 mm, so 3e-7 mm per unit of ln p; a larger step
+    crosses contacts that open or slip one time step earlier or later (at 1e-5 a quotient is
+    wrong by per cents). Hence 1e-4 of each derivative, plus 1e-6 mm for one that is nil:
+    surface energy does not matter to a bed that was settled without it.
     """
-    time_step, size = 0.8 * BRIEF.time_step(calm_packing, SOIL), 1e-7
+    time_step, size = 0.8 * QUIET.time_step(calm_packing, SOIL), 3e-7
     found, expected = [], []
     for direction in np.eye(len(FACTORS)):
-        found.append(observables(BRIEF, calm_packing, CENTRE, direction, time_step)[1][0])
+        found.append(observables(QUIET, calm_packing, CENTRE, direction, time_step)[1][0])
         ends = [
-            depth(BRIEF, calm_packing, CENTRE + s * direction, time_step) for s in (size, -size)
+            depth(QUIET, calm_packing, CENTRE + s * direction, time_step) for s in (size, -size)
         ]
         expected.append((ends[0] - ends[1]) / (2 * size))
     found, expected = np.array(found), np.array(expected)
     for name, ours, theirs in zip(FACTORS, found, expected, strict=True):
         print(f"dH/dln {name:22s} tangent {ours: .7f}  difference {theirs: .7f} mm")
     assert np.abs(found).max() > 0.05, "the bed does not respond: nothing was tested"
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
 
 def plackett_burman():

@@ -127,7 +127,7 @@ def outcome(tests: LabTests, bed: Bed, record: Record) -> Outcome:
     depth = depression_depth(loading, tests.confined.force_low, tests.confined.force_high)
     force = crushing_force(running_mean(crushing, tests.peak_rows), tests.peak_width)
     highest = jnp.max(loading.force * loading.valid)
-    short = highest < tests.confined.force_high - 2 * tests.confined.tolerance
+    short = highest < tests.confined.force_high
     bad = ~(jnp.isfinite(depth) & jnp.isfinite(force))
     return Outcome(
         depression_depth=depth,

@@ -10,20 +10,24 @@ from jdem.experiments.base import AbstractApparatus, Damping
 from jdem.quantity import Real, quantity
 from jdem.simulate import KEEP, LOWER, Segment
 
+OVERSHOOT = 2.0  # servo widths
+
 
 class ConfinedCompression(AbstractApparatus):
     """Loads to force_high (N) at simulated_rate (m/s), holds for `hold` (s), unloads.
 
     The platen slows down within servo_width (N) of its target and stops when the force
-    is within `tolerance` (N); stroke (m) is the farthest it may go.
+    is within `tolerance` (N) of it.  On loading the target lies OVERSHOOT widths beyond
+    force_high, so that force_high is passed at full speed and no creep of the bed at
+    standstill is counted as depression; stroke (m) is the farthest it may go.
     """
 
     simulated_rate: Real = quantity(0.1)
     nominal_rate: Real = quantity(8e-3)
     force_low: Real = quantity(200.0)
     force_high: Real = quantity(400.0)
-    servo_width: Real = quantity(4.0)
-    tolerance: Real = quantity(0.05)
+    servo_width: Real = quantity(1.5)
+    tolerance: Real = quantity(0.75)
     stroke: Real = quantity(0.025)
     hold: Real = quantity(0.0)
     damping: Damping = eqx.field(default_factory=Damping)
@@ -34,10 +38,13 @@ class ConfinedCompression(AbstractApparatus):
 
     def segments(self):
         return [
-            self._towards(self.force_high, self.stroke / self.simulated_rate, LOWER),
+            self._towards(self._beyond_force_high(), self.stroke / self.simulated_rate, LOWER),
             self._holding(),
             self._towards(0.0, self.stroke / self.simulated_rate, KEEP),
         ]
+
+    def _beyond_force_high(self):
+        return self.force_high + OVERSHOOT * self.servo_width
 
     def _towards(self, force, duration, platen) -> Segment:
         return Segment(

@@ -32,9 +32,10 @@ class AbstractStrategy(eqx.Module):
 
 
 def averaged(values: Array, slopes: Array) -> Sensitivity:
-    """From slopes (n, m, p) on each packing to their mean and its standard error."""
-    count = slopes.shape[0]
-    if count < 2:
-        return Sensitivity(values, slopes[0], jnp.full_like(slopes[0], jnp.nan))
-    error = jnp.std(slopes, axis=0, ddof=1) / jnp.sqrt(count)
-    return Sensitivity(values, jnp.mean(slopes, axis=0), error)
+    """From slopes (n, m, p) on each packing to their mean and its standard error.
+
+    NaN on a packing (a run that failed) leaves that packing out.
+    """
+    count = jnp.sum(jnp.isfinite(slopes), axis=0)
+    error = jnp.nanstd(slopes, axis=0, ddof=1) / jnp.sqrt(count)
+    return Sensitivity(values, jnp.nanmean(slopes, axis=0), error)
