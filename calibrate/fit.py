@@ -133,7 +133,7 @@ class Calibration:
         return np.concatenate([data, prior])
 
 
-PROFILE_STEPS = (-2.0, 0.0, 2.0)
+PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 _REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 
 
@@ -225,7 +225,7 @@ def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
 def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, list[dict]]:
     """Objective along each free parameter, the others where the slopes say is best.
 
-    Points lie at -2, 0 and 2 posterior deviations.  `linearised` is the profile that
+    Points lie at -2, -1, 0, 1 and 2 posterior deviations.  `linearised` is the profile that
     the covariance implies; `simulated` is what simulation gives at the same point.
     """
     sd, covariance = found.sd_log, found.covariance_log
