@@ -13,6 +13,7 @@ from jdem.dynamics import Bed
 from jdem.neighbors import Grid
 from jdem.particles import Spheres
 from jdem.quantity import cast
+from jdem.simulate import Segment
 from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law, wall_law
 
@@ -82,6 +83,13 @@ def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
 def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:
     """Whole number of time steps in one sampling interval, an array (never compiled in)."""
     return jnp.maximum(jnp.round(numerics.sample_time / bed.time_step), 1.0).astype(jnp.int32)
+
+
+def sample_capacity(programme: Segment, numerics: Numerics) -> int:
+    """Samples that the longest possible programme takes, with room for whole time steps:
+    an interval of a whole number of steps may be a third shorter than asked for."""
+    durations = np.asarray(programme.duration)
+    return int(np.sum(np.ceil(1.5 * durations / numerics.sample_time))) + 2 * durations.size
 
 
 def plan_grid(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jdem.bed import Numerics, build_bed, plan_grid, steps_per_sample
+from jdem.bed import Numerics, build_bed, plan_grid, sample_capacity, steps_per_sample
 from jdem.neighbors import Grid
 from jdem.particles import Spheres
 from jdem.quantity import Real, quantity
@@ -190,7 +190,7 @@ def _advanced(
     numerics = _settling_numerics(2 * specimen.mean_radius())
     bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
     programme = stack(segments)
-    capacity = int(np.sum(np.ceil(np.asarray(programme.duration) / numerics.sample_time))) + 8
+    capacity = sample_capacity(programme, numerics)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     record = eqx.filter_jit(run)(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from jdem.bed import Numerics, build_bed, steps_per_sample
+from jdem.bed import Numerics, build_bed, sample_capacity, steps_per_sample
 from jdem.dynamics import Bed
 from jdem.experiments.base import AbstractApparatus
 from jdem.experiments.confined import ConfinedCompression
@@ -49,11 +48,6 @@ class LabTests(eqx.Module):
     def programme(self):
         return stack([segment for test in self.apparatus for segment in test.segments()])
 
-    def capacity(self, sample_time: float) -> int:
-        """Samples that the longest possible programme takes."""
-        durations = np.asarray(self.programme().duration)
-        return int(np.sum(np.ceil(durations / sample_time))) + 2 * len(durations)
-
 
 class Outcome(eqx.Module):
     """Results of one specimen: observables in SI units, curves, and the full record."""
@@ -81,7 +75,8 @@ class VirtualLab(eqx.Module):
     @staticmethod
     def of(specimen: Specimen, tests: LabTests, numerics: Numerics) -> "VirtualLab":
         grid = specimen.grid(numerics)
-        return VirtualLab(tests, numerics, grid, tests.capacity(numerics.sample_time))
+        capacity = sample_capacity(tests.programme(), numerics)
+        return VirtualLab(tests, numerics, grid, capacity)
 
     def roomier(self, specimen: Specimen) -> "VirtualLab":
         """The same laboratory with larger lists, rebuilt and sampled three times as often."""
