@@ -9,7 +9,7 @@ killed at any moment and started again with the same end.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -279,8 +279,3 @@ def packing_scatter(
         raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}")
     features = problem.simulated([run for run in finished if not run.failure])
     return shrunk_covariance(features / features.mean(axis=0))
-
-
-def with_space(calibration: Calibration, space: Space) -> Calibration:
-    """The same calibration over other free parameters."""
-    return replace(calibration, space=space)
