@@ -84,17 +84,25 @@ class Campaign:
         self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
     ) -> list[list[Run]]:
         """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
+        return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
+
+    def each(
+        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
         packings = dict(zip(seeds, self.packings(seeds), strict=True))
-        keys = [[self.key(soil, seed) for seed in seeds] for soil in soils]
-        found = {key: self._stored_run(key) for row in keys for key in row}
-        tasks = [
-            (key, soil, packings[seed])
-            for soil, row in zip(soils, keys, strict=True)
-            for key, seed in zip(row, seeds, strict=True)
-            if found[key] is None
+        keyed = [
+            [
+                (self.key(soil, seed), soil, packings[seed])
+                for soil, seed in zip(row, seeds, strict=True)
+            ]
+            for row in soils
         ]
+        unique = {task[0]: task for row in keyed for task in row}
+        found = {key: self._stored_run(key) for key in unique}
+        tasks = [task for key, task in unique.items() if found[key] is None]
         found.update(self._simulated(tasks, what))
-        return [[run for key in row if (run := found[key])] for row in keys]
+        return [[run for key, _, _ in row if (run := found[key])] for row in keyed]
 
     def key(self, soil: SoilParameters, seed: int) -> str:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""

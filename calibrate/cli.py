@@ -1,4 +1,4 @@
-"""The command line: `calibrate simulate`, `calibrate fit`, `calibrate contact`.
+"""The command line: `calibrate simulate`, `fit`, `contact` and `audit`.
 
 Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
 field and repair), 1 anything else.
@@ -104,6 +104,30 @@ def contact_command(
     pair = output.parse_pair(radius_mm, young_mpa, poisson)
     result = single_contact.drive(pair, values, points, smooth)
     output.write_contact(result, out, json)
+
+
+@app.command("audit")
+def audit_command(
+    lab: LabFile = None,
+    strategy: Annotated[
+        list[str] | None, typer.Option("--strategy", help="ensemble (default), pathwise, blend.")
+    ] = None,
+    changes: Changes = None,
+    spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
+    packings: Annotated[int, typer.Option("--packings", min=2, help="Packings.")] = 8,
+    preset: PresetName = "quick",
+    seed: Seed = 0,
+    out: Out = Path("results/audit"),
+    json: Json = None,
+) -> None:
+    """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
+    from calibrate import output
+
+    output.check_writable(json)
+    session = output.Session.open(lab, preset, out).resized(spheres)
+    values = output.parse_changes(changes or [])
+    names = output.parse_strategies(strategy or ["ensemble"])
+    output.run_audit(session, names, values, packings, seed, json)
 
 
 def main() -> None:

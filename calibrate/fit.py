@@ -6,6 +6,9 @@ The solver is Optimistix', stepped by hand: each step it asks for the residual a
 point, and gets the simulated residual and its slopes there as an affine function.  So a
 fit can be watched, its best iterate kept, and, because every simulation is cached,
 killed at any moment and started again with the same end.
+
+Slopes are measured at the start; later evaluations correct them along the step that was
+taken (Broyden 1965, Math. Comp. 19, 577), and they are measured anew where a step fails.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +25,8 @@ from calibrate.errors import CalibrationError
 from calibrate.identifiability import Identifiability, assess
 from calibrate.parameters import Space
 from calibrate.problem import Problem, shrunk_covariance
-from jdem.sensitivity.regression import Regression
+from jdem.sensitivity.base import AbstractStrategy
+from jdem.sensitivity.ensemble import Ensemble
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Settings:
 
     evaluations: int = 24
     tolerance: float = 0.15
-    strategy: Regression = field(default_factory=lambda: Regression((0.25,)))
+    strategy: AbstractStrategy = field(default_factory=Ensemble)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +91,21 @@ class Calibration:
 
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
+        self.forward_runs = 0.0  # asked for so far, on each packing
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 
     def runs(self, points: np.ndarray, what: str) -> list[list[Run]]:
-        """Runs at points (k, p) of ln p, on every packing."""
-        soils = [self.space.soil(np.exp(point)) for point in self.space.inside(points)]
-        return self.campaign.runs(soils, self.seeds, what)
+        """Runs at points (k, n, p) of ln p, one for each packing."""
+        soils = [
+            [self.space.soil(np.exp(point)) for point in row] for row in self.space.inside(points)
+        ]
+        return self.campaign.each(soils, self.seeds, what)
 
     def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
         """Features and whitened residual at parameter values (p,)."""
-        runs = self.runs(np.log(values)[None], what)[0]
+        runs = self.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
+        self.forward_runs += 1
         features = self.problem.simulated(runs)
         failures = tuple(run.failure for run in runs if run.failure)
         residual = self._residual(features.mean(axis=0), np.log(values))
@@ -112,10 +120,13 @@ class Calibration:
             rows = self.runs(np.asarray(points), what)
             return jnp.asarray(np.array([self.problem.simulated(row) for row in rows]))
 
-        slopes = np.asarray(self.settings.strategy(response, jnp.log(values)).slopes)
+        strategy, packings = self.settings.strategy, len(self.seeds)
+        found = strategy(response, jnp.log(values), packings)
+        self.forward_runs += strategy.runs(len(values), packings) - 1  # the centre is known
+        slopes = np.asarray(found.slopes)
         if not np.all(np.isfinite(slopes)):
             self.campaign.progress.say(
-                "  a probe failed on every packing: that slope is set to zero"
+                "  too many probes failed: slopes that are not known are set to zero"
             )
         return np.nan_to_num(slopes)
 
@@ -138,7 +149,21 @@ _REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 
 
 def fit(calibration: Calibration, start: np.ndarray | None = None) -> Fit:
-    """Fits from `start` (p,), by default the base soil's values."""
+    """Fits from `start` (p,), by default the base soil's values, and says what the data fix."""
+    return _finished(calibration, descend(calibration, start))
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where the solver went: best evaluation, one row for each evaluation, why it stopped."""
+
+    best: Evaluation | None
+    history: list[dict]
+    stopped: str
+
+
+def descend(calibration: Calibration, start: np.ndarray | None = None) -> Descent:
+    """The solver's walk from `start` (p,) alone."""
     space, settings = calibration.space, calibration.settings
     first = space.start() if start is None else np.asarray(start, float)
     walk = _Walk(calibration, space.to_unbounded(first))
@@ -148,7 +173,7 @@ def fit(calibration: Calibration, start: np.ndarray | None = None) -> Fit:
         if reason:
             stopped = reason
             break
-    return _finished(calibration, walk, stopped)
+    return Descent(walk.best, walk.history, stopped)
 
 
 class _Walk:
@@ -157,14 +182,19 @@ class _Walk:
     def __init__(self, calibration: Calibration, y: np.ndarray):
         self._calibration = calibration
         self._solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
+        self.best: Evaluation | None = None
+        self.slopes = np.zeros((len(calibration.problem.measured), len(y)))
+        self._corrected = False
+        self.history: list[dict] = []
+        self._begin(y)
+
+    def _begin(self, y: np.ndarray) -> None:
+        """The solver anew, from the unbounded point y."""
         self.y = jnp.asarray(y)
-        rows = len(calibration.problem.measured) + len(y)
+        rows = len(self._calibration.problem.measured) + len(y)
         blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), self.y)
         struct = eqx.filter_eval_shape(lambda: jnp.zeros(rows))
         self._state = self._solver.init(_affine, self.y, blank, {}, struct, None, frozenset())
-        self.best: Evaluation | None = None
-        self.slopes = np.zeros((rows - len(y), len(y)))
-        self.history: list[dict] = []
 
     def advance(self) -> str:
         """One evaluation and one solver step; a reason to stop, or nothing."""
@@ -172,16 +202,29 @@ class _Walk:
         y = np.asarray(self._state.y_eval)
         values = calibration.space.from_unbounded(y)
         evaluation = calibration.evaluate(values, f"evaluation {number}")
-        better = self.best is None or evaluation.cost < self.best.cost
+        before, better = self.best, self.best is None or evaluation.cost < self.best.cost
         if better:
             self.best = evaluation
         self.history.append(_row(calibration, number, evaluation, better))
         calibration.campaign.progress.say(_line(calibration, self.history[-1]))
         if better and _close_enough(calibration, evaluation):
             return "every target is met within the tolerance"
-        if better and not evaluation.failures:
-            self.slopes = calibration.slopes(values, f"slopes at evaluation {number}")
+        if before is None or before.failures:
+            self._measure(evaluation)
+        elif better:
+            self.slopes = secant(self.slopes, before, evaluation)
+            self._corrected = True
+        elif self._corrected:
+            self._measure(before)
+            evaluation, y = before, calibration.space.to_unbounded(before.values)
+            self._begin(y)
         return self._step(evaluation, y)
+
+    def _measure(self, evaluation: Evaluation) -> None:
+        if not evaluation.failures:
+            what = f"slopes at evaluation {len(self.history)}"
+            self.slopes = self._calibration.slopes(evaluation.values, what)
+            self._corrected = False
 
     def _step(self, evaluation: Evaluation, y: np.ndarray) -> str:
         jacobian = self._calibration.jacobian(self.slopes, y)
@@ -191,6 +234,19 @@ class _Walk:
         )
         done, _ = self._solver.terminate(_affine, self.y, local, {}, self._state, frozenset())
         return "the solver's step became small" if bool(done) else ""
+
+
+def secant(slopes: np.ndarray, before: Evaluation, after: Evaluation) -> np.ndarray:
+    """Slopes (m, p) per ln p, corrected to give what changed from one point to the next."""
+    step = np.log(after.values / before.values)
+    change = after.features.mean(axis=0) - before.features.mean(axis=0)
+    missed = change - slopes @ step
+    if not np.all(np.isfinite(missed)):
+        return slopes
+    return slopes + np.outer(missed, step) / max(float(step @ step), _SMALLEST_STEP)
+
+
+_SMALLEST_STEP = 1e-4  # square of ln p; shorter steps are noise and correct little
 
 
 def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
@@ -204,8 +260,8 @@ def _close_enough(calibration: Calibration, evaluation: Evaluation) -> bool:
     return bool(np.max(np.abs(data)) < calibration.settings.tolerance)
 
 
-def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
-    best = walk.best
+def _finished(calibration: Calibration, descent: Descent) -> Fit:
+    best = descent.best
     if best is None or best.failures:
         reasons = "; ".join(best.failures) if best else "nothing was evaluated"
         raise CalibrationError(f"no evaluation succeeded: {reasons}")
@@ -219,7 +275,15 @@ def _finished(calibration: Calibration, walk: _Walk, stopped: str) -> Fit:
     )
     profiles = _profiles(calibration, identifiability)
     covariance = calibration.covariance
-    return Fit(best, walk.history, identifiability, profiles, slopes, covariance, stopped)
+    return Fit(
+        best,
+        descent.history,
+        identifiability,
+        profiles,
+        slopes,
+        covariance,
+        descent.stopped,
+    )
 
 
 def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, list[dict]]:
@@ -255,6 +319,7 @@ def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: 
         "evaluation": number,
         "status": status,
         "failure": "; ".join(evaluation.failures),
+        "forward_runs": calibration.forward_runs,
         "cost": evaluation.cost,
         "parameters": dict(zip(calibration.space.names, evaluation.values.tolist(), strict=True)),
         "features": dict(zip(names, evaluation.features.mean(axis=0).tolist(), strict=True)),

@@ -8,7 +8,7 @@ import csv
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -17,11 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from calibrate import plotting, workflow
+from calibrate.audit import STRATEGIES, Audit, audit, audit_json
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import InputError, suggestion
 from calibrate.labfile import PARAMETER_UNITS, check_parameter
 from calibrate.measurements import Lab, bundled_lab, load_lab
-from calibrate.parameters import RANGES, base_soil, with_values
+from calibrate.parameters import FACTORS, RANGES, base_soil, space, with_values
 from calibrate.presets import PRESETS, Preset
 from calibrate.progress import AbstractProgress, for_terminal
 from calibrate.single_contact import Spheres
@@ -47,6 +48,10 @@ class Session:
         loaded = load_lab(bundled_lab() if lab is None else lab)
         make_folder(out)
         return Session(loaded, PRESETS[preset], out, for_terminal())
+
+    def resized(self, spheres: int) -> "Session":
+        """The same session with another number of spheres in the preset."""
+        return replace(self, preset=replace(self.preset, spheres=spheres))
 
     def campaign(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
         """Simulations of this session; beds settle with the soil under test if its changed
@@ -104,6 +109,15 @@ def parse_free(free: str | None) -> tuple[str, ...] | None:
             COMMAND_LINE, "--free", "no name, or one name twice", "name each parameter once"
         )
     return names
+
+
+def parse_strategies(names: Sequence[str]) -> tuple[str, ...]:
+    """`--strategy` options as names of sensitivity strategies."""
+    for name in names:
+        if name not in STRATEGIES:
+            repair = suggestion(name, STRATEGIES) or f"give {', '.join(STRATEGIES)}"
+            raise InputError(COMMAND_LINE, "--strategy", f"no strategy '{name}'", repair)
+    return tuple(dict.fromkeys(names))
 
 
 def parse_path(path_um: str) -> list[float]:
@@ -176,6 +190,55 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     for line in _conclusions(done, result):
         console.print(line, markup=False, highlight=False)
     console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
+
+
+def run_audit(
+    session: Session,
+    strategies: tuple[str, ...],
+    changes: dict[str, float],
+    packings: int,
+    seed: int,
+    path: Path | None,
+) -> None:
+    """audit.json (and `--json`), a figure, and a table on the terminal."""
+    base = with_values(base_soil(session.lab), changes)
+    audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
+    seeds = range(100 * seed, 100 * seed + packings)
+    work = session.campaign(session.out, None)
+    found = audit(audited, work, seeds, strategies)
+    spheres = {"spheres": session.preset.spheres, "seeds": list(seeds)}
+    result = {**_origin(session), **spheres, **audit_json(found, strategies[0])}
+    write_json(session.out / "audit.json", result)
+    if path is not None:
+        write_json(path, result)
+    plotting.audit_figure(found, session.out / "audit.png")
+    console = Console()
+    for name in strategies:
+        console.print(_audit_table(found, name))
+        console.print(f"{name}: {_judgement(found.rows(name))}", highlight=False)
+    console.print(f"audit.json and audit.png are in {session.out}", highlight=False)
+
+
+def _audit_table(found: Audit, strategy: str) -> Table:
+    table = Table(title=f"{strategy}, {found.packings} packings", title_justify="left")
+    for column in ("parameter", "observable", "estimate per ln p", "reference per ln p", "verdict"):
+        table.add_column(column)
+    for row in found.rows(strategy):
+        cells = [f"{row[key]:.3g} ± {row[key + '_se']:.2g}" for key in ("estimate", "reference")]
+        table.add_row(row["parameter"], row["observable"], *cells, _word(row))
+    return table
+
+
+def _word(row: dict) -> str:
+    if not row["judged"]:
+        return "too small to judge"
+    return "passed" if row["passed"] else "FAILED"
+
+
+def _judgement(rows: list[dict]) -> str:
+    judged = [row for row in rows if row["judged"]]
+    passed = sum(bool(row["passed"]) for row in judged)
+    return f"{passed} of {len(judged)} slopes that can be judged pass"
 
 
 def write_contact(result: dict, out: Path, path: Path | None) -> None:

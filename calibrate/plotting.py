@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from calibrate.audit import OBSERVABLES, WITHIN, Audit
 from calibrate.campaign import Run
 from calibrate.measurements import Lab
 from calibrate.workflow import Calibrated
@@ -39,6 +40,55 @@ def fit_figure(done: Calibrated, path: Path) -> None:
     _observables(axes[1, 0], done)
     _parameters(axes[1, 1], done)
     _finish(figure, axes.ravel()[:3], path)
+
+
+MARKS = {"ensemble": ("o", DARK), "pathwise": ("x", MIDDLE), "blend": ("s", LIGHT)}
+UNITS = {"depression_depth_mm": "depression depth, mm", "crushing_force_n": "crushing force, N"}
+
+
+def audit_figure(found: Audit, path: Path) -> None:
+    """Estimates against the reference, one panel an observable; the band is what passes."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
+    for axis, observable in zip(axes, OBSERVABLES, strict=True):
+        for name in found.estimates:
+            rows = [row for row in found.rows(name) if row["observable"] == observable]
+            _estimates(axis, rows, name)
+        _band(axis, WITHIN[observable])
+        axis.set(
+            xlabel=f"reference slope ({UNITS[observable]} per unit of ln p)",
+            ylabel="estimate",
+        )
+        axis.legend(frameon=False)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def _estimates(axis: Axes, rows: list[dict], strategy: str) -> None:
+    """Points with both standard errors; slopes too small to judge are pale."""
+    mark, colour = MARKS[strategy]
+    limit = 3 * max(abs(row["reference"]) for row in rows)
+    shown = [row for row in rows if abs(row["estimate"]) < limit]
+    label = f"{strategy} ({len(rows) - len(shown)} off the scale)" if shown != rows else strategy
+    for number, row in enumerate(shown):
+        axis.errorbar(
+            row["reference"],
+            row["estimate"],
+            xerr=row["reference_se"],
+            yerr=min(row["estimate_se"], limit),
+            fmt=mark,
+            color=colour,
+            alpha=1.0 if row["judged"] else 0.35,
+            label=label if number == 0 else None,
+        )
+        if row["judged"]:
+            axis.annotate(row["parameter"].replace("_", " "), (row["reference"], row["estimate"]))
+
+
+def _band(axis: Axes, within: float) -> None:
+    left, right = axis.get_xlim()
+    span = np.linspace(left, right, 101)
+    axis.fill_between(span, span * (1 - within), span * (1 + within), color="0.9", zorder=0)
+    axis.plot(span, span, color="0.5", lw=0.8)
 
 
 def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:

@@ -27,7 +27,6 @@ class Numerics(eqx.Module):
     rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere,
     wall_layer (wall contacts = wall_layer x spheres x diameter / width) and per_cell set
     list capacities; dtype is "float64" or "float32";
-    boundaries keeps the CPU compiler from fusing across stages (switch off on a GPU).
     """
 
     safety: float = eqx.field(static=True, default=0.3)
@@ -37,7 +36,6 @@ class Numerics(eqx.Module):
     wall_layer: float = eqx.field(static=True, default=4.5)
     per_cell: int = eqx.field(static=True, default=8)
     dtype: str = eqx.field(static=True, default="float64")
-    boundaries: bool = eqx.field(static=True, default=True)
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
 
@@ -67,7 +65,6 @@ def build_bed(
         time_step=time_step,
         roll_width=numerics.smoothing.roll,
         grid=grid,
-        boundaries=numerics.boundaries,
     )
     return cast(bed, jnp.dtype(numerics.dtype))
 

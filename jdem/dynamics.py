@@ -4,10 +4,9 @@
 
 Semi-implicit Euler: velocities first, positions with the new velocities.  Background
 damping acts on the motion relative to the affine motion that the platen imposes, and
-rolling resistance is applied implicitly: it can stop a spin, never reverse it.
-
-`_stage` is a fusion boundary.  Without it the CPU compiler repeats gathers and pieces
-of arithmetic for every output; a conditional that is always true keeps stages apart.
+rolling resistance is applied implicitly: it can stop a spin, never reverse it.  Spheres
+that carry next to no load are damped more: they rattle between their neighbours, which
+leaves the specimen's force unchanged and makes its derivatives chaotic (docs/gradients.md).
 """
 
 import equinox as eqx
@@ -19,6 +18,7 @@ from jdem import smooth
 from jdem import walls as wall_module
 from jdem.contact import Contact, ContactForce
 from jdem.energy import Ledger
+from jdem.fusion import boundaries, once
 from jdem.laws.base import AbstractContactLaw
 from jdem.neighbors import ContactList, Grid
 from jdem.particles import Motion, Spheres
@@ -27,6 +27,7 @@ from jdem.vector import Vector
 from jdem.walls import Walls
 
 GRAVITY = 9.81  # m/s2
+LOADED = 100.0  # own weights; sum of contact loads at which half of the extra damping is gone
 
 
 class Bed(eqx.Module):
@@ -45,7 +46,6 @@ class Bed(eqx.Module):
     roll_width: Real = quantity()
     gravity: Real = quantity(GRAVITY)
     grid: Grid = eqx.field(static=True, kw_only=True)
-    boundaries: bool = eqx.field(static=True, default=True)
 
 
 class BedState(eqx.Module):
@@ -62,22 +62,31 @@ class BedState(eqx.Module):
 
 
 class Command(eqx.Module):
-    """What the machine does during one step: wall speeds (m/s), background damping (1/s)."""
+    """What the machine does during one step: wall speeds (m/s), background damping (1/s).
+
+    unloaded_damping is added where a sphere carries less than LOADED of its own weights.
+    """
 
     platen_speed: Array
     mould_speed: Real
     damping: Real
+    unloaded_damping: Real
 
 
 class Loads(eqx.Module):
     """Sums over contacts: on each sphere (rows), on the walls, and power by channel."""
 
-    rows: Array  #: (N, 7): force 0-2 (N), torque 3-5 (N m), rolling limit 6 (N m)
+    rows: Array  #: (N, 8): force 0-2 (N), torque 3-5 (N m), rolling limit 6 (N m), load 7 (N)
     power: Array  #: (4,), W; absorbed by normal spring and dashpot, tangential spring and dashpot
 
 
 def step(bed: Bed, state: BedState, command: Command) -> BedState:
     """The state one time step later."""
+    with boundaries(state.time >= 0):
+        return _step(bed, state, command)
+
+
+def _step(bed: Bed, state: BedState, command: Command) -> BedState:
     walls = Walls(
         state.walls.platen_height,
         command.platen_speed,
@@ -88,7 +97,7 @@ def step(bed: Bed, state: BedState, command: Command) -> BedState:
     pair_loads, pairs = _pair_loads(bed, rows, state.pairs)
     wall_loads, contacts, on_walls = _wall_loads(bed, rows, walls, state.wall_contacts)
     loads = pair_loads.rows + wall_loads.rows
-    motion, absorbed = _moved(bed, state.motion, walls, loads, command.damping)
+    motion, absorbed = _moved(bed, state.motion, walls, loads, command)
     power = Ledger.of_step(
         contacts=pair_loads.power + wall_loads.power,
         walls=on_walls,
@@ -111,12 +120,12 @@ def step(bed: Bed, state: BedState, command: Command) -> BedState:
 
 def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
     """Sphere-sphere contacts: loads on the spheres and the list with its new histories."""
-    one, two = rows[pairs.first], rows[pairs.second]
-    one, two = jax.lax.optimization_barrier((one, two))
-    contact, levers = _stage(bed, _pair_contacts, bed, one, two, pairs.alive)
-    force, history = _stage(bed, _law_forces, bed.particle_law, contact, pairs.history)
-    on_first, on_second, power = _stage(bed, _assembled, contact, force, levers)
-    total = jnp.zeros((rows.shape[0], 7), rows.dtype)
+    one, two = jax.lax.optimization_barrier((rows[pairs.first], rows[pairs.second]))
+    one, two = once((one.T, two.T))
+    contact, levers = _pair_contacts(bed, one, two, pairs.alive)
+    force, history = _law_forces(bed.particle_law, contact, pairs.history)
+    on_first, on_second, power = once(_assembled(contact, force, levers))
+    total = jnp.zeros((rows.shape[0], 8), rows.dtype)
     total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
     return Loads(total, power), eqx.tree_at(lambda p: p.history, pairs, history)
 
@@ -124,61 +133,65 @@ def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
 def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList):
     """Sphere-wall contacts: loads on the spheres, the list, and what the walls feel."""
     one = jax.lax.optimization_barrier(rows[contacts.first])
+    one = once(one.T)
     wall = contacts.second
-    contact, levers = _stage(bed, _wall_geometry, bed, one, walls, wall, contacts.alive)
-    force, history = _stage(bed, _law_forces, bed.wall_law, contact, contacts.history)
-    on_first, on_wall, power = _stage(bed, _assembled, contact, force, levers)
-    total = jnp.zeros((rows.shape[0], 7), rows.dtype).at[contacts.first].add(on_first)
+    contact, levers = _wall_geometry(bed, one, walls, wall, contacts.alive)
+    force, history = _law_forces(bed.wall_law, contact, contacts.history)
+    on_first, on_wall, power = once(_assembled(contact, force, levers))
+    total = jnp.zeros((rows.shape[0], 8), rows.dtype).at[contacts.first].add(on_first)
     pushes = _pushes(contact.normal, on_wall, wall)
     return Loads(total, power), eqx.tree_at(lambda c: c.history, contacts, history), pushes
 
 
 def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
     """Contacts of listed pairs, and the lever arms from centre to contact (m)."""
-    offset = Vector.from_rows(one[:, 0:3]) - Vector.from_rows(two[:, 0:3])
+    offset = Vector(*one[0:3]) - Vector(*two[0:3])
     distance = smooth.norm(offset)
     normal = offset * smooth.divide(1.0, distance)
-    radius_one, radius_two = one[:, 9], two[:, 9]
+    distance, normal = once((distance, normal))
+    radius_one, radius_two = one[9], two[9]
     overlap = jnp.where(alive > 0, radius_one + radius_two - distance, -1.0)
     lever_one, lever_two = radius_one - 0.5 * overlap, radius_two - 0.5 * overlap
-    spin = Vector.from_rows(one[:, 6:9]) * lever_one + Vector.from_rows(two[:, 6:9]) * lever_two
-    relative = Vector.from_rows(one[:, 3:6]) - Vector.from_rows(two[:, 3:6]) - spin.cross(normal)
+    spin = Vector(*one[6:9]) * lever_one + Vector(*two[6:9]) * lever_two
+    relative = Vector(*one[3:6]) - Vector(*two[3:6]) - spin.cross(normal)
+    relative = once(relative)
     contact = Contact(
         overlap=overlap,
         approach_speed=-relative.dot(normal),
         normal=normal,
         slip=relative.without(normal),
         radius=radius_one * radius_two / (radius_one + radius_two),
-        mass=one[:, 10] * two[:, 10] / (one[:, 10] + two[:, 10]),
+        mass=one[10] * two[10] / (one[10] + two[10]),
         friction=bed.friction * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
     )
-    return contact, (lever_one, lever_two)
+    return once((contact, (lever_one, lever_two)))
 
 
 def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array):
     """Contacts of listed spheres with walls; a wall has infinite radius and mass."""
-    surface = wall_module.surface(walls, wall, Vector.from_rows(one[:, 0:3]))
-    overlap = jnp.where(alive > 0, one[:, 9] - surface.distance, -1.0)
-    lever = one[:, 9] - overlap
-    spin = Vector.from_rows(one[:, 6:9]) * lever
-    relative = Vector.from_rows(one[:, 3:6]) - surface.velocity - spin.cross(surface.normal)
+    surface = once(wall_module.surface(walls, wall, Vector(*one[0:3])))
+    overlap = jnp.where(alive > 0, one[9] - surface.distance, -1.0)
+    lever = one[9] - overlap
+    spin = Vector(*one[6:9]) * lever
+    relative = Vector(*one[3:6]) - surface.velocity - spin.cross(surface.normal)
+    relative = once(relative)
     contact = Contact(
         overlap=overlap,
         approach_speed=-relative.dot(surface.normal),
         normal=surface.normal,
         slip=relative.without(surface.normal),
-        radius=one[:, 9],
-        mass=one[:, 10],
+        radius=one[9],
+        mass=one[10],
         friction=bed.wall_friction[wall] * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
     )
-    return contact, (lever, lever)
+    return once((contact, (lever, lever)))
 
 
 def _law_forces(law: AbstractContactLaw, contact: Contact, history):
     """The law, vectorised over contacts."""
-    return jax.vmap(law.force)(contact, history)
+    return once(jax.vmap(law.force)(contact, history))
 
 
 def _assembled(contact: Contact, force: ContactForce, levers):
@@ -192,15 +205,17 @@ def _assembled(contact: Contact, force: ContactForce, levers):
         -force.tangential.dot(contact.slip),
         -force.tangential_viscous.dot(contact.slip),
     ]
+    load, rolling = force.normal.frictional_load, force.rolling_limit
     return (
-        _row(push, twist * levers[0], force.rolling_limit * levers[0]),
-        _row(-push, twist * levers[1], force.rolling_limit * levers[1]),
+        _row(push, twist * levers[0], rolling * levers[0], load),
+        _row(-push, twist * levers[1], rolling * levers[1], load),
         jnp.sum(jnp.stack(channels), axis=1),
     )
 
 
-def _row(push: Vector, torque: Vector, limit: Array) -> Array:
-    return jnp.stack([push.x, push.y, push.z, torque.x, torque.y, torque.z, limit], axis=-1)
+def _row(push: Vector, torque: Vector, limit: Array, load: Array) -> Array:
+    columns = [push.x, push.y, push.z, torque.x, torque.y, torque.z, limit, load]
+    return jnp.stack(columns, axis=-1)
 
 
 def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
@@ -214,13 +229,15 @@ def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
     return jnp.sum(jnp.stack([base, platen, mould, drag]), axis=1)
 
 
-def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, damping: Real):
+def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: Command):
     """Motion one step later, and energies of the step as `_absorbed` lists them."""
     spheres, dt = bed.spheres, bed.time_step
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
     impulse = Vector(push.x, push.y, push.z - bed.gravity) * dt
     free = motion.velocity + impulse
     affine = walls.axial_strain_rate() * motion.position.z
+    share = loads[:, 7] / (LOADED * GRAVITY * spheres.mass)
+    damping = command.damping + command.unloaded_damping / (1 + share * share)
     keep = 1 / (1 + damping * dt)
     velocity = Vector(free.x * keep, free.y * keep, affine + (free.z - affine) * keep)
 
@@ -268,19 +285,3 @@ def _braked(spin: Vector, limit: Array, width: Real) -> Vector:
 
 
 _TINY = 1e-30  # rad2/s2; keeps the square root's gradient finite at rest
-
-
-def _stage(bed: Bed, function, *arguments):
-    """function(*arguments), kept apart from its neighbours by the compiler."""
-    if not bed.boundaries:
-        return function(*arguments)
-    dynamic, static = eqx.partition(arguments, eqx.is_array)
-
-    def call(inputs):
-        return function(*eqx.combine(inputs, static))
-
-    def zeros(inputs):
-        shapes = jax.eval_shape(call, inputs)
-        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-
-    return jax.lax.cond(bed.time_step > 0, call, zeros, dynamic)

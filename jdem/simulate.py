@@ -39,6 +39,7 @@ class Segment(eqx.Module):
     tolerance: Real = quantity(0.0)
     mould_speed: Real = quantity(0.0)
     damping: Real = quantity(0.0)
+    unloaded_damping: Real = quantity(0.0)
     duration: Real = quantity(0.0)
     platen: Array = eqx.field(default=KEEP, converter=jnp.asarray)
     mould: Array = eqx.field(default=KEEP, converter=jnp.asarray)
@@ -217,6 +218,7 @@ def _command(segment: Segment, state: BedState) -> Command:
         platen_speed=-segment.platen_speed * jnp.tanh(shortfall),
         mould_speed=segment.mould_speed,
         damping=segment.damping,
+        unloaded_damping=segment.unloaded_damping,
     )
 
 

@@ -80,7 +80,10 @@ class Formulas:
     simulated: int = 0
 
     def runs(self, soils, seeds, what):
-        return [[self._run(soil, seed) for seed in seeds] for soil in soils]
+        return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
+
+    def each(self, soils, seeds, what):
+        return [[self._run(s, seed) for s, seed in zip(row, seeds, strict=True)] for row in soils]
 
     def _run(self, soil, seed):
         self.simulated += 1

@@ -127,12 +127,12 @@ def calm_packing():
 
 
 def at_rest(packing, soil, mould):
-    """Means over the second half of a damped second without platen."""
+    """Means over the second half of two damped seconds without platen."""
     bed = build_bed(packing.spheres, soil, WHOLE.grid, NUMERICS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    rest = Segment(damping=100.0, duration=1.0, platen=REMOVE, mould=mould)
+    rest = Segment(damping=100.0, duration=2.0, platen=REMOVE, mould=mould)
     steps = steps_per_sample(bed, NUMERICS)
-    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 12000)
+    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 24000)
     assert not record.overflow_of(WHOLE.grid), record.explain_overflow(WHOLE.grid)
     rows = np.flatnonzero(np.asarray(record.samples.segment) == 0)
     late = rows[len(rows) // 2 :]
@@ -143,7 +143,7 @@ def at_rest(packing, soil, mould):
 def test_base_and_mould_carry_the_weight(packing, wall_friction):
     """Base force (down) and drag on the mould (up is positive): base - drag = sum m g.
 
-    1e-3 of the weight: what the slowest sphere still accelerates by after a second.
+    1e-3 of the weight: what the slowest sphere still accelerates by after that time.
     """
     soil = replace(neutral_soil(), wall_friction=jnp.asarray(wall_friction))
     last = at_rest(packing, soil, KEEP)

@@ -13,10 +13,15 @@ from jdem.simulate import Segment
 
 
 class Damping(eqx.Module):
-    """Background damping (1/s) while the machine loads, and while a specimen comes to rest."""
+    """Background damping (1/s) while the machine loads, and while a specimen comes to rest.
+
+    unloaded is added for spheres that carry next to no load (`jdem.dynamics`): enough to stop
+    their rattling, while the loaded skeleton keeps its low damping and with it its strength.
+    """
 
     loading: Real = quantity(200.0)
     resting: Real = quantity(500.0)
+    unloaded: Real = quantity(4000.0)
 
 
 class AbstractApparatus(eqx.Module):

@@ -53,9 +53,14 @@ class ConfinedCompression(AbstractApparatus):
             servo_width=self.servo_width,
             tolerance=self.tolerance,
             damping=self.damping.loading,
+            unloaded_damping=self.damping.unloaded,
             duration=duration,
             platen=platen,
         )
 
     def _holding(self) -> Segment:
-        return Segment(damping=self.damping.loading, duration=self.hold)
+        return Segment(
+            damping=self.damping.loading,
+            unloaded_damping=self.damping.unloaded,
+            duration=self.hold,
+        )

@@ -39,17 +39,25 @@ class UnconfinedCompression(AbstractApparatus):
         return Segment(
             mould_speed=self.opening_rate,
             damping=self.damping.resting,
+            unloaded_damping=self.damping.unloaded,
             duration=self.opening / self.opening_rate,
             platen=REMOVE,
         )
 
     def _resting(self) -> Segment:
-        return Segment(damping=self.damping.resting, duration=self.rest, platen=KEEP, mould=REMOVE)
+        return Segment(
+            damping=self.damping.resting,
+            unloaded_damping=self.damping.unloaded,
+            duration=self.rest,
+            platen=KEEP,
+            mould=REMOVE,
+        )
 
     def _crushing(self) -> Segment:
         return Segment(
             platen_speed=self.simulated_rate,
             damping=self.damping.loading,
+            unloaded_damping=self.damping.unloaded,
             duration=self.stroke / self.simulated_rate,
             platen=LOWER,
             mould=REMOVE,

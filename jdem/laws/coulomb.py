@@ -1,11 +1,13 @@
 """Tangential spring with a Coulomb limit that includes adhesion.
 
-    f_t = -k_t u sat(s)/s       s = k_t |u| / (mu N)
+    f_t = -(k_t u + beta v) sat(s)/s       s = |k_t u + beta v| / (mu N)
     N = |f_hys + f_min (d/d_min)^x - f0|            (Thakur et al. 2014, eq. 11)
 
-u is the stretch of the spring; it follows the slip and stops growing where sat
-reaches 1, so the force depends on u alone and a closed cycle of u without slip costs
-no energy.  The dashpot fades as the spring saturates: sliding friction is mu N.
+u is the stretch of the spring and v the slip velocity; u follows the slip and stops growing
+where the spring alone saturates, so without a dashpot a closed cycle of u without slip costs
+no energy.  Spring and dashpot share the limit: a dashpot beside it gives lightly loaded
+contacts kicks of many times mu N, and every rattling sphere then spoils all derivatives
+(docs/decisions.md).
 """
 
 import equinox as eqx
@@ -14,6 +16,7 @@ import jax.numpy as jnp
 from jdem import smooth
 from jdem.contact import Contact, ContactHistory, NormalForce
 from jdem.damping import dashpot_constant
+from jdem.fusion import once
 from jdem.laws.base import AbstractTangentialLaw
 from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
@@ -27,20 +30,24 @@ class CoulombSpring(AbstractTangentialLaw):
 
     def force(self, contact: Contact, normal: NormalForce, stiffness, history: ContactHistory):
         limit = contact.friction * normal.frictional_load
+        loaded = jnp.where(limit > 0, 1.0, 0.0)
         stretch = history.stretch.without(contact.normal) + contact.slip * contact.time_step
+        stretch = once(stretch)
+        stretch = once(self._shortened(stretch, stiffness, limit) * loaded)
+        beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, _TINY))
+        trial = stretch * stiffness + contact.slip * beta
+        load = smooth.divide(smooth.norm(trial), limit)
+        saturated = smooth.saturate(load, self.smoothing.slip)
+        share = jnp.where(load > 0, smooth.divide(saturated, load), 1.0) * loaded
+        share = once(share)
+        history = ContactHistory(history.max_overlap, history.low_overlap, stretch)
+        return stretch * (-stiffness * share), contact.slip * (-beta * share), history
+
+    def _shortened(self, stretch, stiffness, limit):
+        """The stretch cut to where the spring alone reaches the limit for good."""
         load = smooth.divide(stiffness * smooth.norm(stretch), limit)
         longest = 1 + self.smoothing.slip
-        stretch = stretch * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0)
-        stretch = stretch * jnp.where(limit > 0, 1.0, 0.0)
-        load = jnp.minimum(load, longest)
-        secant = jnp.where(
-            load > 0, smooth.divide(smooth.saturate(load, self.smoothing.slip), load), 1.0
-        )
-        spring = stretch * (-stiffness * secant)
-        beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, _TINY))
-        sticking = smooth.saturate_slope(load, self.smoothing.slip) * jnp.where(limit > 0, 1.0, 0.0)
-        dashpot = contact.slip * (-beta * sticking)
-        return spring, dashpot, ContactHistory(history.max_overlap, history.low_overlap, stretch)
+        return stretch * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0)
 
 
 _TINY = 1e-30  # N/m; keeps the square root's gradient finite where nothing touches

@@ -20,6 +20,7 @@ from jdem import smooth
 from jdem.contact import Contact, ContactHistory, NormalForce
 from jdem.damping import dashpot_constant
 from jdem.elasticity import AbstractStiffness
+from jdem.fusion import once
 from jdem.laws.base import AbstractNormalLaw
 from jdem.quantity import Real, quantity
 from jdem.smooth import Smoothing
@@ -53,16 +54,17 @@ class EEPA(AbstractNormalLaw):
         touching = jnp.where(contact.overlap > 0, 1.0, 0.0)
         history = self._loaded(overlap, history)
         plastic = self._plastic_overlap(history.max_overlap)
-        plastic, history = self._reloaded(contact, overlap, plastic, history)
-        adhesion = self._adhesion(contact, plastic)
-        tension = self._tension(overlap, adhesion)
+        plastic, history = once(self._reloaded(contact, overlap, plastic, history))
+        adhesion = once(self._adhesion(contact, plastic))
+        tension = once(self._tension(overlap, adhesion))
         hysteretic = self._branches(contact, overlap, plastic, tension, adhesion)
+        hysteretic = once(hysteretic)
         force = NormalForce(
             hysteretic=touching * hysteretic + self._pull_off(contact, overlap),
             viscous=self._viscous(contact, overlap),
             frictional_load=touching * jnp.maximum(hysteretic + tension, 0.0),
         )
-        return force, history.kept_while(touching)
+        return once((force, history.kept_while(touching)))
 
     def loading_stiffness(self, contact: Contact):
         return self.stiffness.normal(contact.radius)
@@ -110,10 +112,12 @@ class EEPA(AbstractNormalLaw):
         reload that has come back to virgin loading takes the memory of the present overlap.
         """
         low = history.low_overlap
-        tension = self._tension(low, self._adhesion(contact, plastic))
+        adhesion = once(self._adhesion(contact, plastic))
+        tension = once(self._tension(low, adhesion))
         raised = self.stiffness.raised(low) + tension / self.unloading_stiffness(contact)
         lowered = jnp.minimum(self.stiffness.root(raised), plastic)
         lowered = jnp.maximum(lowered, self._plastic_overlap(overlap))  # never above k1 d^n
+        lowered = once(lowered)
         share = smooth.step(overlap - low, self.smoothing.reload * plastic)
         done = (share >= 1.0) & (lowered < plastic)
         raised_max = self.stiffness.raised(lowered) / self.plasticity_ratio

@@ -1,8 +1,9 @@
 """The contract of sensitivity strategies.
 
-A response maps points (k, p) to values (k, n, m): m observables on each of n packings.
-A strategy returns the values at one point and their slopes, averaged over packings,
-with the standard error that the packings' scatter leaves.
+A response maps points (k, n, p), one for each of k runs on each of n packings, to values
+(k, n, m): m numbers read from a run.  Coordinates are whatever the response takes: ln p of
+contact parameters, strengths of effects, settings of the machine.  A strategy returns the
+values at one point and the slopes of their mean over the packings.
 """
 
 import abc
@@ -27,8 +28,16 @@ class AbstractStrategy(eqx.Module):
     """One way to get from a response to its slopes."""
 
     @abc.abstractmethod
-    def __call__(self, response: Response, point: Array) -> Sensitivity:
-        """Values and slopes of `response` at `point` (p,)."""
+    def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
+        """Values and slopes of `response` at `point` (p,) over `packings` packings."""
+
+    @abc.abstractmethod
+    def runs(self, parameters: int, packings: int) -> float:
+        """Forward runs a packing that it costs, values at the point included."""
+
+    @abc.abstractmethod
+    def describe(self) -> str:
+        """One line for a report."""
 
 
 def averaged(values: Array, slopes: Array) -> Sensitivity:
@@ -39,3 +48,8 @@ def averaged(values: Array, slopes: Array) -> Sensitivity:
     count = jnp.sum(jnp.isfinite(slopes), axis=0)
     error = jnp.nanstd(slopes, axis=0, ddof=1) / jnp.sqrt(count)
     return Sensitivity(values, jnp.nanmean(slopes, axis=0), error)
+
+
+def everywhere(points: Array, packings: int) -> Array:
+    """The same points (k, p) on every packing, shape (k, n, p)."""
+    return jnp.broadcast_to(points[:, None], (points.shape[0], packings, points.shape[1]))

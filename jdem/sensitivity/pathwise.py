@@ -2,24 +2,38 @@
 
 Exact for the simulation as computed.  Where the motion is chaotic (crushing of small
 beds) the exact derivative of one path is not the slope of the response: see
-docs/decisions.md, and `regression`.
+docs/gradients.md, and `ensemble`.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, averaged
+from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, averaged, everywhere
 
 
 class Pathwise(AbstractStrategy):
-    """One tangent a parameter; memory of one run, cost of one to two runs a parameter."""
+    """One tangent a parameter, all in one pass; the response must be traceable by JAX.
 
-    def __call__(self, response: Response, point: Array) -> Sensitivity:
+    cost is that of one tangent in forward runs (benchmarks/results/speed.md).
+    """
+
+    cost: float = eqx.field(static=True, default=1.5)
+
+    def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
         def single(x):
-            return response(x[None])[0]
+            return response(everywhere(x[None], packings))[0]
+
+        def push(tangent):
+            return jax.jvp(single, (point,), (tangent,))
 
         tangents = jnp.eye(point.shape[0], dtype=point.dtype)
-        columns = [jax.jvp(single, (point,), (tangent,)) for tangent in tangents]
-        slopes = jnp.stack([column[1] for column in columns], axis=-1)
-        return averaged(columns[0][0], slopes)
+        values, slopes = jax.vmap(push, out_axes=(None, -1))(tangents)
+        return averaged(values, slopes)
+
+    def runs(self, parameters: int, packings: int) -> float:
+        return 1 + self.cost * parameters
+
+    def describe(self) -> str:
+        return "pathwise: forward mode through every step"

@@ -1,0 +1,155 @@
+"""Strategies on responses whose slopes are known, and the audit's judgement.
+
+A response has curvature, interactions, a level and a slope of its own on each packing, and
+where a test says so noise: what a bed of spheres has, without a bed of spheres.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibrate.audit import Audit, verdict
+from calibrate.fit import Evaluation, secant
+from jdem.sensitivity.base import Sensitivity
+from jdem.sensitivity.composite import Blend, blended
+from jdem.sensitivity.ensemble import Ensemble
+from jdem.sensitivity.pathwise import Pathwise
+from jdem.sensitivity.regression import Regression
+
+PACKINGS, PARAMETERS = 5, 7
+RNG = np.random.default_rng(7)
+LEVEL = RNG.normal(size=(PACKINGS, 2))
+SLOPE = RNG.normal(size=(2, PARAMETERS))
+BEND = RNG.normal(size=(2, PARAMETERS, PARAMETERS))
+POINT = jnp.asarray(RNG.normal(size=PARAMETERS))
+
+
+def quadratic(points):
+    """Values (k, n, 2) of a full quadratic around POINT, at another level on each packing."""
+    x = points - POINT
+    bent = jnp.einsum("knp,mpq,knq->knm", x, BEND, x)
+    return LEVEL[None] + jnp.einsum("mp,knp->knm", SLOPE, x) + bent
+
+
+def noisy(amplitude, seed=0):
+    """The quadratic with noise that is fresh at every point."""
+    rng = np.random.default_rng(seed)
+
+    def response(points):
+        values = quadratic(points)
+        return values + amplitude * rng.normal(size=values.shape)
+
+    return response
+
+
+@pytest.mark.parametrize(
+    "strategy", [Pathwise(), Regression((0.1, 0.2)), Ensemble(0.2, 1), Ensemble(0.3, 4), Blend()]
+)
+def test_slopes_of_a_quadratic_are_exact(strategy):
+    """Curvature and interactions of two parameters leave no trace in antithetic steps."""
+    found = strategy(quadratic, POINT, PACKINGS)
+    assert np.abs(np.asarray(found.slopes) - SLOPE).max() < 1e-12
+    assert np.abs(np.asarray(found.values) - LEVEL).max() < 1e-12
+
+
+@pytest.mark.parametrize("strategy", [Regression((0.2,)), Ensemble(0.2, 2), Ensemble(0.2, 3)])
+def test_a_strategy_costs_the_runs_that_it_says(strategy):
+    asked = []
+
+    def counted(points):
+        asked.append(points.shape)
+        return quadratic(points)
+
+    strategy(counted, POINT, PACKINGS)
+    assert sum(shape[0] for shape in asked) == strategy.runs(PARAMETERS, PACKINGS)
+    assert all(shape[1:] == (PACKINGS, PARAMETERS) for shape in asked)
+
+
+def test_seven_slopes_cost_six_forward_runs_on_three_packings():
+    """The bound that the project set itself: all factors, values at the point apart."""
+    assert Ensemble().runs(7, 3) - 1 <= 6
+    assert Ensemble().runs(7, 8) - 1 <= 6
+
+
+@pytest.mark.parametrize("strategy", [Regression((0.2,)), Ensemble(0.2, 3)])
+def test_standard_errors_are_honest(strategy):
+    """Over 200 repetitions the slopes scatter by what the standard errors say, within 15 %."""
+    repeated = [strategy(noisy(0.3, seed), POINT, PACKINGS) for seed in range(200)]
+    scatter = np.std([np.asarray(found.slopes) for found in repeated], axis=0)
+    claimed = np.sqrt(np.mean([np.asarray(f.standard_error) ** 2 for f in repeated], axis=0))
+    assert np.abs(np.mean(scatter) / np.mean(claimed) - 1) < 0.15
+
+
+def test_the_ensemble_is_more_precise_than_one_at_a_time_at_lower_cost():
+    one, many = Regression((0.2,)), Ensemble(0.2, 3)
+    assert many.runs(7, PACKINGS) < one.runs(7, PACKINGS)
+    errors = [
+        np.mean([np.abs(np.asarray(s(noisy(0.3, k), POINT, PACKINGS).slopes) - SLOPE).mean()
+                 for k in range(60)])
+        for s in (one, many)
+    ]  # fmt: skip
+    assert errors[1] < errors[0]
+
+
+def test_a_failed_run_leaves_its_pair_out():
+    def failing(points):
+        return jnp.asarray(quadratic(points)).at[1, 0].set(jnp.nan)
+
+    found = Ensemble(0.2, 3)(failing, POINT, PACKINGS)
+    assert np.abs(np.asarray(found.slopes) - SLOPE).max() < 1e-12
+
+
+def test_too_many_failures_are_not_hidden():
+    found = Ensemble(0.2, 2)(lambda points: jnp.nan * quadratic(points), POINT, PACKINGS)
+    assert np.all(np.isnan(np.asarray(found.slopes)))
+
+
+def sensitivity(slopes, error):
+    slopes = jnp.asarray(slopes, float)
+    return Sensitivity(jnp.zeros((1, 1)), slopes, jnp.full(slopes.shape, float(error)))
+
+
+def test_a_blend_follows_the_precise_estimate_where_it_agrees():
+    found = blended(sensitivity([[1.02]], 0.01), sensitivity([[1.2]], 0.3))
+    assert float(found.slopes[0, 0]) == pytest.approx(1.02, abs=0.01)
+
+
+def test_a_blend_leaves_a_biased_estimate():
+    found = blended(sensitivity([[-9.0]], 0.01), sensitivity([[1.2]], 0.3))
+    assert float(found.slopes[0, 0]) == pytest.approx(1.2, abs=0.02)
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf])
+def test_a_blend_ignores_what_is_not_finite(broken):
+    found = blended(sensitivity([[broken]], 1.0), sensitivity([[1.2]], 0.3))
+    assert float(found.slopes[0, 0]) == 1.2
+    assert float(found.standard_error[0, 0]) == pytest.approx(0.3)
+
+
+def audited(estimate):
+    """Depth has slope 1.0 +- 0.1 and force 100 +- 60 in one parameter."""
+    reference = Sensitivity(
+        jnp.zeros((2, 2)), jnp.asarray([[1.0], [100.0]]), jnp.asarray([[0.1], [60.0]])
+    )
+    found = sensitivity([[estimate], [-50.0]], 0.01)
+    return Audit(("surface_energy",), reference, {"ensemble": found}, 2)
+
+
+@pytest.mark.parametrize(("estimate", "passed"), [(1.14, True), (1.16, False), (-1.0, False)])
+def test_an_audit_judges_what_can_be_judged(estimate, passed):
+    depth, force = audited(estimate).rows("ensemble")
+    assert depth["judged"] and depth["passed"] is passed
+    assert not force["judged"] and force["passed"] is None
+    assert verdict([depth, force]) is passed
+
+
+def test_a_secant_correction_gives_what_was_seen():
+    """Along the step the corrected slopes give the measured change, across it the old one."""
+    before = Evaluation(np.array([1.0, 2.0]), np.array([[3.0, 1.0]]), np.zeros(1), ())
+    after = Evaluation(np.array([1.2, 1.5]), np.array([[3.7, 0.4]]), np.zeros(1), ())
+    slopes = np.array([[1.0, 0.0], [0.5, 2.0]])
+    corrected = secant(slopes, before, after)
+    step = np.log(after.values / before.values)
+    across = np.array([-step[1], step[0]])
+    assert corrected @ step == pytest.approx([0.7, -0.6])
+    assert corrected @ across == pytest.approx(slopes @ across)
