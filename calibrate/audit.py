@@ -27,6 +27,7 @@ from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
 
 STRATEGIES: dict[str, AbstractStrategy] = {
+    "regression": Regression((0.25,)),
     "ensemble": Ensemble(),
     "pathwise": Pathwise(),
     "blend": Blend(),
@@ -86,6 +87,9 @@ def audit(space: Space, work: Campaign, seeds: Sequence[int], strategies: Sequen
     if not bool(jnp.all(jnp.isfinite(reference.slopes))):
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
     estimates: dict[str, Sensitivity] = {}
+    if "regression" in strategies:
+        regression = STRATEGIES["regression"]
+        estimates["regression"] = regression(simulated("regression"), point, count)
     if {"ensemble", "blend"} & set(strategies):
         estimates["ensemble"] = Ensemble()(simulated("ensemble"), point, count)
     if {"pathwise", "blend"} & set(strategies):

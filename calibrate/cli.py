@@ -110,7 +110,8 @@ def contact_command(
 def audit_command(
     lab: LabFile = None,
     strategy: Annotated[
-        list[str] | None, typer.Option("--strategy", help="ensemble (default), pathwise, blend.")
+        list[str] | None,
+        typer.Option("--strategy", help="regression (default), ensemble, pathwise, blend."),
     ] = None,
     changes: Changes = None,
     spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
@@ -126,7 +127,7 @@ def audit_command(
     output.check_writable(json)
     session = output.Session.open(lab, preset, out).resized(spheres)
     values = output.parse_changes(changes or [])
-    names = output.parse_strategies(strategy or ["ensemble"])
+    names = output.parse_strategies(strategy or ["regression"])
     output.run_audit(session, names, values, packings, seed, json)
 
 

@@ -26,7 +26,7 @@ from calibrate.identifiability import Identifiability, assess
 from calibrate.parameters import Space
 from calibrate.problem import Problem, shrunk_covariance
 from jdem.sensitivity.base import AbstractStrategy
-from jdem.sensitivity.ensemble import Ensemble
+from jdem.sensitivity.regression import Regression
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Settings:
 
     evaluations: int = 24
     tolerance: float = 0.15
-    strategy: AbstractStrategy = field(default_factory=Ensemble)
+    strategy: AbstractStrategy = field(default_factory=lambda: Regression((0.25,)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,7 +42,12 @@ def fit_figure(done: Calibrated, path: Path) -> None:
     _finish(figure, axes.ravel()[:3], path)
 
 
-MARKS = {"ensemble": ("o", DARK), "pathwise": ("x", MIDDLE), "blend": ("s", LIGHT)}
+MARKS = {
+    "regression": ("^", DARK),
+    "ensemble": ("o", MIDDLE),
+    "pathwise": ("x", "0.5"),
+    "blend": ("s", LIGHT),
+}
 UNITS = {"depression_depth_mm": "depression depth, mm", "crushing_force_n": "crushing force, N"}
 
 

@@ -51,9 +51,11 @@ def full():
 
 
 WHOLE, BRIEF = full(), brief()
-# The same laboratory with five times the background damping: rattling spheres calm down.
-QUIET = eqx.tree_at(
-    lambda lab: lab.tests.confined.damping.loading, BRIEF, jnp.asarray(1000.0, float)
+# The same laboratory with the paper's forces.
+PRESSED = eqx.tree_at(
+    lambda lab: (lab.tests.confined.force_low, lab.tests.confined.force_high),
+    BRIEF,
+    (jnp.asarray(200.0, float), jnp.asarray(400.0, float)),
 )
 
 
@@ -105,22 +107,6 @@ def observables(lab, packing, point, tangent, time_step):
 @eqx.filter_jit
 def depth(lab, packing, point, time_step):
     return 1e3 * lab.run(packing, soil_of(point), time_step).depression_depth
-
-
-@pytest.fixture(scope="session")
-def calm_packing():
-    """A bed on which QUIET is not chaotic: 1e-10 in every ln p moves H by less than 3e-10 mm.
-
-    On other beds a rattling sphere amplifies such a change a million times and more; their
-    tangents are as large, and no difference quotient can confirm or refute them.
-    """
-    for seed in (2, 3, 4, 5, 6):
-        packing = prepare(SMALL, seed)
-        step = 0.8 * QUIET.time_step(packing, SOIL)
-        moved = [depth(QUIET, packing, CENTRE + shift, step) for shift in (0.0, 1e-10)]
-        if abs(float(moved[1] - moved[0])) < 3e-10:
-            return packing
-    pytest.fail("every bed that was tried is chaotic under QUIET")
 
 
 # ------------------------------------------------------------------ weight and energy
@@ -194,15 +180,15 @@ def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_pack
     assert len(set(depths)) == 3
 
 
-def test_a_batch_of_soils_gives_what_single_runs_give(calm_packing):
+def test_a_batch_of_soils_gives_what_single_runs_give(packing):
     """The same arithmetic in another order: equal until chaos has amplified round-off.
 
-    On the calm bed round-off of 1e-16 stays below 1e-9 of the depth; 1e-6 has room.
+    Round-off of 1e-16 stays below 1e-9 of the depth; 1e-6 has room.
     """
     points = jnp.stack([CENTRE, CENTRE + 1e-3])
-    step = 0.8 * QUIET.time_step(calm_packing, SOIL)
-    batch = jax.vmap(depth, in_axes=(None, None, 0, None))(QUIET, calm_packing, points, step)
-    single = [depth(QUIET, calm_packing, point, step) for point in points]
+    step = 0.8 * PRESSED.time_step(packing, SOIL)
+    batch = jax.vmap(depth, in_axes=(None, None, 0, None))(PRESSED, packing, points, step)
+    single = [depth(PRESSED, packing, point, step) for point in points]
     np.testing.assert_allclose(batch, single, rtol=1e-6)
 
 
@@ -219,21 +205,20 @@ def test_single_precision_gives_the_same_depth(packing):
 # ------------------------------------------------------------------ derivatives
 
 
-def test_depth_has_its_exact_derivative(calm_packing):
+def test_depth_has_its_exact_derivative(packing):
     """Tangents against central differences in each of the seven ln p, at a fixed time step.
 
     Step 3e-7: round-off in H is some 1e-13 mm, so 3e-7 mm per unit of ln p; a larger step
     crosses contacts that open or slip one time step earlier or later (at 1e-5 a quotient is
     wrong by per cents). Hence 1e-4 of each derivative, plus 1e-6 mm for one that is nil:
-    surface energy does not matter to a bed that was settled without it.
+    surface energy does not matter to a bed that was settled without it.  Numerics and damping
+    are the defaults, and the bed is no special one (docs/gradients.md).
     """
-    time_step, size = 0.8 * QUIET.time_step(calm_packing, SOIL), 3e-7
+    time_step, size = 0.8 * PRESSED.time_step(packing, SOIL), 3e-7
     found, expected = [], []
     for direction in np.eye(len(FACTORS)):
-        found.append(observables(QUIET, calm_packing, CENTRE, direction, time_step)[1][0])
-        ends = [
-            depth(QUIET, calm_packing, CENTRE + s * direction, time_step) for s in (size, -size)
-        ]
+        found.append(observables(PRESSED, packing, CENTRE, direction, time_step)[1][0])
+        ends = [depth(PRESSED, packing, CENTRE + s * direction, time_step) for s in (size, -size)]
         expected.append((ends[0] - ends[1]) / (2 * size))
     found, expected = np.array(found), np.array(expected)
     for name, ours, theirs in zip(FACTORS, found, expected, strict=True):
@@ -286,12 +271,17 @@ def test_seeds_give_different_packings(packing, other_packing):
 def test_a_packing_has_the_wanted_density_and_lies_in_its_mould(packing):
     assert float(packing.bulk_density()) == pytest.approx(SMALL.density, rel=1e-12)
     assert 0.4 < float(packing.solid_fraction()) < 0.64
-    assert float(packing.height) == pytest.approx(SMALL.height, rel=0.1)
     radius, place = np.asarray(packing.spheres.radius), packing.position
     outside = np.hypot(place.x, place.y) + radius - float(packing.mould_radius)
     # Overlaps at rest: a bed's weight of a few newtons over a stiffness of 1e5 N/m.
     assert outside.max() < 1e-4
     assert np.min(np.asarray(place.z) - radius) > -1e-4
+
+
+def test_packings_have_about_the_wanted_height(packing, other_packing):
+    """A bed is as high as its topmost sphere, which may stand alone: hence the mean of two."""
+    heights = [float(bed.height) for bed in (packing, other_packing)]
+    assert np.mean(heights) == pytest.approx(SMALL.height, rel=0.1)
 
 
 def test_a_packing_survives_the_disk(packing, tmp_path):

@@ -458,13 +458,17 @@ pull = eqx.filter_jit(
 )
 
 
-def spring_cycle(smoothing, stretches):
-    """Spring force (N) for a path of stretches (m) imposed along y under a constant load."""
-    spring, history, forces = CoulombSpring(0.5, smoothing), ContactHistory.zeros((), float), []
+def spring_cycle(smoothing, stretches, restitution=1.0):
+    """Traction (N) for a path of stretches (m) imposed along y under a constant load."""
+    law, history, forces = (
+        CoulombSpring(restitution, smoothing),
+        ContactHistory.zeros((), float),
+        [],
+    )
     for change in np.diff([0.0, *stretches]):
         contact = contact_at(jnp.asarray(1e-6), slip=change / TIME_STEP)
-        force, _, history = pull(spring, contact, history)
-        forces.append(float(force.y))
+        spring, dashpot, history = pull(law, contact, history)
+        forces.append(float(spring.y + dashpot.y))
     return np.array(forces)
 
 
@@ -493,16 +497,28 @@ def test_a_cycle_of_tangential_stretch_costs_energy_only_if_it_slips(smoothing, 
 
 
 @every_smoothing
-def test_sliding_friction_is_the_limit_and_opposes_the_slip(smoothing):
-    forces = spring_cycle(smoothing, np.linspace(0, 4 * SLIPS_AT, 21)[1:])
+@pytest.mark.parametrize("restitution", [0.1, 0.5, 1.0])
+def test_sliding_friction_is_the_limit_and_opposes_the_slip(smoothing, restitution):
+    forces = spring_cycle(smoothing, np.linspace(0, 4 * SLIPS_AT, 21)[1:], restitution)
     assert forces[-1] == pytest.approx(-LIMIT, rel=1e-12)
 
 
 @every_smoothing
-def test_sliding_has_no_dashpot_and_no_load_means_no_friction(smoothing):
+@pytest.mark.parametrize("stretch", [-1.5, -0.5, 0.0, 0.7, 4.0])
+@pytest.mark.parametrize("speed", [-1.0, -1e-3, 1e-4, 10.0])
+def test_spring_and_dashpot_together_stay_within_the_limit(smoothing, stretch, speed):
+    """At any stretch and slip speed (m/s); a dashpot of its own would exceed it many times."""
+    history = ContactHistory(
+        jnp.asarray(0.0), jnp.asarray(0.0), Vector(0.0, stretch * SLIPS_AT, 0.0)
+    )
+    contact = contact_at(jnp.asarray(1e-6), slip=speed)
+    spring, dashpot, _ = pull(CoulombSpring(0.1, smoothing), contact, history)
+    assert abs(float(spring.y + dashpot.y)) <= LIMIT * (1 + 1e-12)
+
+
+@every_smoothing
+def test_no_load_means_no_friction(smoothing):
     history = ContactHistory(jnp.asarray(0.0), jnp.asarray(0.0), Vector(0.0, 4 * SLIPS_AT, 0.0))
-    _, dashpot, _ = pull(CoulombSpring(0.5, smoothing), contact_at(jnp.asarray(1e-6)), history)
-    assert dashpot.y == 0.0
     free = contact_at(jnp.asarray(1e-6), friction=0.0)
     spring, dashpot, kept = pull(CoulombSpring(0.5, smoothing), free, history)
     assert spring.y == dashpot.y == kept.stretch.y == 0.0

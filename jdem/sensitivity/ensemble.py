@@ -48,8 +48,8 @@ class Ensemble(AbstractStrategy):
         """Directions (pairs, packings, p)."""
         pairs = self._pairs(parameters, packings)
         order = 1 << max(parameters - 1, 1).bit_length()
-        rows = hadamard(order)[np.arange(pairs * packings) % order, -parameters:]
-        return rows.reshape(pairs, packings, parameters).astype(float)
+        dealt = np.arange(packings)[None] * pairs + np.arange(pairs)[:, None]
+        return hadamard(order)[dealt % order, -parameters:].astype(float)
 
     def runs(self, parameters: int, packings: int) -> float:
         return 1 + 2.0 * self._pairs(parameters, packings)
