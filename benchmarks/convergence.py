@@ -85,7 +85,8 @@ def laboratory(lab: Lab, variant: Variant) -> tuple[VirtualLab, object]:
 
 def _damped(virtual: VirtualLab, factor: float) -> VirtualLab:
     usual = Damping()
-    damping = Damping(factor * usual.loading, factor * usual.resting)
+    scaled = (factor * rate for rate in (usual.loading, usual.resting, usual.unloaded))
+    damping = Damping(*scaled)
     return eqx.tree_at(
         lambda v: (v.tests.confined.damping, v.tests.unconfined.damping), virtual, (damping,) * 2
     )
