@@ -268,8 +268,12 @@ def _hash(content: dict) -> str:
 
 @cache
 def engine_hash() -> str:
-    """Hash of the source of `jdem`: a changed engine never meets old results."""
-    files = sorted(Path(str(resources.files("jdem"))).rglob("*.py"))
+    """Hash of the source of `jdem`: a changed engine never meets old results.
+
+    How responses are differentiated (`jdem.sensitivity`) is not part of a run.
+    """
+    root = Path(str(resources.files("jdem")))
+    files = sorted(path for path in root.rglob("*.py") if path.parent.name != "sensitivity")
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 

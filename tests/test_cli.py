@@ -19,7 +19,7 @@ from calibrate.measurements import bundled_lab
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
 CASE = json.loads((REFERENCE / "cases.json").read_text())["c1_paper_opt"]
-VERBS = ("simulate", "fit", "contact")
+VERBS = ("simulate", "fit", "contact", "audit")
 
 
 @pytest.fixture
@@ -176,7 +176,7 @@ def refused(answer, words):
     assert words in error
 
 
-@pytest.mark.parametrize("verb", ["simulate", "fit"])
+@pytest.mark.parametrize("verb", ["simulate", "fit", "audit"])
 @pytest.mark.parametrize("case", LABS)
 def test_a_wrong_lab_file_is_refused(calibrate, tmp_path, verb, case):
     text, words = LABS[case]
@@ -198,7 +198,7 @@ def test_a_missing_curve_is_refused(calibrate, tmp_path):
     refused(calibrate("simulate", "lab.toml"), "c.csv")
 
 
-@pytest.mark.parametrize("verb", ["simulate", "fit"])
+@pytest.mark.parametrize("verb", ["simulate", "fit", "audit"])
 @pytest.mark.parametrize("case", OPTIONS)
 def test_a_wrong_option_is_refused(calibrate, verb, case):
     options, words = OPTIONS[case]
@@ -209,6 +209,10 @@ def test_a_wrong_option_is_refused(calibrate, verb, case):
 def test_wrong_free_parameters_are_refused(calibrate, case):
     options, words = FREE[case]
     refused(calibrate("fit", *options), words)
+
+
+def test_an_unknown_strategy_is_refused(calibrate):
+    refused(calibrate("audit", "--strategy", "pathwize"), "pathwise")
 
 
 @pytest.mark.parametrize("case", PATHS)
