@@ -34,10 +34,12 @@ class Settings:
     """How long and how finely to fit.
 
     A fit is done when every whitened data residual is below `tolerance`, when the solver
-    says so, or after `evaluations`.  Slopes come from `strategy` in ln p.
+    says so, when `patience` evaluations in a row were no better, or after `evaluations`.
+    Slopes come from `strategy` in ln p.
     """
 
     evaluations: int = 24
+    patience: int = 6
     tolerance: float = 0.15
     strategy: AbstractStrategy = field(default_factory=lambda: Regression((0.25,)))
 
@@ -232,6 +234,9 @@ class _Walk:
         self.y, self._state, _ = self._solver.step(
             _affine, self.y, local, {}, self._state, frozenset()
         )
+        last = [row["status"] for row in self.history[-self._calibration.settings.patience :]]
+        if len(last) == self._calibration.settings.patience and "better" not in last:
+            return f"no better point in {len(last)} evaluations"
         done, _ = self._solver.terminate(_affine, self.y, local, {}, self._state, frozenset())
         return "the solver's step became small" if bool(done) else ""
 
