@@ -47,6 +47,7 @@ from jdem.smooth import Smoothing
 
 PARAMETER = "shear_modulus"
 SPHERES = 300
+AWAY = -5.0  # log10 N; smaller derivatives mean that the platen touches nothing
 
 
 class UnlimitedDashpot(CoulombSpring):
@@ -161,9 +162,12 @@ def figure(found: dict, path: Path) -> None:
     drawn, axis = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
     for number, (name, entry) in enumerate(found.items()):
         colour, line = LINES[number]
-        axis.plot(entry["trace"][0], entry["trace"][1], line, color=colour, lw=1.6, label=name)
+        share, size = (np.array(column) for column in entry["trace"])
+        size = np.where(size > AWAY, size, np.nan)
+        axis.plot(share, size, line, color=colour, lw=1.6, label=name)
     axis.axhspan(1, 3, color="0.92", zorder=0)
-    axis.text(0.01, 1.9, "size of the forces themselves", fontsize=8, va="center")
+    axis.text(0.41, 2, "size of the forces", fontsize=8, ha="center", va="center")
+    axis.text(0.41, 30, "platen away:\nmould removed, rest", fontsize=8, ha="center")
     axis.set(
         xlabel="share of both tests that has passed (-)",
         ylabel=f"log10 |d force / d ln {PARAMETER.replace('_', ' ')}|  (N)",
