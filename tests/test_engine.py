@@ -12,7 +12,8 @@ import pytest
 
 from jdem.bed import Numerics, build_bed
 from jdem.contact import ContactHistory
-from jdem.dynamics import Command, step
+from jdem.dynamics import LOADED, Command, step
+from jdem.fusion import boundaries, once
 from jdem.neighbors import ContactList, Demand, Grid, rebuild
 from jdem.particles import Motion, Spheres, kinetic_energy
 from jdem.simulate import FAR, Segment, run, stack, start
@@ -219,6 +220,49 @@ def test_a_spin_without_contact_is_kept():
 
 
 # ------------------------------------------------------------------ a few spheres at rest
+
+
+def slowed(overlap, unloaded):
+    """Share of a sphere's sideways speed that one step leaves, pressed into the base (m)."""
+    bed = bed_of(spheres_of(1), soil_of(restitution=1.0, platen_friction=0.0), gravity=0.0)
+    place, speed = np.array([[0.0, 0.0, RADIUS - overlap]]), np.array([[1e-3, 0.0, 0.0]])
+    command = Command(*(jnp.asarray(x) for x in (0.0, 0.0, 0.0, unloaded)))
+    state = state_of(bed, place, speed)
+    pairs, contacts, _ = rebuild(
+        bed.grid, bed.spheres, state.walls, state.motion.position, state.pairs, state.wall_contacts
+    )
+    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+    after = eqx.filter_jit(step)(bed, state, command)
+    share = float(after.motion.velocity.x[0]) / 1e-3
+    load = float(after.wall_force[BASE]) / (GRAVITY * float(bed.spheres.mass[0]))
+    return share, load, float(bed.time_step)
+
+
+def test_the_extra_damping_is_for_spheres_without_load():
+    """1/(1 + c dt) with c = c0/(1 + (S/S0)^2), S/S0 the load over LOADED own weights."""
+    for overlap in (-1e-6, 1e-6, 1e-5, 1e-4):
+        share, load, time_step = slowed(overlap, 4000.0)
+        rate = 4000.0 / (1 + (load / LOADED) ** 2)
+        assert share == pytest.approx(1 / (1 + rate * time_step), rel=1e-12)
+    assert slowed(-1e-6, 4000.0)[1] == 0.0, "no load was tested"
+    assert slowed(1e-4, 4000.0)[1] > 2 * LOADED, "no heavy load was tested"
+
+
+def test_a_boundary_changes_no_number():
+    def compute(x):
+        return once((jnp.sin(x), {"a": x * x}))
+
+    @jax.jit
+    def kept_apart(x, time):
+        with boundaries(time >= 0):
+            return compute(x)
+
+    x = jnp.linspace(0, 1, 5)
+    apart, plain = kept_apart(x, jnp.asarray(0.0)), compute(x)
+    jax.tree.map(np.testing.assert_array_equal, apart, plain)
+    slope = jax.jvp(lambda y: kept_apart(y, jnp.asarray(1.0))[1]["a"], (x,), (jnp.ones(5),))[1]
+    np.testing.assert_allclose(slope, 2 * x)
+    assert once(x) is x
 
 
 def heap(raised=0.0):
