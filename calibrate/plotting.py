@@ -58,6 +58,7 @@ def audit_figure(found: Audit, path: Path) -> None:
         for name in found.estimates:
             rows = [row for row in found.rows(name) if row["observable"] == observable]
             _estimates(axis, rows, name)
+        axis.margins(x=0.25)
         _band(axis, WITHIN[observable])
         axis.set(
             xlabel=f"reference slope ({UNITS[observable]} per unit of ln p)",
