@@ -11,8 +11,8 @@ For every start: fitted values, 95 % intervals, whether the hidden values lie in
 how many simulations it takes from nothing.  The starts share one set of data, so they test
 the solver three times and the data's scatter once; --seed makes other data.
 
-    python benchmarks/recovery.py --case two      about 15 minutes on two cores
-    python benchmarks/recovery.py --case four     about 40 minutes on two cores
+    python benchmarks/recovery.py --case two      about 6 minutes on two cores
+    python benchmarks/recovery.py --case four     about 25 minutes on two cores
     python benchmarks/recovery.py                 both
 
 Runs and lab files are kept in results/benchmarks; a second call resumes.  Writes
@@ -86,9 +86,11 @@ class CountingCampaign(Campaign):
 
     asked: set[str] = field(default_factory=set)
 
-    def runs(self, soils, seeds, what):
-        self.asked |= {self.key(soil, seed) for soil in soils for seed in seeds}
-        return super().runs(soils, seeds, what)
+    def each(self, soils, seeds, what):
+        self.asked |= {
+            self.key(soil, seed) for row in soils for soil, seed in zip(row, seeds, strict=True)
+        }
+        return super().each(soils, seeds, what)
 
 
 def campaign(lab: Lab, folder: Path) -> CountingCampaign:
