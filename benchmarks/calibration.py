@@ -20,7 +20,7 @@ import contextlib
 from pathlib import Path
 
 import numpy as np
-import pyDOE
+import pydoe
 import reporting
 import statsmodels.api as sm
 from recovery import STARTS
@@ -93,7 +93,7 @@ def by_nelder_mead(task: Task, start: np.ndarray) -> dict:
 def by_surface(task: Task, start: np.ndarray) -> dict:
     """A central composite design around the start, its quadratic optimum, and one check."""
     centre = np.log(start)
-    design = pyDOE.ccdesign(len(centre), center=(0, 1), alpha="rotatable", face="ccc")
+    design = pydoe.ccdesign(len(centre), center=(0, 1), alpha="rotatable", face="ccc")
     responses = np.array([task.features(centre + LEVEL * row) for row in design])
     good = np.all(np.isfinite(responses), axis=1)
     models = [sm.OLS(column, _quadratic(design[good])).fit() for column in responses[good].T]
