@@ -20,7 +20,7 @@ from jax import Array
 from calibrate.campaign import Campaign
 from calibrate.errors import CalibrationError
 from calibrate.parameters import Space
-from jdem.sensitivity.base import AbstractStrategy, Sensitivity
+from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.ensemble import Ensemble
 from jdem.sensitivity.pathwise import Pathwise
@@ -88,10 +88,11 @@ def audit(space: Space, work: Campaign, seeds: Sequence[int], strategies: Sequen
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
     estimates: dict[str, Sensitivity] = {}
     if "regression" in strategies:
-        regression = STRATEGIES["regression"]
-        estimates["regression"] = regression(simulated("regression"), point, count)
+        strategy = STRATEGIES["regression"]
+        estimates["regression"] = strategy(simulated("regression"), point, count)
     if {"ensemble", "blend"} & set(strategies):
-        estimates["ensemble"] = Ensemble()(simulated("ensemble"), point, count)
+        strategy = STRATEGIES["ensemble"]
+        estimates["ensemble"] = strategy(simulated("ensemble"), point, count)
     if {"pathwise", "blend"} & set(strategies):
         work.progress.say("pathwise: one pass with all tangents on every packing")
         estimates["pathwise"] = traced_slopes(space, work, seeds, point)
@@ -140,8 +141,7 @@ def traced_slopes(space: Space, work: Campaign, seeds: Sequence[int], point: Arr
         slopes(packing, lab.time_step(packing, space.base)) for packing in work.packings(seeds)
     ]
     values, each = (jnp.stack(part) for part in zip(*found, strict=True))
-    error = jnp.std(each, axis=0, ddof=1) / np.sqrt(len(seeds))
-    return Sensitivity(values, jnp.mean(each, axis=0), error)
+    return averaged(values, each)
 
 
 def audit_json(found: Audit, first: str) -> dict:
