@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from calibrate import verbs
 from calibrate.errors import CalibrationError, InputError, one_line
 
 app = typer.Typer(
@@ -129,6 +130,9 @@ def audit_command(
     values = output.parse_changes(changes or [])
     names = output.parse_strategies(strategy or ["regression"])
     output.run_audit(session, names, values, packings, seed, json)
+
+
+verbs.register(app)
 
 
 def main() -> None:
