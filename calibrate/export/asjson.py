@@ -1,0 +1,42 @@
+"""JSON: every parameter with unit and interval, and the surface energy at the wanted size."""
+
+import json
+
+from calibrate.export.notes import scale_up
+from calibrate.export.source import UNITS, Found
+
+LAW = "EEPA (Thakur et al. 2014, Granular Matter 16, 383); docs/theory.md has the equations"
+
+
+def content(found: Found) -> dict:
+    """The export as plain data."""
+    return {
+        "soil": found.soil,
+        "origin": found.origin,
+        "law": LAW,
+        "parameters": {name: _parameter(found, name) for name in UNITS},
+        "particles": {
+            "diameter_m": found.diameter,
+            "calibrated_with_diameter_m": found.fitted_diameter,
+            "surface_energy_j_m2": found.surface_energy,
+            "young_modulus_pa": found.young,
+            "unloading_over_loading_stiffness": found.stiffness_ratio,
+        },
+        "scale_up": " ".join(line.strip() for line in scale_up(found)),
+    }
+
+
+def text(found: Found) -> str:
+    """The export as JSON text."""
+    return json.dumps(content(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _parameter(found: Found, name: str) -> dict:
+    low, high = found.intervals.get(name, (None, None))
+    return {
+        "value": found[name],
+        "unit": UNITS[name],
+        "low_95": low,
+        "high_95": high,
+        "fitted": name in found.intervals,
+    }

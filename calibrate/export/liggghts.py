@@ -1,0 +1,146 @@
+"""LIGGGHTS 3.8: an input section for `model edinburgh`, its own EEPA.
+
+Types: 1 soil, 2 mould and base, 3 platen.  Include it after `create_box` (three types) or
+`read_data`, before particles move; give walls the same models and their type.
+
+The normal force is that of the calibrated law.  Friction is not: `tangential history` limits
+it by mu |F_n| alone.  `tan_luding` adds the adhesive share k_adh d, which is EEPA's where the
+tensile exponent is 1, and its spring takes the tangential multiplier; with slope and tensile
+exponent 1 it is therefore used, with the rolling model that goes with it.
+"""
+
+from math import sqrt
+
+from calibrate.export.notes import PRESSURE, comment, heading, overlap_under, scale_up, uncertainty
+from calibrate.export.source import Found
+
+HISTORY = "edinburgh tangential history rolling_friction epsd2"
+LUDING = "edinburgh tangential tan_luding rolling_friction luding"
+TYPES = 3
+_SOFTEST, _HARDEST = 5e6, 1e9  # Pa; beyond these LIGGGHTS wants to be told so
+_LEAST_RESTITUTION = 0.05  # LIGGGHTS accepts more than this
+
+_DIFFERENCES = {
+    HISTORY: (
+        "- friction is limited by mu |F_n| without the adhesive share: A COHESIVE BED IS WEAKER,",
+        "  often by far; fit with --set tensile_exponent=1 if LIGGGHTS is where you want to go",
+        "- the tangential spring is LIGGGHTS' own; tangential_multiplier {multiplier:.4g} has no",
+        "  place",
+        "- rolling resistance is a spring up to mu_r |F_n| R/2 on the relative spin; the",
+        "  coefficient between particles is doubled here to give the limit mu_r |F_n| R",
+    ),
+    LUDING: (
+        "- the tangential spring grows as sqrt(d); its factor is chosen to give it",
+        "  {multiplier:.4g} k1 at the overlap under {pressure:.3g} Pa",
+        "- rolling resistance is a spring on the relative spin, up to a limit that includes the",
+        "  adhesive share; the coefficient between particles is doubled because LIGGGHTS' lever is",
+        "  R/2",
+    ),
+}
+_EVERY = (
+    "- walls carry no surface energy, as in the calibration (unless wall_adhesion was set)",
+    "coefficientAdhesionStiffness must be given but is not used (fixKc is off).",
+)
+_HERTZ = (
+    "- at slope exponent 1.5 LIGGGHTS' dashpot does not follow the overlap and is far stronger:",
+    "  nothing rebounds",
+)
+_LUDING_CONSTANTS = {  # what tan_luding and luding want besides; as tried in peers' inputs
+    "FluidViscosity": 1.0,  # ratio of static to dynamic friction
+    "FrictionViscosity": 1.0,
+    "coeffRollingStiffness": 1.0,
+    "coefficientRollingViscousDamping": 0.3,
+}
+
+
+def text(found: Found) -> str:
+    """The input section."""
+    notes = [*heading(found), "", *uncertainty(found), "", *scale_up(found), ""]
+    lines = [*_allowances(found), *_properties(found)]
+    lines += [f"pair_style gran model {model(found)}", "pair_coeff * *"]
+    return comment([*notes, *_differences(found)]) + "\n".join(lines) + "\n"
+
+
+def model(found: Found) -> str:
+    """The contact models that come nearest to the calibrated law."""
+    linear = found["slope_exponent"] == 1 and found["tensile_exponent"] == 1
+    return LUDING if linear else HISTORY
+
+
+def young_modulus(found: Found) -> float:
+    """Young's modulus that gives LIGGGHTS the calibrated k1, Pa.
+
+    At n = 1 LIGGGHTS has k1 = 2 E* R*; another `stiffness_factor` c makes it c/2 of E.
+    """
+    factor = found["stiffness_factor"] / 2 if found["slope_exponent"] == 1 else 1.0
+    return factor * found.young
+
+
+def friction_stiffness(found: Found) -> float:
+    """coeffFrictionStiffness: multiplier x sqrt(R*/d) at the overlap d under PRESSURE, so that
+    the factor times 2 E* sqrt(R* d) is the multiplier times 2 E* R* there."""
+    radius = found.diameter / 4  # effective
+    return found["tangential_multiplier"] * sqrt(radius / overlap_under(PRESSURE, found))
+
+
+def _allowances(found: Found) -> list[str]:
+    young = young_modulus(found)
+    if young < _SOFTEST:
+        return ["soft_particles yes"]
+    return ["hard_particles yes"] if young > _HARDEST else []
+
+
+def _properties(found: Found) -> list[str]:
+    """One `fix property/global` for each property."""
+    restitution = max(found["restitution"], 1.001 * _LEAST_RESTITUTION)
+    rolling = found["rolling_friction"]
+    of_pairs = {
+        "coefficientRestitution": (restitution,) * TYPES,
+        "coefficientFriction": (
+            found["static_friction"],
+            found["wall_friction"],
+            found["platen_friction"],
+        ),
+        "coefficientRollingFriction": (2 * rolling, rolling, rolling),
+        "UnloadingStiffness": (found.stiffness_ratio,) * TYPES,
+        "coefficientAdhesionStiffness": (0.0,) * TYPES,
+        "pullOffForce": (found["pull_off_force"],) * TYPES,
+        "surfaceEnergy": (found.surface_energy, 0.0, 0.0),
+    }
+    if model(found) == LUDING:
+        of_pairs["coeffFrictionStiffness"] = (friction_stiffness(found),) * TYPES
+        of_pairs |= {name: (value,) * TYPES for name, value in _LUDING_CONSTANTS.items()}
+    return [
+        _property("youngsModulus", "peratomtype", [young_modulus(found)] * TYPES),
+        _property("poissonsRatio", "peratomtype", [found["poisson_ratio"]] * TYPES),
+        *(_per_pair(name, values) for name, values in of_pairs.items()),
+        _property("overlapExponent", "scalar", [found["slope_exponent"]]),
+        _property("adhesionExponent", "scalar", [found["tensile_exponent"]]),
+    ]
+
+
+def _per_pair(name: str, with_type: tuple[float, ...]) -> str:
+    """A symmetric matrix: soil with soil, mould, platen; walls never meet, so their entries
+    repeat those of the soil with that wall."""
+    soil, mould, platen = with_type
+    matrix = [soil, mould, platen, mould, mould, mould, platen, mould, platen]
+    return _property(name, f"peratomtypepair {TYPES}", matrix)
+
+
+def _property(name: str, kind: str, values: list[float]) -> str:
+    numbers = " ".join(f"{value:.7g}" for value in values)
+    return f"fix soil_{name} all property/global {name} {kind} {numbers}"
+
+
+def _differences(found: Found) -> list[str]:
+    """What the section does not carry over, and how walls are written."""
+    chosen = model(found)
+    multiplier = found["tangential_multiplier"]
+    lines = [line.format(multiplier=multiplier, pressure=PRESSURE) for line in _DIFFERENCES[chosen]]
+    return [
+        "What differs from the law that was calibrated (docs/export.md has the numbers):",
+        *lines,
+        *(_HERTZ if found["slope_exponent"] == 1.5 else ()),
+        *_EVERY,
+        f"Walls: fix w all wall/gran model {chosen} primitive type 2 zplane 0.0",
+    ]

@@ -1,0 +1,83 @@
+"""What every export says beside the numbers: origin, uncertainty, and how to change the size.
+
+Strength of a cohesive packing scales as surface energy over diameter (Rumpf 1962), hence
+
+    surface energy between particles of diameter d = surface_energy d / reference_diameter
+"""
+
+import textwrap
+
+from calibrate.export.source import UNITS, Found, in_order
+
+PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ
+_NOT_EXPORTED = ("wall_adhesion", "stiffness_factor", "reference_diameter")
+_OTHER_SIZES = (0.5, 1.0, 2.0)  # times the exported diameter
+
+
+def heading(found: Found) -> list[str]:
+    """Which soil, from where, for which particles."""
+    lines = [f"EEPA soil: {_one_line(found.soil)}", f"from {_one_line(found.origin)}"]
+    size = f"for particles of mean diameter {1e3 * found.diameter:.4g} mm"
+    if found.fitted_diameter is None:
+        return [*lines, size]
+    return [*lines, f"{size} (simulated with spheres of {1e3 * found.fitted_diameter:.4g} mm)"]
+
+
+def uncertainty(found: Found) -> list[str]:
+    """Intervals of what was fitted, and the names of what was held."""
+    lines = [
+        f"{name} = {found[name]:.5g} {UNITS[name]}".rstrip() + f", 95 %: {low:.4g} to {high:.4g}"
+        for name in in_order(found.intervals)
+        for low, high in [found.intervals[name]]
+    ]
+    held = [name for name in UNITS if name not in found.intervals and name not in _NOT_EXPORTED]
+    head = ["Fitted, with 95 % intervals:", *lines] if lines else ["Nothing here was fitted."]
+    return [*head, "Held at stated values, without interval:", *textwrap.wrap(", ".join(held), 90)]
+
+
+def scale_up(found: Found) -> list[str]:
+    """What to use for particles of another size."""
+    reference = found["reference_diameter"]
+    lines = [
+        f"Surface energy {found['surface_energy']:.5g} J/m^2 belongs to the reference diameter "
+        f"{1e6 * reference:.4g} um;",
+        f"between particles of diameter d use {found['surface_energy']:.5g} J/m^2 * d / "
+        f"{reference:.4g} m:",
+    ]
+    for share in _OTHER_SIZES:
+        size = share * found.diameter
+        energy = found["surface_energy"] * size / reference
+        lines.append(f"  d = {1e3 * size:.4g} mm: {energy:.5g} J/m^2{_interval_at(found, size)}")
+    return [
+        *lines,
+        "The other parameters do not change with size (stiffness grows with the radius by itself),",
+        "but the strength and stiffness of a bed still depend on the number of particles: run both",
+        "tests at the new size before use.",
+    ]
+
+
+def _interval_at(found: Found, size: float) -> str:
+    interval = found.intervals.get("surface_energy")
+    if interval is None:
+        return ""
+    low, high = (end * size / found["reference_diameter"] for end in interval)
+    return f" (95 %: {low:.4g} to {high:.4g})"
+
+
+def overlap_under(pressure: float, found: Found) -> float:
+    """Overlap (m) of a contact that carries `pressure` (Pa) on the square of the diameter, at
+    slope exponent 1: F = pressure d^2 = k1 overlap."""
+    modulus = found["shear_modulus"] / (1 - found["poisson_ratio"])
+    k1 = found["stiffness_factor"] * modulus * found.diameter / 4
+    return pressure * found.diameter**2 / k1
+
+
+def comment(lines: list[str], mark: str = "# ") -> str:
+    """Lines as comments."""
+    return "".join(f"{mark}{line}".rstrip() + "\n" for line in lines)
+
+
+def _one_line(text: str) -> str:
+    """Text from a file as part of a comment: one line, printable, no sign of continuation."""
+    line = " ".join(text.replace("&", "and").replace("\\", "/").split())
+    return "".join(c if c.isprintable() else "?" for c in line)[:200]

@@ -1,0 +1,173 @@
+"""Where exported parameters come from: the folder of a fit, or a lab file's starting values."""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from calibrate.errors import BadValue, InputError, shown
+from calibrate.labfile import PARAMETER_UNITS, check_parameter, read_text
+from calibrate.measurements import Lab, load_lab
+from calibrate.parameters import base_soil
+from calibrate.presets import PRESETS, specimen
+from calibrate.workflow import soil_json
+from jdem import packing
+
+RESULT = "result.json"  # what `calibrate fit` writes into its folder
+
+# Parameters of the soil that are not the user's to set but that a result holds.
+_FURTHER = {
+    "poisson_ratio": ("", lambda nu: 0 <= nu < 0.5),
+    "reference_diameter": ("m", lambda d: d > 0),
+    "wall_adhesion": ("", lambda a: a >= 0),
+    "stiffness_factor": ("", lambda c: c > 0),
+}
+UNITS = {**PARAMETER_UNITS, **{name: unit for name, (unit, _) in _FURTHER.items()}}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is exported: parameters by name in SI, 95 % intervals of those that were fitted.
+
+    `diameter` (m) is that of the particles that the export is for; `fitted_diameter` (m) the
+    mean of the spheres of the calibration, None if not known; `origin` says in words where
+    the numbers come from.
+    """
+
+    soil: str
+    origin: str
+    values: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    diameter: float
+    fitted_diameter: float | None
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+    @property
+    def scale(self) -> float:
+        """Surface energy at `diameter` over the parameter surface_energy."""
+        return self.diameter / self["reference_diameter"]
+
+    @property
+    def surface_energy(self) -> float:
+        """Surface energy between particles of `diameter`, J/m^2."""
+        return self["surface_energy"] * self.scale
+
+    @property
+    def young(self) -> float:
+        """Young's modulus 2 G (1 + nu), Pa."""
+        return 2 * self["shear_modulus"] * (1 + self["poisson_ratio"])
+
+    @property
+    def stiffness_ratio(self) -> float:
+        """k2/k1 = 1/(1 - plasticity ratio)."""
+        return 1 / (1 - self["plasticity_ratio"])
+
+
+def find(path: Path, changes: dict[str, float], diameter: float | None) -> Found:
+    """The parameters of a fit's folder, its result.json, or a lab file.
+
+    `changes` replace values (and their intervals); without `diameter` (m) the particles are
+    as large as the calibration's spheres.  Raises `InputError`.
+    """
+    path = Path(path)
+    if path.suffix == ".toml":
+        found = _of_lab(path)
+    else:
+        found = _of_result(path / RESULT if path.is_dir() else path)
+    if changes:
+        kept = {n: i for n, i in found.intervals.items() if n not in changes}
+        origin = f"{found.origin}; set by hand: {', '.join(changes)}"
+        values = {**found.values, **changes}
+        found = replace(found, values=values, intervals=kept, origin=origin)
+    wanted = diameter if diameter is not None else found.fitted_diameter
+    if wanted is None:
+        problem = "the size of the calibration's spheres is not known"
+        raise InputError(str(path), "", problem, 'give --diameter "5 mm", that of your particles')
+    return replace(found, diameter=wanted)
+
+
+def _of_lab(path: Path) -> Found:
+    """The starting values of a lab file, for spheres of the quick preset."""
+    lab = load_lab(path)
+    values = soil_json(base_soil(lab))
+    origin = f"starting values of {path.name}, not calibrated"
+    return Found(lab.name, origin, values, {}, math.nan, _mean_diameter(lab))
+
+
+def _mean_diameter(lab: Lab) -> float:
+    return 2 * specimen(lab, PRESETS["quick"]).mean_radius()
+
+
+def _of_result(path: Path) -> Found:
+    """The fitted parameters of a result.json."""
+    result = _json(path)
+    parameters = _table(result, "parameters", path)
+    values = {name: _value(name, parameters.get(name), path) for name in UNITS}
+    found = _table(_table(result, "identifiability", path), "interval_95", path)
+    intervals = {name: _interval(name, found[name], path) for name in UNITS if name in found}
+    soil = str(result.get("soil", "soil"))
+    origin = f"{path}, preset {result.get('preset', 'unknown')}"
+    return Found(soil, origin, values, intervals, math.nan, _packing_diameter(path.parent))
+
+
+def _packing_diameter(folder: Path) -> float | None:
+    """Mean diameter (m) of the spheres of the fit's packings, None if there are none."""
+    for file in sorted((folder / "packings").glob("*.npz")):
+        try:
+            return float(packing.load(file).mean_diameter())
+        except (OSError, ValueError):
+            continue
+    return None
+
+
+def _json(path: Path) -> dict:
+    """The object in a JSON file."""
+    try:
+        content = json.loads(read_text(path))
+    except BadValue as bad:
+        repair = "give the folder that `calibrate fit` wrote, or a lab file"
+        raise InputError(str(path), "", bad.problem, repair) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(str(path), "", f"not valid JSON: {error}", "run the fit again") from None
+    if not isinstance(content, dict):
+        raise InputError(str(path), "", "it is no JSON object", "give a fit's result.json")
+    return content
+
+
+def _table(content: dict, name: str, path: Path) -> dict:
+    table = content.get(name)
+    if not isinstance(table, dict):
+        problem = "this is not the result of a fit"
+        raise InputError(str(path), name, problem, "give the folder that `calibrate fit` wrote")
+    return table
+
+
+def _value(name: str, value: Any, path: Path) -> float:
+    """One parameter, refused where no contact law accepts it."""
+    if value is None:
+        raise InputError(str(path), f"parameters.{name}", "missing", "run the fit again")
+    if name in PARAMETER_UNITS:
+        return check_parameter(name, value, str(path), f"parameters.{name}")
+    accepted = _FURTHER[name][1]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not accepted(value):
+        problem = f"{shown(value)} is out of range"
+        raise InputError(str(path), f"parameters.{name}", problem, "run the fit again")
+    return float(value)
+
+
+def _interval(name: str, ends: Any, path: Path) -> tuple[float, float]:
+    pair = ends if isinstance(ends, list) and len(ends) == 2 else [None, None]
+    if not all(isinstance(end, int | float) and math.isfinite(end) for end in pair):
+        problem = f"{shown(ends)} is no interval"
+        raise InputError(str(path), f"interval_95.{name}", problem, "run the fit again")
+    return float(pair[0]), float(pair[1])
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names of parameters in the order of `UNITS`."""
+    wanted = set(names)
+    return [name for name in UNITS if name in wanted]

@@ -1,0 +1,116 @@
+"""Both virtual tests as a series of states.
+
+The engine's loop hands back the state at its end.  Here each of the machine's movements is cut
+into pieces of a few samples, and every piece goes on from the state before it, contact
+histories included: the physics is that of `VirtualLab.run`, and only the moments at which
+contact lists are rebuilt differ.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.errors import CalibrationError
+from jdem.bed import build_bed, steps_per_sample
+from jdem.dynamics import Bed, BedState
+from jdem.experiments.composite import VirtualLab
+from jdem.packing import Packing
+from jdem.quantity import cast
+from jdem.simulate import KEEP, Record, Segment, run, stack, start
+from jdem.soil import SoilParameters
+
+PIECE = 8  # samples between frames, to begin with
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The bed at one moment: the machine's movement by name, time (s), force on the platen (N)."""
+
+    movement: str
+    time: float
+    platen_force: float
+    bed: Bed
+    state: BedState
+
+
+def frames(
+    lab: VirtualLab,
+    packing: Packing,
+    soil: SoilParameters,
+    most: int,
+    say: Callable[[str], None] = lambda line: None,
+) -> list[Frame]:
+    """At most 2 `most` and at least about `most` states, evenly spaced; the last of each
+    movement is always among them.  `say` hears of each movement that is finished."""
+    kept: list[Frame] = []
+    pieces = _Pieces(lab, packing, soil)
+    for frame, is_last in pieces.run():
+        kept.append(frame)
+        if is_last:
+            say(f"{frame.movement}: {frame.time:.3f} s, platen {frame.platen_force:.0f} N")
+        if len(kept) > 2 * most:
+            kept = _thinned(kept)
+            pieces.samples *= 2
+    return kept
+
+
+def _thinned(kept: list[Frame]) -> list[Frame]:
+    """Every second frame, and the last of each movement."""
+    ends = {frame.movement: frame for frame in kept}.values()
+    return [f for k, f in enumerate(kept) if k % 2 == 1 or any(f is end for end in ends)]
+
+
+class _Pieces:
+    """The machine's programme in pieces of `samples` samples; one compiled loop serves all."""
+
+    def __init__(self, lab: VirtualLab, packing: Packing, soil: SoilParameters):
+        dtype = jnp.dtype(lab.numerics.dtype)
+        self.lab = lab
+        self.bed = build_bed(packing.spheres, soil, lab.grid, lab.numerics)
+        self.steps = steps_per_sample(self.bed, lab.numerics)
+        self.interval = float(self.steps * self.bed.time_step)
+        position = cast(packing.position, dtype)
+        self.state = start(self.bed, position, packing.height, packing.mould_radius)
+        self.samples = PIECE
+        self.loop = eqx.filter_jit(run)
+
+    def run(self) -> Iterator[tuple[Frame, bool]]:
+        """Frames of all movements, each with whether it ends its movement."""
+        tests = self.lab.tests
+        segments = [segment for test in tests.apparatus for segment in test.segments()]
+        for movement, segment in zip(tests.names, segments, strict=True):
+            yield from self._movement(movement, segment)
+
+    def _movement(self, name: str, segment: Segment) -> Iterator[tuple[Frame, bool]]:
+        left, target = float(segment.duration), float(segment.force_target)
+        while True:
+            length = min(self.samples * self.interval, left)
+            force, taken = self._advance(eqx.tree_at(_duration, segment, jnp.asarray(length)))
+            left -= taken
+            reached = abs(force - target) < float(segment.tolerance)
+            ended = reached or left < 0.5 * self.interval
+            yield Frame(name, float(self.state.time), force, self.bed, self.state), ended
+            if ended:
+                return
+            segment = replace(segment, platen=jnp.asarray(KEEP), mould=jnp.asarray(KEEP))
+
+    def _advance(self, segment: Segment) -> tuple[float, float]:
+        """Runs one piece; mean force on the platen in its last sample (N), its duration (s)."""
+        programme = cast(stack([segment]), jnp.dtype(self.lab.numerics.dtype))
+        before = float(self.state.time)
+        record: Record = self.loop(self.bed, self.state, programme, self.steps, self.lab.capacity)
+        if bool(record.overflow_of(self.bed.grid)):
+            raise CalibrationError(record.explain_overflow(self.bed.grid))
+        self.state = record.state
+        last = int(np.flatnonzero(np.asarray(record.samples.segment) >= 0)[-1])
+        force = float(record.samples.platen_force[last])
+        if not np.isfinite(force):
+            raise CalibrationError("a number is not finite: a parameter is extreme")
+        return force, float(self.state.time) - before
+
+
+def _duration(segment: Segment):
+    return segment.duration

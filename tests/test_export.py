@@ -1,0 +1,287 @@
+"""Exported parameters: read from a fit, written for other programs, and one contact in each.
+
+LIGGGHTS and YADE are run where they are installed; everywhere the loops that they made of the
+committed texts (tests/data/export_contact, by benchmarks/export_contact.py) are compared with
+ours, and the texts with what is exported today.
+"""
+
+import csv
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibrate import cli
+from calibrate.errors import InputError
+from calibrate.export import asjson, edem, liggghts, yade
+from calibrate.export.notes import PRESSURE, overlap_under
+from calibrate.export.source import RESULT, find
+from calibrate.measurements import bundled_lab
+from calibrate.parameters import with_values
+from jdem.experiments.pair import SpherePair, drive_overlap
+from jdem.smooth import Smoothing
+from jdem.soil import SoilParameters, particle_law
+
+TESTS = Path(__file__).parent
+DATA = TESTS / "data" / "export_contact"
+FIT = TESTS / "data" / "fit_result"
+CASES = {  # as in benchmarks/export_contact.py
+    "linear": {},
+    "hertz": {"slope_exponent": 1.5},
+    "exponent_1": {"tensile_exponent": 1.0, "surface_energy": 2.0, "static_friction": 0.3},
+    "capped": {"plasticity_ratio": 0.358, "surface_energy": 170.0, "pull_off_force": -0.5},
+}
+PATH = (0.02, 0.004, 0.03, -0.01)  # radii
+
+sys.path.insert(0, str(TESTS.parent / "benchmarks" / "peers"))
+import two_spheres  # noqa: E402
+
+
+@pytest.fixture
+def calibrate(monkeypatch, tmp_path, capfd):
+    """Runs a command line in tmp_path; returns exit status, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        return status, *capfd.readouterr()
+
+    return call
+
+
+def bundled(**changes):
+    return find(bundled_lab(), changes, None)
+
+
+def fitted(**changes):
+    return find(FIT, changes, 0.004)
+
+
+# ------------------------------------------------------------------ what is read
+
+
+def test_a_fit_gives_its_values_and_intervals():
+    found = fitted()
+    result = json.loads((FIT / RESULT).read_text())
+    assert found.values == result["parameters"]
+    assert set(found.intervals) == set(result["free"]) == {"shear_modulus", "surface_energy"}
+    low, high = found.intervals["surface_energy"]
+    assert low < found["surface_energy"] < high
+
+
+def test_derived_numbers():
+    """E = 2 G (1 + nu), k2/k1 = 1/(1 - lambda), surface energy in proportion to diameter."""
+    found = bundled()
+    assert found.young == pytest.approx(2 * 7e6 * 1.3)
+    assert found.stiffness_ratio == pytest.approx(1 / 0.3)
+    assert found.surface_energy == pytest.approx(17.158 * found.diameter / 80e-6)
+    assert fitted().diameter == 0.004
+
+
+def test_a_lab_file_gives_its_start_for_the_spheres_of_the_quick_preset():
+    found = bundled()
+    assert found.intervals == {}
+    # README's table of presets has 10.8 mm, the mean of one packing's 150 spheres of +-15 %.
+    assert 1e3 * found.diameter == pytest.approx(10.8, rel=3 * 0.15 / np.sqrt(3 * 150))
+
+
+def test_values_set_by_hand_lose_their_interval():
+    found = fitted(surface_energy=20.0)
+    assert "surface_energy" not in found.intervals and "set by hand" in found.origin
+
+
+BROKEN = {
+    "no file": (None, "no such file"),
+    "no JSON": ("{", "not valid JSON"),
+    "a list": ("[1]", "no JSON object"),
+    "another result": ('{"observables": {}}', "not the result of a fit"),
+    "out of range": ({"restitution": 1.5}, "restitution"),
+    "a word": ({"poisson_ratio": "soft"}, "poisson_ratio"),
+    "missing": ({"reference_diameter": None}, "reference_diameter"),
+    "too deep": ("[" * 100_000, "not valid JSON"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_result_is_refused_in_one_line(calibrate, tmp_path, case):
+    content, words = BROKEN[case]
+    if isinstance(content, dict):
+        result = json.loads((FIT / RESULT).read_text())
+        content = json.dumps({**result, "parameters": {**result["parameters"], **content}})
+    if content is not None:
+        (tmp_path / RESULT).write_text(content)
+    status, _, error = calibrate("export", ".", "--to", "edem", "--diameter", "4 mm")
+    assert status == 2 and words in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--to", "pfc"], "no program"),
+        (["--to", "json"], "--diameter"),  # a fit without its packings does not tell the size
+        (["--to", "json", "--diameter", "4"], "no unit"),
+        (["--to", "json", "--diameter", "-4 mm"], "negative"),
+        (["--to", "json", "--diameter", "4 mm", "--set", "bounce=1"], "bounce"),
+        (["--to", "json", "--diameter", "4 mm", "--out", "."], "is a folder"),
+        (["--to", "yade", "--diameter", "4 mm", "--set", "slope_exponent=1.5"], "slope_exponent"),
+    ],
+)
+def test_options_that_cannot_be(calibrate, options, words):
+    status, _, error = calibrate("export", FIT, *options)
+    assert status == 2 and words in error and len(error.splitlines()) == 1
+
+
+# ------------------------------------------------------------------ what is written
+
+
+@pytest.mark.parametrize("to", ["liggghts", "edem", "yade", "json"])
+def test_every_export_says_size_uncertainty_and_scale_up(calibrate, tmp_path, to):
+    status, out, error = calibrate("export", FIT, "--to", to, "--diameter", "4 mm", "--out", "x")
+    assert (status, error) == (0, "")
+    text = (tmp_path / "x").read_text()
+    found = fitted()
+    doubled = f"{found['surface_energy'] * 0.008 / 80e-6:.5g}"
+    assert "reference diameter 80 um" in text and doubled in text
+    low = found.intervals["shear_modulus"][0]
+    assert f"{low:.4g}" in text or f"{low:.6g}" in text or repr(low) in text
+    assert "8 mm" in out
+
+
+def test_the_table_for_edem_has_its_names_units_and_intervals():
+    found = fitted()
+    rows = {row[1]: row for row in csv.reader(io.StringIO(edem.text(found))) if row[0] != "Note"}
+    energy = rows["Surface Energy"]
+    assert float(energy[2]) == pytest.approx(found["surface_energy"] * 0.004 / 80e-6, rel=1e-6)
+    assert energy[3] == "J/m^2"
+    low, high = found.intervals["surface_energy"]
+    assert [float(x) for x in energy[4:]] == pytest.approx([low * 50, high * 50], rel=1e-4)
+    for name in (
+        *("Constant Pull-Off Force", "Contact Plasticity Ratio", "Slope Exp", "Tensile Exp"),
+        *("Tangential Stiff Multiplier", "Shear Modulus", "Coefficient of Restitution"),
+    ):
+        assert rows[name][2]
+
+
+def test_json_holds_every_parameter():
+    found = fitted()
+    content = json.loads(asjson.text(found))
+    values = {name: entry["value"] for name, entry in content["parameters"].items()}
+    assert values == found.values
+    assert content["parameters"]["surface_energy"]["fitted"]
+    assert not content["parameters"]["restitution"]["fitted"]
+
+
+def test_soft_and_hard_particles_are_announced_to_liggghts():
+    assert "soft_particles yes" in liggghts.text(bundled(shear_modulus=1e6))
+    assert "hard_particles yes" in liggghts.text(bundled(shear_modulus=1e9))
+    assert "_particles yes" not in liggghts.text(bundled())
+
+
+def test_names_from_files_cannot_leave_their_comment(tmp_path):
+    result = json.loads((FIT / RESULT).read_text())
+    result["soil"] = "evil &\nshell rm -rf /\r\x0bimport os"
+    (tmp_path / RESULT).write_text(json.dumps(result))
+    found = find(tmp_path, {}, 0.004)
+    for text in (liggghts.text(found), yade.text(found)):
+        first = text.splitlines()[0]
+        assert first.startswith("# EEPA soil: evil") and not first.endswith("&")
+        assert not any(line.startswith(("shell", "import os")) for line in text.splitlines())
+
+
+# ------------------------------------------------------------------ one contact in each program
+
+
+def ours(found, overlap):
+    """Our sharp law at these overlaps (N)."""
+    names = SoilParameters.__dataclass_fields__
+    soil = with_values(SoilParameters(), {n: found[n] for n in names if n in found.values})
+    law = particle_law(soil, jnp.asarray(found.diameter), Smoothing.sharp())
+    pair = SpherePair(jnp.asarray(found.diameter / 2))
+    return np.asarray(eqx.filter_jit(drive_overlap)(law, pair, jnp.asarray(overlap)))
+
+
+def committed(name):
+    rows = np.genfromtxt(DATA / f"{name}.csv", delimiter=",", names=True)
+    return rows["overlap_m"], rows["normal_force_n"]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_committed_loop_of_liggghts_is_ours(name):
+    """Both are sharp and read at the same overlaps, so only the adhesive reload, which LIGGGHTS
+    follows step by step, is not equal to rounding."""
+    found = bundled(**CASES[name])
+    overlap, force = committed(f"liggghts_{name}")
+    assert np.abs(ours(found, overlap) - force).max() < 1e-3 * np.abs(force).max()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_committed_loop_belongs_to_what_is_exported(name):
+    assert liggghts.text(bundled(**CASES[name])) == (DATA / f"{name}.liggghts").read_text()
+
+
+@pytest.mark.skipif(not two_spheres.has("liggghts"), reason="LIGGGHTS is not installed")
+@pytest.mark.parametrize("name", CASES)
+def test_liggghts_runs_the_export_and_gives_the_same_loop(name, tmp_path):
+    found = bundled(**CASES[name])
+    path = [share * found.diameter / 2 for share in PATH]
+    overlap, force = two_spheres.liggghts_loop(
+        liggghts.text(found), found.diameter / 2, path, tmp_path
+    )
+    scale = np.abs(force).max()
+    assert np.abs(ours(found, overlap) - force).max() < 1e-3 * scale
+    np.testing.assert_allclose(force, committed(f"liggghts_{name}")[1], atol=1e-6 * scale)
+
+
+@pytest.mark.skipif(not two_spheres.has("liggghts"), reason="LIGGGHTS is not installed")
+def test_liggghts_accepts_soils_at_the_ends_of_the_ranges(tmp_path):
+    for shear, restitution, poisson in ((1e6, 0.01, 0.3), (60e6, 0.99, 0.0)):
+        found = bundled(shear_modulus=shear, restitution=restitution)
+        values = {**found.values, "poisson_ratio": poisson}
+        found = type(found)(**{**vars(found), "values": values})
+        overlap, _ = two_spheres.liggghts_loop(liggghts.text(found), 2e-3, [1e-5], tmp_path)
+        assert len(overlap) == two_spheres.POINTS
+
+
+def test_the_committed_loop_of_yade_meets_ours_where_it_was_matched():
+    """At the matched overlap: loading, what is left of the overlap, and the largest tension."""
+    found = bundled()
+    overlap, force = committed("yade_linear")
+    mine = ours(found, overlap)
+    count = len(overlap) // 4
+    load, unload = slice(2 * count, 3 * count), slice(3 * count, None)
+    assert force[load].max() == pytest.approx(mine[load].max(), rel=1e-3)
+    left = [np.interp(0.0, f[unload][::-1], overlap[unload][::-1]) for f in (force, mine)]
+    assert left[0] == pytest.approx(left[1], rel=5e-3)
+    assert force[unload].min() == pytest.approx(mine[unload].min(), rel=0.01)
+    assert yade.text(found) == (DATA / "linear_yade.txt").read_text()
+
+
+@pytest.mark.skipif(not two_spheres.has("yade"), reason="YADE is not installed")
+def test_yade_runs_the_export_and_gives_the_committed_loop(tmp_path):
+    found = bundled()
+    force = committed("yade_linear")[1]
+    matched = overlap_under(PRESSURE, found)
+    path = [share * matched for share in (0.5, -0.01, 1.0, -0.01)]
+    _, again = two_spheres.yade_loop(yade.text(found), found.diameter / 2, path, tmp_path)
+    np.testing.assert_allclose(again, force, atol=1e-6 * np.abs(force).max())
+
+
+def test_the_fixture_is_what_a_fit_writes(tmp_path):
+    """Its keys are those that `workflow.fit_json` makes, as far as an export reads them."""
+    shutil.copy(FIT / RESULT, tmp_path / RESULT)
+    result = json.loads((tmp_path / RESULT).read_text())
+    assert {"parameters", "free", "identifiability", "soil", "preset"} <= result.keys()
+    with pytest.raises(InputError, match="--diameter"):
+        find(tmp_path, {}, None)

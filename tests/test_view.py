@@ -1,0 +1,115 @@
+"""The bed at many moments: its frames, the forces in its contacts, files for ParaView.
+
+One bed of 60 spheres goes once through short tests; everything is checked on its frames.
+"""
+
+import meshio
+import numpy as np
+import pytest
+
+from calibrate import plotting_lab
+from calibrate.presets import numerics_for
+from calibrate.view.contacts import contacts_of
+from calibrate.view.frames import frames
+from calibrate.view.vtk import write_series
+from jdem.dynamics import GRAVITY
+from jdem.experiments.composite import LabTests, VirtualLab
+from jdem.experiments.confined import ConfinedCompression
+from jdem.experiments.unconfined import UnconfinedCompression
+from jdem.packing import Specimen, prepare
+from jdem.soil import SoilParameters
+
+SMALL = Specimen(count=60, height=0.06)
+SOIL = SoilParameters()
+SEATED = 1.0  # N; the servo's tolerance is 0.75 N
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Packing, laboratory, frames, and the contacts of each."""
+    packing = prepare(SMALL, 0)
+    confined = ConfinedCompression(
+        simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
+    )
+    unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-2, opening=1e-4)
+    numerics = numerics_for(SMALL)
+    lab = VirtualLab.of(SMALL, LabTests(confined, unconfined), numerics)
+    states = frames(lab, packing, SOIL, 6)
+    return packing, lab, states, [contacts_of(f.bed, f.state) for f in states]
+
+
+def at_end_of(seen, movement):
+    """The last frame of a movement, and its contacts."""
+    _, _, states, contacts = seen
+    number = max(k for k, frame in enumerate(states) if frame.movement == movement)
+    return states[number], contacts[number]
+
+
+def test_frames_follow_the_machine_in_time(seen):
+    _, lab, states, _ = seen
+    assert list(dict.fromkeys(f.movement for f in states)) == list(lab.tests.names)
+    times = [frame.time for frame in states]
+    assert times == sorted(times) and len(set(times)) == len(times)
+    assert len(states) <= 2 * 6 + len(lab.tests.names)
+
+
+def test_loading_ends_at_its_force_and_unloading_without(seen):
+    """The servo's target on loading lies two widths of 1.5 N above 200 N."""
+    loaded, _ = at_end_of(seen, "loading")
+    assert loaded.platen_force == pytest.approx(203, abs=SEATED)
+    unloaded, _ = at_end_of(seen, "unloading")
+    assert unloaded.platen_force == pytest.approx(0, abs=SEATED)
+
+
+def test_contacts_carry_the_platen_force(seen):
+    """Forces of the platen's contacts add up to what the engine says that it feels; the engine's
+    include dashpots, which at 0.05 m/s on a bed that takes 200 N are below a hundredth."""
+    frame, contacts = at_end_of(seen, "loading")
+    on_platen = contacts.normal_force[contacts.second == -2].sum()
+    assert on_platen == pytest.approx(float(frame.state.wall_force[1]), rel=0.01)
+
+
+def test_every_sphere_is_in_balance_at_rest(seen):
+    """Base and mould carry the bed: after the rest what the base carries is its weight."""
+    packing, _, _, _ = seen
+    _, contacts = at_end_of(seen, "resting")
+    weight = float(packing.spheres.mass.sum()) * GRAVITY
+    on_base = contacts.normal_force[contacts.second == -1].sum()
+    assert on_base == pytest.approx(weight, rel=0.1)
+    assert not np.any(contacts.second == -2)  # the platen was taken away
+
+
+def test_overlaps_are_those_of_the_geometry(seen):
+    frame, contacts = at_end_of(seen, "loading")
+    radius = np.asarray(frame.bed.spheres.radius)
+    pair = contacts.second >= 0
+    apart = np.linalg.norm(contacts.start - contacts.end, axis=1)[pair]
+    expected = radius[contacts.first[pair]] + radius[contacts.second[pair]] - apart
+    np.testing.assert_allclose(contacts.overlap[pair], expected, atol=1e-12)
+    assert contacts.overlap.min() > 0
+    assert contacts.count(len(radius)).sum() == 2 * pair.sum() + (~pair).sum()
+    size = np.abs(contacts.normal_force)
+    total = 2 * size[pair].sum() + size[~pair].sum()
+    assert contacts.load(len(radius)).sum() == pytest.approx(total)
+
+
+def test_files_for_paraview_hold_the_bed(seen, tmp_path):
+    _, _, states, contacts = seen
+    write_series(states, contacts, tmp_path)
+    last = len(states) - 1
+    mesh = meshio.read(tmp_path / f"vtk/particles_{last:04d}.vtu")
+    np.testing.assert_allclose(mesh.points, np.asarray(states[-1].state.motion.position.stack()))
+    np.testing.assert_allclose(mesh.point_data["load_n"], contacts[-1].load(SMALL.count))
+    lines = meshio.read(tmp_path / f"vtk/contacts_{last:04d}.vtu")
+    np.testing.assert_allclose(lines.cell_data["normal_force_n"][0], contacts[-1].normal_force)
+    collection = (tmp_path / "particles.pvd").read_text()
+    assert collection.count("<DataSet") == len(states)
+    assert all((tmp_path / f"vtk/contacts_{k:04d}.vtu").exists() for k in range(len(states)))
+
+
+def test_pictures_are_drawn(seen, tmp_path):
+    _, _, states, contacts = seen
+    plotting_lab.bed_figure(states, contacts, tmp_path / "bed.png")
+    plotting_lab.bed_animation(states[-3:], contacts[-3:], tmp_path / "bed.gif")
+    assert (tmp_path / "bed.png").stat().st_size > 10_000
+    assert (tmp_path / "bed.gif").read_bytes().startswith(b"GIF")
