@@ -160,11 +160,12 @@ def _value(name: str, value: Any, path: Path) -> float:
 
 
 def _interval(name: str, ends: Any, path: Path) -> tuple[float, float]:
-    pair = ends if isinstance(ends, list) and len(ends) == 2 else [None, None]
-    if not all(isinstance(end, int | float) and math.isfinite(end) for end in pair):
+    listed = ends if isinstance(ends, list) else []
+    numbers = [end for end in listed if isinstance(end, int | float)]
+    if len(numbers) != 2 or not all(math.isfinite(end) for end in numbers):
         problem = f"{shown(ends)} is no interval"
         raise InputError(str(path), f"interval_95.{name}", problem, "run the fit again")
-    return float(pair[0]), float(pair[1])
+    return float(numbers[0]), float(numbers[1])
 
 
 def in_order(names: Iterable[str]) -> list[str]:
