@@ -99,6 +99,22 @@ def test_workbook_with_two_specimens(calibrate, tmp_path):
     assert (tmp_path / "o/preview.png").stat().st_size > 20_000
 
 
+def test_export_with_troubles_is_read_and_says_them(calibrate, tmp_path):
+    status, out, error = calibrate("convert", EXPORTS / "trouble.csv", "--out", "o")
+    assert (status, error) == (0, "")
+    rows = json.loads((tmp_path / "o/convert.json").read_text())["specimens"]
+    said = {row["label"]: [text.split(":")[0] for text in row["warnings"]] for row in rows}
+    assert said == {
+        "clipped": ["saturation"],
+        "with gap": ["sampling gap"],
+        "kN as N": ["unit slip"],
+        "good": [],
+    }
+    assert out.count("WARNING") == 3
+    lab = load_lab(tmp_path / "o/trouble.toml")
+    assert [curve.test for curve in lab.curves] == ["confined", "confined", "unconfined"]
+
+
 @pytest.mark.parametrize(
     ("file", "features"),
     [("decimal_comma.csv", 7), ("tab_units.txt", 7), ("two_specimens.xlsx", 7)],
@@ -123,11 +139,8 @@ def test_displacements_of_the_fit_are_those_of_the_curve(calibrate, tmp_path):
 
 def test_the_generator_makes_the_committed_text(tmp_path, monkeypatch):
     monkeypatch.setattr(curves, "HERE", tmp_path)
-    for make, name in (
-        (curves.decimal_comma, "decimal_comma.csv"),
-        (curves.tab_units, "tab_units.txt"),
-    ):
-        make()
+    for name in ("decimal_comma.csv", "tab_units.txt", "trouble.csv"):
+        getattr(curves, Path(name).stem)()
         assert (tmp_path / name).read_bytes() == (EXPORTS / name).read_bytes()
 
 

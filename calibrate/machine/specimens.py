@@ -160,13 +160,13 @@ def _tell_start(recording: Recording, start: signals.Start, findings: list[Findi
     peak = float(recording.force_n.max())
     travel = recording.displacement_mm
     first = float(np.median(recording.force_n[:5]))
-    if start.approach:
-        ran = travel[start.row] - travel[0]
-        text = f"contact {ran:.3g} mm after the start of the record: displacement counts from there"
-        findings.append(Finding("start of contact", text))
-    elif first > 0.02 * peak:
+    ran = travel[start.row] - travel[0]
+    if first > 0.02 * peak and not start.approach:
         text = f"the record starts under a load of {first:.3g} N: the first contact is missing"
         findings.append(Finding("start of contact", text, True))
+    elif ran > 0:
+        text = f"contact {ran:.3g} mm after the start of the record: displacement counts from there"
+        findings.append(Finding("start of contact", text))
     else:
         findings.append(Finding("start of contact", "the record starts at contact"))
     if start.zero != 0:

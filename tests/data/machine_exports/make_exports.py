@@ -104,6 +104,25 @@ def two_specimens():
     book.save(HERE / "two_specimens.xlsx")
 
 
+def trouble():
+    """English: four specimens below each other; one clipped, one with a gap, one in kN."""
+    clipped = np.array(crushing(5, points=200))
+    clipped[2] = np.minimum(clipped[2], 150.0)
+    gap = np.delete(np.array(confined(6, points=160)), slice(88, 104), axis=1)
+    kilonewtons = np.array(confined(7, points=160)) * [[1], [1], [-1e-3]]
+    good = np.array(crushing(8, peak=230.0, at_peak=3.8, points=160))
+    lines = []
+    for name, columns in {
+        "clipped": clipped,
+        "with gap": gap,
+        "kN as N": kilonewtons,
+        "good": good,
+    }.items():
+        lines += [f"Specimen: {name}", "Time (s);Extension (mm);Load (N)"]
+        lines += [f"{t:.3f};{x:.4f};{f:.6f}" for t, x, f in columns.T]
+    (HERE / "trouble.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def hopeless():
     """A report with results only: nothing to fit a curve to."""
     text = """Unconfined compression, summary report
@@ -119,5 +138,5 @@ Std. dev.;8.3;0.18;
 
 
 if __name__ == "__main__":
-    for make in (decimal_comma, tab_units, two_specimens, hopeless):
+    for make in (decimal_comma, tab_units, two_specimens, trouble, hopeless):
         make()
