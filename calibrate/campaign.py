@@ -66,7 +66,7 @@ class Campaign:
     specimen: Specimen
     folder: Path
     progress: AbstractProgress = field(default_factory=Silent)
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    workers: int = field(default_factory=lambda: cores())
     preparation: SoilParameters | None = None  # soil that beds settle with; None: neutral
     simulated: int = 0  # runs that were not in the cache
     _compiled: dict[tuple, Any] = field(default_factory=dict)
@@ -264,6 +264,13 @@ def _numbers(tree) -> list[str]:
 
 def _hash(content: dict) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def cores() -> int:
+    """Processor cores that this process may use (taskset and cgroups' sets are obeyed)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @cache

@@ -111,7 +111,7 @@ def audit_command(
     lab: LabFile = None,
     strategy: Annotated[
         list[str] | None,
-        typer.Option("--strategy", help="regression (default), ensemble, pathwise, blend."),
+        typer.Option("--strategy", help="ensemble (default), regression, pathwise, blend."),
     ] = None,
     changes: Changes = None,
     spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
@@ -127,7 +127,7 @@ def audit_command(
     output.check_writable(json)
     session = output.Session.open(lab, preset, out).resized(spheres)
     values = output.parse_changes(changes or [])
-    names = output.parse_strategies(strategy or ["regression"])
+    names = output.parse_strategies(strategy or ["ensemble"])
     output.run_audit(session, names, values, packings, seed, json)
 
 

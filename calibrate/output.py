@@ -200,23 +200,26 @@ def run_audit(
     seed: int,
     path: Path | None,
 ) -> None:
-    """audit.json (and `--json`), a figure, and a table on the terminal."""
+    """audit.json (and `--json`), two figures, and a table on the terminal."""
     base = with_values(base_soil(session.lab), changes)
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
     work = session.campaign(session.out, None)
     found = audit(audited, work, seeds, strategies)
     spheres = {"spheres": session.preset.spheres, "seeds": list(seeds)}
-    result = {**_origin(session), **spheres, **audit_json(found, strategies[0])}
+    result = {**_origin(session), **spheres, **audit_json(found)}
     write_json(session.out / "audit.json", result)
     if path is not None:
         write_json(path, result)
     plotting.audit_figure(found, session.out / "audit.png")
+    plotting.curve_slopes_figure(found, session.out / "audit_curves.png")
     console = Console()
     for name in strategies:
         console.print(_audit_table(found, name))
         console.print(f"{name}: {_judgement(found.rows(name))}", highlight=False)
-    console.print(f"audit.json and audit.png are in {session.out}", highlight=False)
+    console.print(
+        f"audit.json, audit.png and audit_curves.png are in {session.out}", highlight=False
+    )
 
 
 def _audit_table(found: Audit, strategy: str) -> Table:

@@ -107,6 +107,22 @@ class Space:
         return low, np.log([entry.high for entry in self.ranges])
 
 
+PROBE = 0.2  # usual step in ln p; about 20 %
+
+
+def probing_steps(space: Space) -> tuple[float, ...]:
+    """Steps in ln p (p,) over which a response is nearly a power law, for joint probing.
+
+    The plasticity ratio acts through k2/k1 = 1/(1 - lambda_p): its step is PROBE in
+    ln(1 - lambda_p), which is shorter than PROBE in ln lambda_p above one half.
+    """
+    steps = np.full(len(space.names), PROBE)
+    if "plasticity_ratio" in space.names:
+        ratio = float(space.base.plasticity_ratio)
+        steps[space.names.index("plasticity_ratio")] *= min(1.0, (1 - ratio) / ratio)
+    return tuple(steps.tolist())
+
+
 _EDGE = 1e-6  # keeps a start on a bound off infinity
 
 

@@ -7,8 +7,10 @@ where a test says so noise: what a bed of spheres has, without a bed of spheres.
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
-from calibrate.audit import Audit, verdict
+from calibrate.audit import POINTS, Audit, CurvePoints, verdict
+from calibrate.campaign import Run
 from calibrate.fit import Evaluation, secant
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
@@ -18,13 +20,13 @@ from jdem.sensitivity.regression import Regression
 
 PACKINGS, PARAMETERS = 5, 7
 RNG = np.random.default_rng(7)
-LEVEL = RNG.normal(size=(PACKINGS, 2))
+LEVEL = jnp.asarray(RNG.normal(size=(PACKINGS, 2)))
 SLOPE = RNG.normal(size=(2, PARAMETERS))
 BEND = RNG.normal(size=(2, PARAMETERS, PARAMETERS))
 POINT = jnp.asarray(RNG.normal(size=PARAMETERS))
 
 
-def quadratic(points):
+def quadratic(points: Array) -> Array:
     """Values (k, n, 2) of a full quadratic around POINT, at another level on each packing."""
     x = points - POINT
     bent = jnp.einsum("knp,mpq,knq->knm", x, BEND, x)
@@ -35,7 +37,7 @@ def noisy(amplitude, seed=0):
     """The quadratic with noise that is fresh at every point."""
     rng = np.random.default_rng(seed)
 
-    def response(points):
+    def response(points: Array) -> Array:
         values = quadratic(points)
         return values + amplitude * rng.normal(size=values.shape)
 
@@ -78,6 +80,51 @@ def test_standard_errors_are_honest(strategy):
     scatter = np.std([np.asarray(found.slopes) for found in repeated], axis=0)
     claimed = np.sqrt(np.mean([np.asarray(f.standard_error) ** 2 for f in repeated], axis=0))
     assert np.abs(np.mean(scatter) / np.mean(claimed) - 1) < 0.15
+
+
+def power_law(points: Array) -> Array:
+    """Values (k, n, 2): products of powers, at another level on each packing."""
+    x = points - POINT
+    return jnp.exp(LEVEL[None] + jnp.einsum("mp,knp->knm", SLOPE, x))
+
+
+def test_the_ensemble_is_exact_for_power_laws():
+    """All parameters move at once by 30 %, and no order of the exponential is left."""
+    found = Ensemble(0.3, 2)(power_law, POINT, PACKINGS)
+    mean = np.exp(LEVEL).mean(axis=0)
+    assert np.asarray(found.slopes) == pytest.approx(mean[:, None] * SLOPE, rel=1e-10)
+
+
+def test_steps_of_its_own_for_each_parameter():
+    """Short in a parameter on which the response bends to third order, bias goes with s^2."""
+
+    def bent(points: Array) -> Array:
+        x = points - POINT
+        third = x[..., :1] * x[..., 1:2] ** 2  # biases slope 0 by the square of step 1
+        return quadratic(points) - 10 + third
+
+    def bias(step):
+        steps = (0.2, step, *[0.2] * (PARAMETERS - 2))
+        found = Ensemble(steps, 4)(bent, POINT, PACKINGS)
+        return np.asarray(found.slopes - SLOPE)[:, 0]
+
+    assert bias(0.2) == pytest.approx([0.04, 0.04])
+    assert bias(0.05) == pytest.approx([0.0025, 0.0025])
+
+
+def test_curves_are_read_where_the_audit_says():
+    """Displacement at a force counts from the highest force so far; failed runs are NaN."""
+    travel = np.linspace(0, 4, 81)
+    confined = np.column_stack([travel, np.concatenate([100 * travel[:-1], [0.0]])])
+    unconfined = np.column_stack([travel, 5 * travel])
+    run = Run(2.0, 20.0, confined, unconfined, {})
+    points = CurvePoints(10.0 * np.arange(1, POINTS + 1), 0.1 * np.arange(1, POINTS + 1))
+    read = points.read(run)
+    assert read[:2].tolist() == [2.0, 20.0]
+    assert read[points.slices()["confined"]] == pytest.approx(points.loading_n / 100)
+    assert read[points.slices()["unconfined"]] == pytest.approx(5 * points.crushing_mm)
+    failed = Run(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
+    assert np.all(np.isnan(points.read(failed)))
 
 
 def test_the_ensemble_is_more_precise_than_one_at_a_time_at_lower_cost():
@@ -132,7 +179,8 @@ def audited(estimate):
         jnp.zeros((2, 2)), jnp.asarray([[1.0], [100.0]]), jnp.asarray([[0.1], [60.0]])
     )
     found = sensitivity([[estimate], [-50.0]], 0.01)
-    return Audit(("surface_energy",), reference, {"ensemble": found}, 2)
+    nowhere = CurvePoints(np.zeros(0), np.zeros(0))
+    return Audit(("surface_energy",), reference, {"ensemble": found}, {}, {}, 2, nowhere)
 
 
 @pytest.mark.parametrize(("estimate", "passed"), [(1.14, True), (1.16, False), (-1.0, False)])
