@@ -34,9 +34,8 @@ class Alias:
 
 
 def aliases(design: Design) -> tuple[Alias, ...]:
-    """For each factor and dummy the interactions in it; then interactions alike in pairs.
-
-    Computed from the runs away from the centre.
+    """For each factor and dummy the interactions in it; then the groups of like interactions
+    that are no main effect's alias.  Computed from the runs away from the centre.
     """
     corner = ~design.centre
     main = np.hstack([design.coded, design.dummies])[corner]
@@ -48,7 +47,8 @@ def aliases(design: Design) -> tuple[Alias, ...]:
     shares = np.linalg.lstsq(base, interactions)[0][1:]
     columns = design.names + design.dummy_names
     found = [Alias(name, _nonzero(row, names)) for name, row in zip(columns, shares, strict=True)]
-    return tuple(found) + _alike(interactions, names)
+    clear = np.flatnonzero(np.all(np.abs(shares) < 1 - SAME, axis=0))
+    return tuple(found) + _alike(interactions[:, clear], [names[j] for j in clear])
 
 
 def alias_table(design: Design) -> str:
@@ -58,6 +58,8 @@ def alias_table(design: Design) -> str:
 
 def _alike(interactions: np.ndarray, names: list[str]) -> tuple[Alias, ...]:
     """Groups of interactions with the same column up to its sign, each group once."""
+    if not names:
+        return ()
     gram = interactions.T @ interactions
     norms = np.sqrt(np.diag(gram))
     cosine = gram / np.outer(norms, norms)

@@ -140,7 +140,7 @@ class _Table:
         implied = factor.coded(natural)
         found = np.where(np.isfinite(coded), coded, implied)
         for row in range(len(run)):
-            if not np.isfinite(found[row]):
+            if not np.isfinite(implied[row]):
                 problem = f"run {run[row]} has no usable value"
                 raise InputError(self.file, label, problem, "give the value that was set")
             if abs(found[row] - implied[row]) > CLOSE:
