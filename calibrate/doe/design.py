@@ -3,14 +3,22 @@
 Rows stand in the standard order of the design's construction; `run_order` says when each is
 run.  Dummy columns of a screening design belong to no factor: what looks like their effect is
 noise and aliased interactions.
+
+`write_csv` makes a run sheet for an experiment that is run elsewhere; `calibrate.doe.runsheet`
+reads it back.
 """
 
+import csv
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from calibrate.doe.factors import Factor, natural_points
 from calibrate.errors import BadValue
+
+CODED = "(coded)"  # what follows a factor's name in the heading of its coded column
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,3 +83,26 @@ class Design:
             dummies=dummies,
             run_order=np.arange(1, times * len(self) + 1),
         )
+
+    def write_csv(self, path: Path, responses: Sequence[str] = ("response",)) -> None:
+        """A run sheet in the order of the runs, with an empty column for each response.
+
+        Lines that begin with # describe the design and its factors; keep them, and fill in the
+        responses.
+        """
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows(self._sheet(responses))
+
+    def _sheet(self, responses: Sequence[str]) -> Iterator[list]:
+        yield ["#design", self.kind]
+        for f in self.factors:
+            scale = "log" if f.log else "linear"
+            yield ["#factor", f.name, f.unit, repr(float(f.low)), repr(float(f.high)), scale]
+        labels = [f.label for f in self.factors]
+        coded = [f"{name} {CODED}" for name in self.names]
+        yield ["run", "point", *labels, *coded, *self.dummy_names, *responses]
+        natural = self.natural()
+        for row in np.argsort(self.run_order):
+            numbers = [*natural[row], *self.coded[row], *self.dummies[row]]
+            texts = [f"{number:.12g}" for number in numbers]
+            yield [int(self.run_order[row]), int(row) + 1, *texts, *[""] * len(responses)]

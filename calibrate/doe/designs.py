@@ -14,7 +14,22 @@ import pydoe
 
 from calibrate.doe.design import Design
 from calibrate.doe.factors import Factor
+from calibrate.doe.runsheet import RunSheet, read_csv
 from calibrate.errors import BadValue, shown
+
+__all__ = [
+    "Design",
+    "RunSheet",
+    "box_behnken",
+    "central_composite",
+    "fractional_factorial",
+    "full_factorial",
+    "latin_hypercube",
+    "plackett_burman",
+    "read_csv",
+    "sobol",
+    "sweep",
+]
 
 PLACKETT_BURMAN_FACTORS = 11
 STARS: dict[str, Literal["ccc", "ccf", "cci"]] = {

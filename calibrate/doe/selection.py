@@ -62,7 +62,9 @@ def select_backward(
 
 
 def without(surface: Surface, term: Term) -> Surface:
-    """The same runs fitted without one term."""
+    """The same runs fitted without one term; `BadValue` for a fit of slopes."""
+    if surface.slope_rows:
+        raise BadValue("this surface was fitted with slopes", "fit the values alone", "surface")
     terms = tuple(other for other in surface.terms if other != term)
     weights = surface.fit.model.weights if surface.weighted else None
     return fit_surface(surface.X, surface.y, terms, surface.names, weights)

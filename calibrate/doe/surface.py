@@ -20,10 +20,11 @@ from calibrate.errors import BadValue
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Means (n,) with the standard errors of a mean and of a single new run, in y's unit.
+    """Means (n,) with the standard errors of a mean and of new runs, in y's unit.
 
-    `mean_interval` and `run_interval` (n, 2) hold with probability `level`, by Student's t
-    with `df` degrees of freedom; NaN where the model leaves no degree of freedom.
+    `mean_interval` (confidence) and `run_interval` (prediction, for the mean of `runs` new runs)
+    are (n, 2) and hold with probability `level`, by Student's t with `df` degrees of freedom;
+    NaN where the model leaves no degree of freedom.
     """
 
     mean: np.ndarray
@@ -33,6 +34,7 @@ class Prediction:
     run_interval: np.ndarray
     df: int
     level: float
+    runs: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +103,19 @@ class Surface:
         """Predicted means (n,) at points (n, p)."""
         return matrix(self.terms, np.atleast_2d(X)) @ self.coefficients
 
-    def predict(self, X: np.ndarray, level: float = 0.95) -> Prediction:
-        """Means at points (n, p) with intervals of probability `level`."""
+    def predict(self, X: np.ndarray, level: float = 0.95, runs: int = 1) -> Prediction:
+        """Means at points (n, p) with intervals of probability `level` for `runs` new runs."""
         rows = matrix(self.terms, np.atleast_2d(X))
         mean, t = rows @ self.coefficients, _t_quantile(level, self.df)
-        mean_variance = np.einsum("ij,jk,ik->i", rows, self._scaled_covariance(), rows)
-        mean_se = np.sqrt(mean_variance)
-        run_se = np.sqrt(mean_variance + self.variance)
-        return Prediction(
-            mean, mean_se, run_se, _around(mean, t * mean_se), _around(mean, t * run_se),
-            self.df, level,
-        )  # fmt: skip
+        variance = np.einsum("ij,jk,ik->i", rows, self._scaled_covariance(), rows)
+        mean_se, run_se = np.sqrt(variance), np.sqrt(variance + self.variance / runs)
+        intervals = _around(mean, t * mean_se), _around(mean, t * run_se)
+        return Prediction(mean, mean_se, run_se, *intervals, self.df, level, runs)
+
+    def leverage(self, x: np.ndarray) -> float:
+        """Variance of the predicted mean at x (p,) over that of a run."""
+        row = matrix(self.terms, np.asarray(x, float)[None])[0]
+        return float(row @ np.asarray(self.fit.normalized_cov_params) @ row)
 
     def gradient(self, X: np.ndarray) -> np.ndarray:
         """Slopes (n, p) of the predicted mean at points (n, p), per coded unit."""
