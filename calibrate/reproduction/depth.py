@@ -65,7 +65,7 @@ def analysis(y: np.ndarray, model: str = "cubic") -> Anova:
 def figures() -> Iterator[Figure]:
     """Table 9, the equation's coefficients and values, the optimum, what the text concludes."""
     yield from anova_rows.judged(
-        table(9), _anova_ranges(), {"sum_of_squares": "mm2", "mean_square": "mm2"}
+        table(9), anova_ranges(), {"sum_of_squares": "mm²", "mean_square": "mm²"}
     )
     yield from conclusions()
     yield from coefficients()
@@ -116,9 +116,7 @@ def optimum() -> Figure:
         f"{quadratic.value:.3f}, a third of the printed equation {of_equation.value:.3f} mm"
     )
     text = in_text("optimum.depression_depth.target")
-    title = "depression depth at restitution {}, static friction {}".format(
-        *(in_text(f"optimum.{name}") for name in NAMES)
-    )
+    title = "depression depth at the optimum"
     return judge("Optimum", title, text, [Attempt(predicted["cubic"])], remark, "mm")
 
 
@@ -165,7 +163,7 @@ def _distinct() -> dict[str, list[int]]:
     return equations.distinct_points(points(), tuple(table(3).rows))
 
 
-def _anova_ranges() -> dict[str, Ranges]:
+def anova_ranges() -> dict[str, Ranges]:
     """Ranges of Table 9's entries by the correction that they take."""
 
     def entries(y: np.ndarray, residual: str) -> Numbers:

@@ -138,11 +138,11 @@ def force_analysis() -> Finding:
     }
     statement = (
         "Table 10 follows from Table 4 within {largest_deviation_percent:.2f} %, once two "
-        "misprints are set right: its residual row is the pure error ({pure_error_sum_of_squares:.0f}, df "
-        "{pure_error_df:.0f}; the residual is {residual_sum_of_squares:.0f}, df "
-        "{residual_df:.0f}), and the sum of squares of the plasticity ratio has two wrong digits. "
-        "The rest is more than rounding, but two responses changed by {largest_change_n:.1f} N "
-        "reproduce every entry."
+        "misprints are set right: its residual row is the pure error "
+        "({pure_error_sum_of_squares:.0f}, df {pure_error_df:.0f}; the residual is "
+        "{residual_sum_of_squares:.0f}, df {residual_df:.0f}), and the sum of squares of the "
+        "plasticity ratio has two wrong digits. What remains is more than rounding, but with two "
+        "responses changed by {largest_change_n:.1f} N every entry is reproduced."
     )
     return Finding("force analysis", statement.format(**values), values)
 

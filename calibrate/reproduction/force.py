@@ -70,7 +70,7 @@ def analysis(y: np.ndarray) -> Anova:
 def figures() -> Iterator[Figure]:
     """Table 10, the equation's coefficients and values, the optimum, what the text concludes."""
     yield from anova_rows.judged(
-        table(10), _anova_ranges(), {"sum_of_squares": "N2", "mean_square": "N2"}, _misprint()
+        table(10), anova_ranges(), {"sum_of_squares": "N²", "mean_square": "N²"}, _misprint()
     )
     yield from conclusions()
     yield from coefficients()
@@ -104,7 +104,8 @@ def coefficients() -> Iterator[Figure]:
     for term, number in equations.equation("force").items():
         attempts = [Attempt(found[term], words) for words, found in computations.items()]
         title = "intercept" if term == "1" else f"coefficient of {term}"
-        yield judge("Force equation", title, number, attempts)
+        remark = "not within rounding even so"
+        yield judge("Force equation", title, number, attempts, remark)
 
 
 def values_at_points() -> Iterator[Figure]:
@@ -126,15 +127,12 @@ def values_at_points() -> Iterator[Figure]:
 def optimum() -> Iterator[Figure]:
     """The force at the published optimum, for the body's target and for the abstract's."""
     predicted = force_at_optimum()
-    coordinates = ", ".join(
-        f"{name.replace('_', ' ')} {in_text(f'optimum.{name}')}" for name in NAMES
-    )
     for text, source in (
-        (in_text("optimum.crushing_force.target"), "target of section 3.3.3"),
-        (in_text("abstract.crushing_force"), "target of the abstract"),
+        (in_text("optimum.crushing_force.target"), "section 3.3.3"),
+        (in_text("abstract.crushing_force"), "abstract"),
     ):
         remark = "the quadratic of Table 10 gives the abstract's target here"
-        title = f"crushing force at {coordinates} ({source})"
+        title = f"crushing force at the optimum ({source})"
         yield judge("Optimum", title, text, [Attempt(predicted)], remark, "N")
 
 
@@ -191,7 +189,7 @@ def _over(number: Range, factor: Range) -> Range:
     return Range(value, reach)
 
 
-def _anova_ranges() -> dict[str, Ranges]:
+def anova_ranges() -> dict[str, Ranges]:
     """Ranges of Table 10's entries by the correction that they take."""
     found: dict[str, Ranges] = {}
     for words, changes in (("", {}), (ANALYSED_WORDS, ANALYSED)):

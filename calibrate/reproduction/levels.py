@@ -27,7 +27,7 @@ FACTORS = (
     "tensile_exponent",
     "tangential_multiplier",
 )
-UNITS = {"surface_energy": "J/m2"}
+UNITS = {"surface_energy": "J/m²"}
 
 
 def figures() -> Iterator[Figure]:
@@ -95,7 +95,7 @@ def held_for_force() -> Iterator[Figure]:
 def soil_means() -> Iterator[Figure]:
     """Averages of Table 6, in the table and in section 3.1."""
     for column, name, unit in (
-        ("density_kg_m3", "density", "kg/m3"),
+        ("density_kg_m3", "density", "kg/m³"),
         ("moisture_content_percent", "moisture_content", "%"),
     ):
         values, half = table(6).values(column)[:-1], table(6).half_units(column)[:-1]

@@ -44,7 +44,7 @@ def entries(response: str) -> Iterator[Figure]:
     found = rounded(_numbers, table(2).values(column), table(2).half_units(column))
     source = table(PRINTED_IN[response])
     unit = "mm" if response == "depression_depth" else "N"
-    units = {"effect": unit, "sum_of_squares": f"{unit}2", "contribution_percent": "%"}
+    units = {"effect": unit, "sum_of_squares": f"{unit}²", "contribution_percent": "%"}
     for name in FACTORS:
         for entry, words in COLUMNS.items():
             title = f"{name.replace('_', ' ')}, {words}"

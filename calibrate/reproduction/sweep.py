@@ -38,7 +38,7 @@ def best_multiplier() -> Figure:
     best = float(multipliers[int(np.argmin(total))])
     text = in_text("sweep.best_multiplier")
     exact = Range(printed(text).value)
-    title = "tangential multiplier of least error in depth and force together"
+    title = "multiplier of least error in both responses"
     return judge_value("Table 5", title, exact, text, [Attempt(Range(best))])
 
 
@@ -69,7 +69,7 @@ def verification() -> Iterator[Figure]:
         remark = f"by Table 5's row of multiplier {final}; the verification run is not printed"
         yield judge("Verification", title, text, [Attempt(error)], remark, "%")
         for name in (f"verification.mismatch_{test}", f"abstract.mismatch_{test}"):
-            title = f"R2 between curves, {test} test ({place(name)})"
+            title = f"R² of curves, {test} ({place(name)})"
             remark = "the two curves are a picture without numbers"
             yield without_data("Verification", title, in_text(name), remark, "%")
 
@@ -81,7 +81,7 @@ def conclusions() -> Iterator[Figure]:
     below, above = in_text("conclusion.error_below"), in_text("conclusion.mismatch_above")
     largest, least = max(errors), min(matches)
     yield _bound("both errors are below", below, largest, largest < printed(below).value)
-    yield _bound("both R2 are above", above, least, least > printed(above).value)
+    yield _bound("both R² are above", above, least, least > printed(above).value)
 
 
 def _bound(name: str, text: str, worst: float, holds: bool) -> Figure:

@@ -94,7 +94,7 @@ def judge(
 ) -> Figure:
     """The verdict on the number printed as `text`: that of the first attempt that meets it.
 
-    If none does, the nearest attempt is shown, with `remark`.
+    If none does, the last attempt is shown, with `remark`.
     """
     return judge_value(table, name, printed(text), text, attempts, remark, unit)
 
@@ -114,8 +114,7 @@ def judge_value(
         chosen, words = met[0], [met[0].correction]
         verdict = Verdict.CORRECTED if chosen.correction else Verdict.REPRODUCED
     else:
-        chosen = min(attempts, key=lambda a: abs(a.computed.value - published.value))
-        words = [f"nearest {chosen.correction}" if chosen.correction else "", remark]
+        chosen, words = attempts[-1], [attempts[-1].correction, remark]
         verdict = Verdict.NOT_REPRODUCED
     return Figure(
         table,
