@@ -473,7 +473,8 @@ def test_a_template_that_lacks_a_value_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(None, "–"), (-0.25, "−0.25"), (1234567.0, "1.2346e+06"), (3.0, "3")]
+    ("value", "words"),
+    [(None, "–"), (-0.25, "−0.25"), (1234567.0, "1234600"), (3.0, "3"), (2e-5, "2e−05")],
 )
 def test_numbers_for_reading(value, words):
     assert number(value) == words

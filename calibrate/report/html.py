@@ -8,6 +8,7 @@ extends `base.html` and fills its blocks `title`, `lead` and `content`.
 import base64
 
 import jinja2
+import numpy as np
 
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("calibrate.report"),
@@ -30,8 +31,16 @@ def embedded(svg: str) -> str:
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """A number for reading: `digits` significant digits, a true minus, a dash for none."""
-    return "–" if value is None else f"{value:.{digits}g}".replace("-", "−")
+    """A number for reading: `digits` significant digits, a true minus, a dash for none.
+
+    Powers of ten stand only below 0.0001 and from ten million.
+    """
+    if value is None:
+        return "–"
+    text = f"{value:.{digits}g}"
+    if 1 <= abs(value) < 1e7:
+        text = np.format_float_positional(float(text), trim="-")
+    return text.replace("-", "−")
 
 
 TEMPLATES.filters["number"] = number

@@ -77,8 +77,8 @@ def force_screening() -> Finding:
         "Table 8's contributions keep the order of Table 2's and lie within "
         "{largest_gap_percentage_points:.1f} percentage points of them. Its effects and sums of "
         "squares are of other data, and not of one set: the totals that its rows imply run from "
-        "{least_total_implied:.3g} to {largest_total_implied:.3g}, Table 2's is "
-        "{total_of_table_2:.0f}."
+        "{least_total_implied:,.0f} to {largest_total_implied:,.0f}, Table 2's is "
+        "{total_of_table_2:,.0f}."
     )
     return Finding("force screening", statement.format(**values), values)
 

@@ -77,7 +77,7 @@ def implied_total(response: str) -> np.ndarray:
 
 def _remark(response: str) -> str:
     totals = implied_total(response)
-    implied = f"{totals.min():.4g} to {totals.max():.4g}"
+    implied = f"{totals.min():,.0f} to {totals.max():,.0f}"
     if np.ptp(totals) < 1e-4 * totals.mean():
         implied = f"{totals.mean():.4g}"
     of_data = screening(response).total_sum_of_squares
