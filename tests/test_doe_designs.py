@@ -52,7 +52,7 @@ def test_centre_is_geometric_on_a_log_scale():
 @pytest.mark.parametrize(
     ("name", "low", "high", "log"),
     [("a", 2, 1, False), ("a", 1, 1, False), ("a", 0, np.inf, False), ("a", 0, 1, True)]
-    + [(name, 0, 1, False) for name in ("", "  ", "a,b", "a*b", "#a", "a\nb")],
+    + [(name, 0, 1, False) for name in ("", "  ", "a,b", "a*b", "#a", "a\nb", "run", "dummy_1")],
 )
 def test_impossible_factor_is_refused(name: str, low: float, high: float, log: bool):
     with pytest.raises(BadValue):

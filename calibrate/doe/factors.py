@@ -32,8 +32,9 @@ class Factor:
     log: bool = False
 
     def __post_init__(self):
-        if not self.name.strip() or set(self.name) & set(',;"#\n\r*^+[]'):
-            repair = "use letters, digits and underscores"
+        reserved = self.name in ("run", "point") or self.name.startswith("dummy_")
+        if reserved or not self.name.strip() or set(self.name) & set(',;"#\n\r*^+[]'):
+            repair = "use letters, digits and underscores, and not run, point or dummy_..."
             raise BadValue(f"{shown(self.name)} cannot name a factor", repair, "name")
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             problem = f"the levels of {self.name} are {self.low} and {self.high}"

@@ -6,6 +6,7 @@ Factors are drawn in their natural units; `response` is the label of the respons
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -92,110 +93,111 @@ def _half_normal_point(axis: Axes, effect: Effect, large: bool, named: bool) -> 
 # ---------------------------------------------------------------- surfaces
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """Which part of a surface is drawn, and where.
+
+    `pair` are the two factors that vary; the others are held at `held` (p,), coded, by default
+    at their centres.  Both span -`reach` to `reach` in coded units, by default as far as the
+    points of the fit do.
+    """
+
+    surface: Surface
+    factors: Sequence[Factor]
+    response: str
+    pair: tuple[int, int] = (0, 1)
+    held: np.ndarray | None = None
+    reach: float | None = None
+
+    @property
+    def span(self) -> float:
+        found = np.abs(self.surface.X[:, list(self.pair)]).max()
+        return float(found if self.reach is None else self.reach)
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coordinates of both factors and the predictions, all (g, g)."""
+        line = np.linspace(-self.span, self.span, GRID)
+        X = np.zeros((GRID, GRID, len(self.factors)))
+        X[:] = 0.0 if self.held is None else self.held
+        X[..., self.pair[0]], X[..., self.pair[1]] = np.meshgrid(line, line)
+        height = self.surface(X.reshape(-1, len(self.factors))).reshape(GRID, GRID)
+        across, up = (_drawn(self.factors[j], X[..., j]) for j in self.pair)
+        return across, up, height
+
+    def points(self) -> list[np.ndarray]:
+        """Coordinates of both factors at the points of the fit that lie within the span."""
+        X = self.surface.X[:, list(self.pair)]
+        inside = np.all(np.abs(X) <= self.span + 1e-9, axis=1)
+        return [_drawn(self.factors[j], self.surface.X[inside, j]) for j in self.pair]
+
+    def label(self, axis: Any) -> None:
+        """Names and units; a logarithmic axis gets its own ticks (3D axes know no log scale)."""
+        names = [_axis_label(self.factors[j]) for j in self.pair]
+        axis.set(xlabel=names[0], ylabel=names[1])
+        ticks = np.linspace(-self.span, self.span, 5)
+        for j, set_ticks in zip(self.pair, (axis.set_xticks, axis.set_yticks), strict=True):
+            factor = self.factors[j]
+            if factor.log:
+                set_ticks(_drawn(factor, ticks), [f"{v:.3g}" for v in factor.natural(ticks)])
+
+    def title(self) -> str:
+        """The response, and at which values the other factors are held."""
+        held = np.zeros(len(self.factors)) if self.held is None else self.held
+        others = [(f, x) for j, (f, x) in enumerate(zip(self.factors, held, strict=True))
+                  if j not in self.pair]  # fmt: skip
+        values = ", ".join(f"{_pretty(f.name)} {float(f.natural(x)):.4g}" for f, x in others)
+        return f"{self.response} at {values}" if values else self.response
+
+
 def surface_figure(
     surface: Surface,
     factors: Sequence[Factor],
     path: Path,
     response: str,
-    pairs: Sequence[tuple[int, int]] | None = None,
+    pairs: Sequence[tuple[int, int]] = (),
     held: np.ndarray | None = None,
-    reach: float = 1.0,
+    reach: float | None = None,
 ) -> None:
-    """A contour plot over a 3D view for each pair of factors (all of them by default).
-
-    The other factors are held at `held` (p,), coded, by default at the centre.  Each axis
-    spans -`reach` to `reach` in coded units.
-    """
-    pairs = list(itertools.combinations(range(len(factors)), 2)) if pairs is None else pairs
-    size = (4.9 * len(pairs) + 0.3, 8.8)
-    figure = plt.figure(figsize=size, layout="constrained")
+    """A contour plot over a 3D view for each of `pairs`, by default for all pairs of factors."""
+    pairs = pairs or list(itertools.combinations(range(len(factors)), 2))
+    figure = plt.figure(figsize=(4.9 * len(pairs) + 0.3, 8.8), layout="constrained")
     for place, pair in enumerate(pairs):
-        contour(figure.add_subplot(2, len(pairs), place + 1), surface, factors, response, pair,
-                held, reach)  # fmt: skip
-        below: Any = figure.add_subplot(2, len(pairs), len(pairs) + place + 1, projection="3d")
-        relief(below, surface, factors, response, pair, held, reach)
+        view = View(surface, factors, response, pair, held, reach)
+        contour(figure.add_subplot(2, len(pairs), place + 1), view)
+        relief(figure.add_subplot(2, len(pairs), len(pairs) + place + 1, projection="3d"), view)
     save(figure, path)
 
 
-def contour(
-    axis: Axes,
-    surface: Surface,
-    factors: Sequence[Factor],
-    response: str,
-    pair: tuple[int, int] = (0, 1),
-    held: np.ndarray | None = None,
-    reach: float = 1.0,
-) -> None:
+def contour(axis: Axes, view: View) -> None:
     """Contours over two factors; dots are points of the design, the others at any level."""
-    X, across, up, height = _grid(surface, factors, pair, held, reach)
+    across, up, height = view.grid()
     filled = axis.contourf(across, up, height, 14, cmap=MAP, alpha=0.75)
     lines = axis.contour(across, up, height, filled.levels, colors="black", linewidths=0.5)
     axis.clabel(lines, fontsize=7)
-    points = [_drawn(factors[j], surface.X[:, j]) for j in pair]
-    axis.plot(*points, "o", mfc="white", mec="black", ms=4, clip_on=False)
-    _label_axes(axis, factors, pair, reach)
-    axis.set_title(f"{response}{_held_text(factors, pair, X[0, 0])}", fontsize=9)
+    axis.plot(*view.points(), "o", mfc="white", mec="black", ms=4, clip_on=False)
+    view.label(axis)
+    axis.set_xlim(across.min(), across.max())
+    axis.set_ylim(up.min(), up.max())
+    axis.set_title(view.title(), fontsize=9)
 
 
-def relief(
-    axis: Any,
-    surface: Surface,
-    factors: Sequence[Factor],
-    response: str,
-    pair: tuple[int, int] = (0, 1),
-    held: np.ndarray | None = None,
-    reach: float = 1.0,
-) -> None:
+def relief(axis: Any, view: View) -> None:
     """The surface in three dimensions, on an axis with `projection="3d"`."""
-    _, across, up, height = _grid(surface, factors, pair, held, reach)
+    across, up, height = view.grid()
     axis.plot_surface(across, up, height, cmap=MAP, rstride=2, cstride=2, lw=0.1, edgecolor="0.2")
     axis.view_init(elev=26, azim=-128)
-    _label_axes(axis, factors, pair, reach)
-    axis.xaxis.label.set_size(8)
-    axis.yaxis.label.set_size(8)
-    axis.set_zlabel(response, fontsize=8)
+    view.label(axis)
+    axis.set_zlabel(view.response)
+    for each in (axis.xaxis, axis.yaxis, axis.zaxis):
+        each.label.set_size(8)
     axis.tick_params(labelsize=7)
     axis.set_box_aspect(None, zoom=0.84)
-
-
-def _grid(
-    surface: Surface,
-    factors: Sequence[Factor],
-    pair: tuple[int, int],
-    held: np.ndarray | None,
-    reach: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Coded points (g, g, p), coordinates of both factors (g, g), the predictions (g, g)."""
-    line = np.linspace(-reach, reach, GRID)
-    X = np.zeros((GRID, GRID, len(factors)))
-    X[:] = 0.0 if held is None else held
-    X[..., pair[0]], X[..., pair[1]] = np.meshgrid(line, line)
-    height = surface(X.reshape(-1, len(factors))).reshape(GRID, GRID)
-    across, up = (_drawn(factors[j], X[..., j]) for j in pair)
-    return X, across, up, height
 
 
 def _drawn(factor: Factor, coded: np.ndarray) -> np.ndarray:
     """Where coded values lie on an axis: at the natural value, or at its logarithm."""
     natural = factor.natural(coded)
     return np.log10(natural) if factor.log else natural
-
-
-def _label_axes(axis: Any, factors: Sequence[Factor], pair: tuple[int, int], reach: float) -> None:
-    """Names and units; a logarithmic axis gets its own ticks (3D axes know no log scale)."""
-    axis.set(xlabel=_axis_label(factors[pair[0]]), ylabel=_axis_label(factors[pair[1]]))
-    for j, set_ticks in zip(pair, (axis.set_xticks, axis.set_yticks), strict=True):
-        if factors[j].log:
-            ticks = np.linspace(-reach, reach, 5)
-            set_ticks(_drawn(factors[j], ticks), [f"{v:.3g}" for v in factors[j].natural(ticks)])
-
-
-def _held_text(factors: Sequence[Factor], pair: tuple[int, int], x: np.ndarray) -> str:
-    others = [j for j in range(len(factors)) if j not in pair]
-    if not others:
-        return ""
-    values = (f"{_pretty(factors[j].name)} {float(factors[j].natural(x[j])):.4g}" for j in others)
-    return " at " + ", ".join(values)
 
 
 # ---------------------------------------------------------------- residuals
