@@ -1,4 +1,4 @@
-"""The command line: `calibrate simulate`, `fit`, `contact` and `audit`.
+"""The command line: `calibrate simulate`, `fit`, `contact`, `audit` and `reproduce`.
 
 Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
 field and repair), 1 anything else.
@@ -129,6 +129,23 @@ def audit_command(
     values = output.parse_changes(changes or [])
     names = output.parse_strategies(strategy or ["ensemble"])
     output.run_audit(session, names, values, packings, seed, json)
+
+
+@app.command("reproduce")
+def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -> None:
+    """Put the paper's published figures beside what its own printed tables give."""
+    from rich.console import Console
+
+    from calibrate import output
+    from calibrate.report import reproduction as report
+    from calibrate.reproduction import paper
+
+    output.check_writable(json)
+    output.make_folder(out)
+    result = paper.reproduce()
+    report.write(result, out, json)
+    report.show(result, Console())
+    print(f"page and JSON in {out}")
 
 
 def main() -> None:

@@ -1,15 +1,11 @@
-"""Figures: curves with their scatter, a calibration at a glance, one contact.
+"""Figures of a calibration: curves with their scatter, a fit at a glance, an audit, one contact.
 
-Colours differ in lightness as well as hue, so figures survive greyscale; packings that
-were not fitted are dashed.
+Packings that were not fitted are dashed.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,10 +13,10 @@ from matplotlib.axes import Axes
 from calibrate.audit import OBSERVABLES, WITHIN, Audit
 from calibrate.campaign import Run
 from calibrate.measurements import Lab
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE
 from calibrate.workflow import Calibrated
 
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
-DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 
 
 def simulation_figure(runs: Sequence[Run], lab: Lab, path: Path) -> None:
