@@ -1,4 +1,4 @@
-"""The command line: `calibrate simulate`, `fit`, `contact`, `audit` and `reproduce`.
+"""The command line: `calibrate simulate`, `fit`, `contact`, `audit`, `doe` and `reproduce`.
 
 Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
 field and repair), 1 anything else.
@@ -129,6 +129,32 @@ def audit_command(
     values = output.parse_changes(changes or [])
     names = output.parse_strategies(strategy or ["ensemble"])
     output.run_audit(session, names, values, packings, seed, json)
+
+
+@app.command("doe")
+def doe_command(
+    lab: LabFile = None,
+    changes: Changes = None,
+    preset: PresetName = "quick",
+    seed: Seed = 0,
+    out: Out = Path("results/doe"),
+    json: Json = None,
+) -> None:
+    """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
+    from rich.console import Console
+
+    from calibrate import output
+    from calibrate.designed import design
+    from calibrate.report import study as report
+
+    output.check_writable(json)
+    session = output.Session.open(lab, preset, out)
+    values = output.parse_changes(changes or [])
+    work = session.campaign(out, None)
+    done = design(session.lab, session.preset, values, seed, work)
+    report.write(session, done, json)
+    report.show(done, Console())
+    print(f"result.json, {report.PAGE}, figures and run sheets are in {out}")
 
 
 @app.command("reproduce")

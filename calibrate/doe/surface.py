@@ -132,6 +132,8 @@ class Surface:
 
     def _slope_rows(self, X: np.ndarray) -> np.ndarray:
         """Derivatives (n, p, m) of each term."""
+        if not self.terms:
+            return np.zeros((*X.shape, 0))
         return np.stack([term.slopes(X) for term in self.terms], axis=-1)
 
     def _scaled_covariance(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from calibrate.plotting.fit import (
     UNITS,
     audit_figure,
     contact_figure,
+    curve_slopes_figure,
     fit_figure,
     simulation_figure,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "UNITS",
     "audit_figure",
     "contact_figure",
+    "curve_slopes_figure",
     "fit_figure",
     "simulation_figure",
 ]
