@@ -190,12 +190,16 @@ def _advanced(
     numerics = _settling_numerics(2 * specimen.mean_radius())
     bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
     programme = stack(segments)
-    capacity = sample_capacity(programme, numerics)
+    capacity = _ROWS * -(-sample_capacity(programme, numerics) // _ROWS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    record = eqx.filter_jit(run)(bed, state, programme, steps_per_sample(bed, numerics), capacity)
+    record = _run(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):
         raise ValueError(f"while settling the bed, {record.explain_overflow(bed.grid)}")
     return record
+
+
+_run = eqx.filter_jit(run)
+_ROWS = 256  # capacities are multiples of it, so that beds of all seeds share one program
 
 
 def _settling_numerics(diameter: float) -> Numerics:
