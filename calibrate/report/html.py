@@ -6,6 +6,7 @@ extends `base.html` and fills its blocks `title`, `lead` and `content`.
 """
 
 import base64
+from dataclasses import dataclass
 
 import jinja2
 import numpy as np
@@ -17,6 +18,15 @@ TEMPLATES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An SVG drawing, what it shows in words for those who cannot see it, and its caption."""
+
+    svg: str
+    alt: str
+    caption: str
 
 
 def render(template: str, **content: object) -> str:

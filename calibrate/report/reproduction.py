@@ -1,7 +1,6 @@
 """The reproduction of the paper as an HTML page, as JSON, and as tables on the terminal."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from rich.text import Text
 
 from calibrate.output import write_json, write_text
 from calibrate.plotting.comparison import Agreement, agreement_svg, bars_svg
-from calibrate.report.html import number, render
+from calibrate.report.html import Picture, number, render
 from calibrate.reproduction import depth, force, screening
 from calibrate.reproduction.levels import FACTORS
 from calibrate.reproduction.paper import SOURCE, Reproduction
@@ -23,15 +22,6 @@ from calibrate.reproduction.verdict import Figure, Verdict
 MARKS = {Verdict.REPRODUCED: "●", Verdict.CORRECTED: "◐", Verdict.NOT_REPRODUCED: "○"}
 SHORT = {**{verdict: str(verdict) for verdict in Verdict}, Verdict.CORRECTED: "corrected"}
 PAGE = "reproduction.html"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An SVG drawing, what it shows in words for those who cannot see it, and its caption."""
-
-    svg: str
-    alt: str
-    caption: str
 
 
 def write(result: Reproduction, out: Path, path: Path | None) -> None:

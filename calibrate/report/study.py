@@ -16,18 +16,9 @@ from calibrate.measurements import Lab
 from calibrate.output import Session, origin_of, write_json, write_text
 from calibrate.plotting.doe import residual_figure, screening_figure, surface_figure
 from calibrate.plotting.study import LABELS, endings_figure, slopes_figure
-from calibrate.report.html import render
+from calibrate.report.html import Picture, render
 
 PAGE = "study.html"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An SVG drawing, what it shows in words, and its caption."""
-
-    svg: str
-    alt: str
-    caption: str
 
 
 @dataclass(frozen=True)
