@@ -5,7 +5,8 @@
     enhanced     surfaces fitted to values and gradient together, and how many points that saves
 
 Slopes are per unit of ln p.  Those of a screening design are effects over the distance of its
-levels: they carry half of each two-factor interaction that is aliased with the factor.
+levels: in a Plackett-Burman design of 12 runs they carry a third of every interaction of two
+other factors.
 """
 
 from collections.abc import Sequence
