@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from calibrate.doe import designs, terms
 from calibrate.doe.anova import anova
@@ -195,6 +195,55 @@ def test_noise_of_values_and_slopes_is_estimated_and_halves_the_error():
     assert np.all(error < 4 * np.sqrt(np.diag(found.surface.covariance)))
     assert np.diag(found.surface.covariance)[1] < np.diag(plain.covariance)[1] / 4
     assert found.surface.df == 400 + 400 + 300 - 6
+
+
+def stacked(surface: Surface, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Model rows and targets of values, then of slopes factor by factor, built term by term."""
+    rows = [
+        np.column_stack([np.ones(len(surface.X)), *(t.values(surface.X) for t in surface.terms)])
+    ]
+    for j in range(slopes.shape[1]):
+        columns = [t.slopes(surface.X)[:, j] for t in surface.terms]
+        rows.append(np.column_stack([np.zeros(len(surface.X)), *columns]))
+    return np.vstack(rows), np.concatenate([surface.y, *slopes.T])
+
+
+def noisy_slopes(surface: Surface) -> np.ndarray:
+    noise = np.random.default_rng(10).normal(size=surface.X.shape)
+    return surface.gradient(surface.X) + noise * [0.2, 1.0]
+
+
+def test_gradient_fit_is_generalised_least_squares():
+    surface = noisy_surface()
+    slopes = noisy_slopes(surface)
+    found = fit_with_gradients(surface.X, surface.y, slopes, surface.terms, sd=(2, [1.0, 4.0]))
+    rows, targets = stacked(surface, slopes)
+    weight = np.repeat([1.0, 4.0, 0.25], len(surface.y))
+    normal = rows.T @ (weight[:, None] * rows)
+    coefficients = np.linalg.solve(normal, rows.T @ (weight * targets))
+    residual = targets - rows @ coefficients
+    variance = weight @ residual**2 / (len(targets) - 6)
+    assert found.surface.coefficients == pytest.approx(coefficients)
+    assert found.surface.covariance == pytest.approx(variance * np.linalg.inv(normal))
+    assert found.value_sd == pytest.approx(np.sqrt(variance))
+    assert found.slope_sd == pytest.approx(np.sqrt(variance) * np.array([0.5, 2.0]))
+
+
+def test_estimated_noise_is_that_of_restricted_likelihood():
+    surface = noisy_surface()
+    slopes = noisy_slopes(surface)
+    found = fit_with_gradients(surface.X, surface.y, slopes, surface.terms)
+    rows, targets = stacked(surface, slopes)
+
+    def minus_log_likelihood(log_sd: np.ndarray) -> float:
+        weight = np.repeat(np.exp(-2 * log_sd), len(surface.y))
+        normal = rows.T @ (weight[:, None] * rows)
+        residual = targets - rows @ np.linalg.solve(normal, rows.T @ (weight * targets))
+        squares = weight @ residual**2
+        return float(squares - np.log(weight).sum() + np.linalg.slogdet(normal)[1]) / 2
+
+    best = optimize.minimize(minus_log_likelihood, np.zeros(3), tol=1e-10).x
+    assert [found.value_sd, *found.slope_sd] == pytest.approx(np.exp(best), rel=1e-4)
 
 
 def test_gradient_fits_refuse_what_they_cannot_do():

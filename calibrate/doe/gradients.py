@@ -5,7 +5,8 @@
 Each point then gives 1 + p equations instead of one, so a quadratic needs about 1/(1 + p) of
 the runs.  The rows are weighted by their variances; variances that are not given are estimated
 together with the coefficients (iterated almost-unbiased estimator of variance components,
-Horn, Horn and Duncan 1975): each group's squared residuals over its redundancy.
+Horn, Horn and Duncan 1975): each group's squared residuals over its redundancy, which is where
+the restricted likelihood is largest.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,8 @@ class GradientFit:
     """The surface, and the standard deviations by which its rows were weighted.
 
     `value_sd` is that of a response, `slope_sd` (p,) that of its slope along each factor, per
-    coded unit.  Intervals suppose that all these errors are independent.
+    coded unit.  Intervals suppose that all these errors are independent and that the ratios of
+    their standard deviations are known: ratios estimated from few points make them too short.
     """
 
     surface: Surface
