@@ -22,10 +22,9 @@ from jax import Array
 
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
-from calibrate.parameters import Space, probing_steps
+from calibrate.parameters import Space, ensemble
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
-from jdem.sensitivity.ensemble import Ensemble
 from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
 
@@ -121,12 +120,11 @@ def verdict(rows: Sequence[dict]) -> bool:
 
 def strategies(space: Space) -> dict[str, AbstractStrategy]:
     """What can be audited, by name, with the steps that suit the space's parameters."""
-    ensemble = Ensemble(probing_steps(space))
     return {
-        "ensemble": ensemble,
+        "ensemble": ensemble(space),
         "regression": Regression((0.25,)),
         "pathwise": Pathwise(),
-        "blend": Blend(unbiased=ensemble),
+        "blend": Blend(unbiased=ensemble(space)),
     }
 
 

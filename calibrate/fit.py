@@ -23,10 +23,9 @@ from jax import Array
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
 from calibrate.identifiability import Identifiability, assess
-from calibrate.parameters import Space, probing_steps
+from calibrate.parameters import Space, ensemble
 from calibrate.problem import Problem, shrunk_covariance
 from jdem.sensitivity.base import AbstractStrategy
-from jdem.sensitivity.ensemble import Ensemble
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Calibration:
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
         self.forward_runs = 0.0  # asked for so far, on each packing
-        self.strategy = self.settings.strategy or Ensemble(probing_steps(self.space))
+        self.strategy = self.settings.strategy or ensemble(self.space)
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 

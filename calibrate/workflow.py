@@ -16,16 +16,14 @@ from calibrate.campaign import Campaign, Run
 from calibrate.fit import Calibration, Fit, Settings, fit, packing_scatter
 from calibrate.identifiability import choose_free
 from calibrate.measurements import Lab
-from calibrate.parameters import FACTORS, Space, base_soil, probing_steps, space, with_values
+from calibrate.parameters import FACTORS, Space, base_soil, space, with_values
 from calibrate.presets import Preset, specimen, virtual_lab
 from calibrate.problem import Problem, pose
 from calibrate.progress import AbstractProgress
-from jdem.sensitivity.ensemble import Ensemble
 from jdem.soil import SoilParameters
 
 SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
 FRESH_PACKINGS = 3  # on which a fit is checked
-SCREENING_PAIRS = 4  # antithetic runs a packing for the slopes in all candidates
 CANDIDATES = (*FACTORS, "shear_modulus")
 
 
@@ -202,9 +200,8 @@ def screen(
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
     candidates = tuple(name for name in CANDIDATES if name not in held)
     every = space(lab, candidates, base)
-    settings = Settings(strategy=Ensemble(probing_steps(every), SCREENING_PAIRS))
     calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
     )
     slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
     whitened = calibration.whitened(slopes)

@@ -33,13 +33,13 @@ from calibrate.doe.terms import quadratic
 from calibrate.errors import BadValue
 from calibrate.fit import Calibration, descend, packing_scatter
 from calibrate.measurements import Lab
-from calibrate.parameters import Space, probing_steps
+from calibrate.parameters import Space, ensemble
 from calibrate.problem import pose
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.ensemble import Ensemble
 from jdem.soil import SoilParameters
 
-PAIRS = 4  # antithetic runs a packing and gradient, so that its error has degrees of freedom
+PAIRS = 2  # antithetic for each group and packing, so that errors have degrees of freedom
 LEVEL = 0.95
 DRAWS = 40  # random subsets of a design, for each size
 
@@ -146,12 +146,12 @@ def gradient(bench: Bench, soil: SoilParameters, what: str) -> Sensitivity:
 
 
 def strategy(space: Space) -> Ensemble:
-    """That of the audit, with more pairs."""
-    return Ensemble(probing_steps(space), PAIRS)
+    """That of fits, with more pairs."""
+    return ensemble(space, PAIRS)
 
 
 def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
-    pairs = []
+    pairs, freedom = [], _freedom(bench)
     for m, observable in enumerate(OBSERVABLES):
         for p, factor in enumerate(done.screening.design.factors):
             effect = done.screens[observable][factor.name]
@@ -166,7 +166,7 @@ def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
                     surface_df=effect.df,
                     gradient=float(found.slopes[m, p]),
                     gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=_degrees(bench),
+                    gradient_df=freedom[p],
                     matters=effect.p < SIGNIFICANT,
                 )
             )
@@ -174,7 +174,7 @@ def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
 
 
 def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
-    pairs = []
+    pairs, freedom = [], _freedom(bench)
     for m, observable in enumerate(OBSERVABLES):
         surface = stage.whole[observable]
         slopes = surface.slopes(np.zeros(surface.X.shape[1]))
@@ -191,17 +191,16 @@ def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePa
                     surface_df=surface.df,
                     gradient=float(found.slopes[m, p]),
                     gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=_degrees(bench),
+                    gradient_df=freedom[p],
                     matters=_p_value(slope / error, surface.df) < SIGNIFICANT,
                 )
             )
     return pairs
 
 
-def _degrees(bench: Bench) -> int:
-    """Degrees of freedom of a gradient's standard error."""
-    runs = strategy(bench.space).runs(len(bench.space.names), len(bench.seeds)) - 1
-    return round(runs / 2) * len(bench.seeds) - len(bench.space.names)
+def _freedom(bench: Bench) -> list[int]:
+    """Degrees of freedom of the gradient's standard errors."""
+    return strategy(bench.space).freedom(len(bench.space.names), len(bench.seeds))
 
 
 def _p_value(t: float, df: int) -> float:
