@@ -13,10 +13,11 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import reporting
 
 from calibrate import plotting
-from calibrate.audit import OBSERVABLES, Audit, audit, audit_json
+from calibrate.audit import OBSERVABLES, Audit, audit, audit_json, judged
 from calibrate.campaign import Campaign
 from calibrate.measurements import bundled_lab, load_lab
 from calibrate.parameters import FACTORS, space
@@ -41,11 +42,38 @@ def markdown(audits: dict[str, dict], spheres: int, packings: int, origin: dict)
         "sign, within 15 % (H, mm) or 25 % (F, N) of it; slopes below three standard errors are "
         "not judged.\n\n"
     )
-    tables = [_table(seed, each) for seed, each in audits.items()]
+    tables = [
+        f"Packings of seed {seed}; {_cost(each)}:\n\n" + _table(each["rows"])
+        for seed, each in audits.items()
+    ]
+    if len(audits) > 1:
+        rows = pooled([each["rows"] for each in audits.values()])
+        tables.append(f"All {len(audits) * packings} packings together:\n\n" + _table(rows))
     return begin + "\n".join(tables) + reporting.footer(origin)
 
 
-def _table(seed: str, content: dict) -> str:
+def pooled(audits: list[list[dict]]) -> list[dict]:
+    """Rows of several audits on as many sets of packings, averaged and judged anew."""
+    found = []
+    for rows in zip(*audits, strict=True):
+        means = {
+            key: float(np.mean([row[key] for row in rows])) for key in ("estimate", "reference")
+        }
+        errors = {
+            f"{key}_se": float(np.sqrt(np.sum([row[f"{key}_se"] ** 2 for row in rows]))) / len(rows)
+            for key in means
+        }
+        named = {key: rows[0][key] for key in ("parameter", "observable")}
+        found.append(judged({**named, **means, **errors}))
+    return found
+
+
+def _cost(content: dict) -> str:
+    cost = content["strategies"][STRATEGY]
+    return f"{cost['forward_runs']:.0f} forward runs a packing ({cost['described']})"
+
+
+def _table(found: list[dict]) -> str:
     rows = [
         [
             row["parameter"],
@@ -55,14 +83,10 @@ def _table(seed: str, content: dict) -> str:
             f"{100 * row['relative_error']:+.0f} %" if row["judged"] else "",
             _word(row),
         ]
-        for row in sorted(content["rows"], key=lambda row: not row["judged"])
+        for row in sorted(found, key=lambda row: not row["judged"])
     ]
-    cost = content["strategies"][STRATEGY]
     header = ("parameter", "of", "reference", "estimate", "differs by", "verdict")
-    return (
-        f"Packings of seed {seed}; {cost['forward_runs']:.0f} forward runs a packing "
-        f"({cost['described']}):\n\n" + reporting.table(header, rows)
-    )
+    return reporting.table(header, rows)
 
 
 def _word(row: dict) -> str:

@@ -3,6 +3,7 @@
     spheres    one settled bed of 500, stacked 1 to 40 times (500 to 20 000 spheres)
     tangents   forward mode through the same steps with 0 to 7 parameters moved
     batch      one program for many soils (`vmap`), sharded over the devices where there are several
+    floor      operations and bytes of a step over what one core does of them in plain loops
 
     python benchmarks/scaling.py                    about 8 minutes on two idle cores
     python benchmarks/scaling.py --part batch --batch 1 16 256    on an accelerator
@@ -29,13 +30,14 @@ import speed
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from calibrate.parameters import FACTORS, with_values
+from jdem.dynamics import Command, step
 from jdem.packing import Specimen, prepare
 from jdem.quantity import cast
 from jdem.simulate import Record, run, start
 
 BED, COPIES = 500, (1, 2, 4, 10, 20, 40)
 SAMPLES = 20
-PARTS = ("spheres", "tangents", "batch")
+PARTS = ("spheres", "tangents", "batch", "floor")
 
 
 def column(copies: int) -> speed.Spread:
@@ -57,16 +59,16 @@ class Steps:
     """The first SAMPLES samples of loading a bed, as a function of ln p of the seven factors."""
 
     def __init__(self, bed: speed.Spread, dtype: str):
-        self._bed, self._dtype, self.spheres = bed, dtype, len(bed.radius)
-        self._numerics = speed.numerics_of(bed, dtype)
-        self.every = max(1, round(self._numerics.sample_time / speed.TIME_STEP))
+        self.bed, self._dtype, self.spheres = bed, dtype, len(bed.radius)
+        self.numerics = speed.numerics_of(bed, dtype)
+        self.every = max(1, round(self.numerics.sample_time / speed.TIME_STEP))
         self.steps = SAMPLES * self.every
         self.point = jnp.log(jnp.asarray([float(getattr(speed.SOIL, n)) for n in FACTORS]))
 
     def __call__(self, point: jax.Array) -> Record:
         soil = with_values(speed.SOIL, dict(zip(FACTORS, jnp.exp(point), strict=True)))
-        built = speed.built_bed(self._bed, self._numerics, soil)
-        bed, centres = self._bed, speed.vector(self._bed.centres)
+        built = speed.built_bed(self.bed, self.numerics, soil)
+        bed, centres = self.bed, speed.vector(self.bed.centres)
         state = start(built, centres, bed.height, speed.MOULD_RADIUS)
         state = cast(state, jnp.dtype(self._dtype))
         programme = speed.loading(400.0, self._dtype)
@@ -78,7 +80,7 @@ class Steps:
     def checked(self) -> "Steps":
         """Refuses a bed whose lists overflow: its time would mean nothing."""
         record = eqx.filter_jit(self.__call__)(self.point)
-        grid = speed.built_bed(self._bed, self._numerics).grid
+        grid = speed.built_bed(self.bed, self.numerics).grid
         if bool(record.overflow_of(grid)):
             raise RuntimeError(record.explain_overflow(grid))
         return self
@@ -160,6 +162,53 @@ def timed_batch(sizes: Sequence[int], rounds: int) -> list[dict]:
     return rows
 
 
+def timed_floor(rounds: int) -> dict[str, float]:
+    """A step of 1000 spheres in float64: XLA's count of operations and bytes, the rates at which
+    one core does them in loops that do nothing else, and what a step takes."""
+    steps = Steps(column(2), "float64").checked()
+    bed = speed.built_bed(steps.bed, steps.numerics)
+    state = cast(
+        start(bed, speed.vector(steps.bed.centres), steps.bed.height, speed.MOULD_RADIUS),
+        jnp.dtype("float64"),
+    )
+    zero = jnp.zeros(())
+    command = Command(zero, zero, zero, zero)
+    cost: Any = eqx.filter_jit(step).lower(bed, state, command).compile().compiled.cost_analysis()
+    compiled = jax.jit(steps.force).lower(steps.point).compile()
+    measured = seconds(lambda: compiled(steps.point), rounds) / steps.steps
+    operations, traffic = _core_rates(rounds)
+    counted = {"flops": float(cost["flops"]), "bytes": float(cost["bytes accessed"])}
+    return {
+        **counted,
+        "flops_per_s": operations,
+        "bytes_per_s": traffic,
+        "ms_by_flops": 1e3 * counted["flops"] / operations,
+        "ms_by_bytes": 1e3 * counted["bytes"] / traffic,
+        "ms_measured": 1e3 * measured,
+    }
+
+
+def _core_rates(rounds: int) -> tuple[float, float]:
+    """Operations a second of a fused polynomial, bytes a second of an addition, both in a
+    working set of 256 kB, as large as a step's rows."""
+    x, repeats, order = jnp.linspace(0.0, 1.0, 16384), 200, 64
+
+    def polynomial(x):
+        def nest(_, y):
+            for _ in range(order // 2):
+                y = y * x + 0.5
+            return y
+
+        return jax.lax.fori_loop(0, repeats, nest, x)
+
+    def addition(x):
+        return jax.lax.fori_loop(0, repeats, lambda _, y: x + 0.5 * y, x)
+
+    compiled = [jax.jit(f).lower(x).compile() for f in (polynomial, addition)]
+    arithmetic, memory = (seconds(lambda c=c: c(x), rounds) for c in compiled)
+    return order * repeats * x.size / arithmetic, 3 * x.nbytes * repeats / memory
+
+
 def markdown(content: dict) -> str:
     text = f"# Scaling\n\nDevice: {content['device']}. Steps of a loaded bed, list rebuilds in.\n\n"
     if "spheres" in content:
@@ -171,6 +220,10 @@ def markdown(content: dict) -> str:
         text += "Forward mode, 1000 spheres, float64:\n\n" + _table(content["tangents"]) + "\n"
     if "batch" in content:
         text += "One program for many soils, M particle-steps/s:\n\n" + _table(content["batch"])
+    if "floor" in content:
+        found = {name: f"{value:.3g}" for name, value in content["floor"].items()}
+        text += "\nFloor of one step, 1000 spheres, float64, one core:\n\n"
+        text += reporting.table(list(found), [list(found.values())])
     if content["device"].startswith("cpu"):
         text += "\nNo accelerator was at hand: `--part batch` has not been run on one.\n"
     return text + reporting.footer(content)
@@ -196,6 +249,7 @@ def main() -> None:
         "spheres": lambda: timed_spheres(chosen.rounds),
         "tangents": lambda: timed_tangents(chosen.rounds),
         "batch": lambda: timed_batch(chosen.batch, chosen.rounds),
+        "floor": lambda: timed_floor(chosen.rounds),
     }
     kept = {k: reporting.earlier("scaling", k) for k in PARTS if k not in (chosen.part or PARTS)}
     content = {**reporting.provenance(), "seed": 0, "device": name}

@@ -96,21 +96,29 @@ class Audit:
         ]
 
     def _row(self, found: Sensitivity, m: int, observable: str, p: int, parameter: str) -> dict:
-        estimate, reference = float(found.slopes[m, p]), float(self.reference.slopes[m, p])
-        error = float(self.reference.standard_error[m, p])
-        judged = abs(reference) > JUDGED_FROM * error
-        close = abs(estimate - reference) <= WITHIN[observable] * abs(reference)
-        return {
-            "parameter": parameter,
-            "observable": observable,
-            "estimate": estimate,
-            "estimate_se": float(found.standard_error[m, p]),
-            "reference": reference,
-            "reference_se": error,
-            "relative_error": estimate / reference - 1 if reference else float("nan"),
-            "judged": judged,
-            "passed": bool(close) if judged else None,
-        }
+        return judged(
+            {
+                "parameter": parameter,
+                "observable": observable,
+                "estimate": float(found.slopes[m, p]),
+                "estimate_se": float(found.standard_error[m, p]),
+                "reference": float(self.reference.slopes[m, p]),
+                "reference_se": float(self.reference.standard_error[m, p]),
+            }
+        )
+
+
+def judged(row: dict) -> dict:
+    """The row with relative_error, whether it can be judged, and if so whether it passed."""
+    estimate, reference = row["estimate"], row["reference"]
+    large = abs(reference) > JUDGED_FROM * row["reference_se"]
+    close = abs(estimate - reference) <= WITHIN[row["observable"]] * abs(reference)
+    return {
+        **row,
+        "relative_error": estimate / reference - 1 if reference else float("nan"),
+        "judged": large,
+        "passed": bool(close) if large else None,
+    }
 
 
 def verdict(rows: Sequence[dict]) -> bool:
