@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibrate.doe import designs
@@ -31,6 +31,7 @@ def rows_of(matrix: np.ndarray) -> set[tuple[float, ...]]:
 # ---------------------------------------------------------------- factors
 
 
+@settings(deadline=None)
 @given(
     coded=st.floats(-2, 2),
     low=st.floats(1e-3, 1e6),

@@ -108,6 +108,14 @@ def test_weights_count_like_repeats():
         anova(weighted)
 
 
+def test_natural_units_that_double_precision_cannot_carry_are_refused():
+    surface = noisy_surface()
+    moduli = surface.X * [2e6, 0.2] + [7e6, 0.5]
+    assert fit_surface(moduli, surface.y, terms.linear(2)).df == 10
+    with pytest.raises(BadValue, match="coded units"):
+        fit_surface(moduli * [1e3, 1.0], surface.y, surface.terms)
+
+
 def test_points_that_cannot_fix_the_terms_are_refused():
     X = designs.full_factorial((Factor("A", 0, 1), Factor("B", 0, 1))).coded
     with pytest.raises(BadValue, match="4 points fix only 4 of 6 coefficients"):

@@ -178,6 +178,9 @@ def check_estimable(rows: np.ndarray, terms: Terms) -> None:
     if rank < rows.shape[1]:
         problem = f"{len(rows)} points fix only {rank} of {rows.shape[1]} coefficients"
         raise BadValue(problem, "leave terms out or add points", "terms")
+    if np.linalg.matrix_rank(rows) < rows.shape[1]:
+        problem = "the terms are too unlike in size for double precision"
+        raise BadValue(problem, "fit in coded units", "terms")
 
 
 def _t_quantile(level: float, df: int) -> float:
