@@ -21,9 +21,7 @@ from calibrate.doe.study import OBSERVABLES, ranked
 from calibrate.measurements import bundled_lab, load_lab
 from calibrate.presets import PRESETS, specimen, virtual_lab
 from calibrate.progress import for_terminal
-from calibrate.report.study import as_json, sentence
-
-SHORT = {"depression_depth_mm": "H", "crushing_force_n": "F"}
+from calibrate.report.study import SHORT, as_json, sentence
 
 
 def markdown(found: Designed, origin: dict) -> str:

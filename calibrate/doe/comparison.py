@@ -209,7 +209,7 @@ def _p_value(t: float, df: int) -> float:
 
 def _designed(bench: Bench, done: Study) -> Ending:
     return Ending(
-        method="designed experiments",
+        method="designs",
         values=done.values,
         fitted=done.fitted,
         fresh=done.fresh,

@@ -19,6 +19,7 @@ from calibrate.plotting.study import LABELS, endings_figure, slopes_figure
 from calibrate.report.html import Picture, render
 
 PAGE = "study.html"
+SHORT = {"depression_depth_mm": "H", "crushing_force_n": "F"}
 
 
 @dataclass(frozen=True)
@@ -152,24 +153,29 @@ def sentence(done: Study, compared: Comparison) -> str:
 def show(found: Designed, console: Console) -> None:
     """Endings and slopes as tables on the terminal."""
     done, compared = found.study, found.comparison
-    table = Table(title="where each method ended (mean ± one packing)", title_justify="left")
-    for column in ("", "simulations", "H fitted (mm)", "H fresh", "F fitted (N)", "F fresh"):
-        table.add_column(column)
+    table = _plain("where each method ended (mean ± one packing)")
+    for column in ("", "runs", "H fitted (mm)", "H fresh", "F fitted (N)", "F fresh"):
+        table.add_column(column, no_wrap=True)
     for ending in compared.endings:
         cells = [_cell(values, m) for m in (0, 1) for values in (ending.fitted, ending.fresh)]
         table.add_row(ending.method, str(ending.simulations), *cells)
     console.print(table)
-    table = Table(title="slopes per ln p of factors that matter", title_justify="left")
-    for column in ("design", "factor", "of", "surface", "gradient", "95 % intervals"):
-        table.add_column(column)
+    table = _plain("slopes per ln p of factors that matter (H in mm, F in N)")
+    for column in ("design", "factor", "of", "surface", "gradient", "intervals"):
+        table.add_column(column, no_wrap=True)
     for pair in compared.slopes:
         if pair.matters:
-            cells = [f"{pair.surface:.3g} ± {pair.surface_se:.2g}"]
-            cells += [f"{pair.gradient:.3g} ± {pair.gradient_se:.2g}"]
+            cells = [f"{pair.surface:.3g} ± {pair.surface_se:.1g}"]
+            cells += [f"{pair.gradient:.3g} ± {pair.gradient_se:.1g}"]
             word = "agree" if pair.agree else "DISAGREE"
-            table.add_row(pair.design, pair.factor, pair.observable, *cells, word)
+            table.add_row(pair.design, pair.factor, SHORT[pair.observable], *cells, word)
     console.print(table)
     console.print(sentence(done, compared), highlight=False)
+
+
+def _plain(title: str) -> Table:
+    """A table narrow enough for 80 columns."""
+    return Table(title=title, title_justify="left", box=None, pad_edge=False)
 
 
 def _cell(values: np.ndarray, m: int) -> str:
