@@ -16,7 +16,7 @@ from calibrate.measurements import Lab
 from calibrate.output import Session, origin_of, write_json, write_text
 from calibrate.plotting.doe import residual_figure, screening_figure, surface_figure
 from calibrate.plotting.study import LABELS, endings_figure, slopes_figure
-from calibrate.report.html import Picture, render
+from calibrate.report.html import Picture, number, render
 
 PAGE = "study.html"
 SHORT = {"depression_depth_mm": "H", "crushing_force_n": "F"}
@@ -165,8 +165,8 @@ def show(found: Designed, console: Console) -> None:
         table.add_column(column, no_wrap=True)
     for pair in compared.slopes:
         if pair.matters:
-            cells = [f"{pair.surface:.3g} ± {pair.surface_se:.1g}"]
-            cells += [f"{pair.gradient:.3g} ± {pair.gradient_se:.1g}"]
+            cells = [f"{pair.surface:.3g} ± {number(pair.surface_se, 1)}"]
+            cells += [f"{pair.gradient:.3g} ± {number(pair.gradient_se, 1)}"]
             word = "agree" if pair.agree else "DISAGREE"
             table.add_row(pair.design, pair.factor, SHORT[pair.observable], *cells, word)
     console.print(table)
