@@ -252,7 +252,7 @@ def _sampled(
     return state, sample
 
 
-def _read(state: BedState, lag: Array, time_step: Array) -> BedState:
+def _read(state: BedState, lag: Real, time_step: Real) -> BedState:
     """The load cell's reading R after a time step: lag dR/dt = F - R, implicitly."""
     force = state.wall_force[PLATEN]
     reading = force + (state.reading - force) * (lag / (lag + time_step))

@@ -32,7 +32,7 @@ class CapillaryTension(AbstractEffect):
 
     Hardly anything in the mould but a longer recovery below zero force; a higher and later
     peak, slower softening and more residual force without it.  Friction feels it only through
-    the larger overlaps.  1 to 10 kPa (suction times saturation, recalled; gap.md 4, no. 6).
+    the larger overlaps.  1 to 10 kPa (suction times saturation, recalled).
     """
 
     strength: Real = quantity(0.0)

@@ -33,7 +33,7 @@ class Cementation(AbstractEffect):
     a natural cement would be there from the start and is not this effect): the confined test
     is untouched; without the mould the specimen is stiffer and stronger, and softens more
     abruptly once bonds break.  The time step bears T/(w k1) up to about 3.  Loess gained 75 %
-    in 160 days (gap.md 4, no. 11): some 10 to 100 kPa (recalled).
+    in 160 days: some 10 to 100 kPa (recalled).
     """
 
     strength: Real = quantity(0.0)

@@ -13,8 +13,8 @@ class LoadFrameCompliance(AbstractEffect):
     """Strength: compliance 1/K, m/N, one-sided; K does not depend on the force.
 
     Slopes change by 1/(1 + S/K), S being the soil's: the steepest part, unloading, suffers
-    most; H grows by (F_high - F_low)/K, forces stay.  K = 1 to 20 kN/mm (recalled; gap.md 4,
-    no. 1).  That the platen itself then moves a little slower is left out.
+    most; H grows by (F_high - F_low)/K, forces stay.  K = 1 to 20 kN/mm (recalled).  That the
+    platen itself then moves a little slower is left out.
     """
 
     strength: Real = quantity(0.0)

@@ -32,6 +32,8 @@ from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law, wall_law
 from jdem.surroundings import AbstractSurroundings
 
+TOUCH = 1.0  # N; below it errors fade for the servo: it returns until the platen is free
+
 EFFECTS: dict[str, AbstractEffect] = {
     "load_frame_compliance": LoadFrameCompliance(),
     "seating_gap": SeatingGap(),
@@ -112,7 +114,7 @@ class Altered(AbstractSurroundings):
     soil: SoilParameters
     smoothing: Smoothing
     timetable: Timetable
-    mean_diameter: Real = quantity()
+    mean_diameter: Array = quantity()
     reference_rate: Real = quantity()
 
     def begin(self, dtype) -> Clock:
@@ -127,15 +129,18 @@ class Altered(AbstractSurroundings):
             between = effect.law(between, stage)
         walls = wall_law(soil, self.mean_diameter, self.smoothing)
         present = (between, walls, soil.static_friction, friction_of_walls(soil))
-        present = cast(present, bed.time_step.dtype)
+        present = cast(present, jnp.asarray(bed.time_step).dtype)
         return eqx.tree_at(
             lambda b: (b.particle_law, b.wall_law, b.friction, b.wall_friction), bed, present
         )
 
     def shown(self, reading: Array, memory: Clock) -> Array:
-        for error in [e.servo_error(reading, memory.time) for e in self.effects]:
-            reading = reading + error.astype(reading.dtype)
-        return reading
+        touching = jnp.clip(reading / TOUCH, 0.0, 1.0)
+        shown = reading
+        for effect in self.effects:
+            error = effect.servo_error(reading, memory.time)
+            shown = shown + (touching * error).astype(reading.dtype)
+        return shown
 
     def later(self, memory: Clock, segment: Array, before: BedState, after: BedState) -> Clock:
         time_scale = self.timetable.time_scale[segment]

@@ -19,8 +19,8 @@ class SpecimenDensity(AbstractEffect):
     looser one has a toe.  It differs from specimen to specimen with mean 0, so it shows in the
     scatter of repeats rather than in their mean.  Fabric scatter (another packing, other
     friction at filling) is another thing: see the preparation setting in `numerical`.
-    The paper's densities scatter by 17.6 %, beds of one preparation by less than 1 %
-    (gap.md 4, no. 9); beyond |e| = 0.02 overlaps are no longer small.
+    The paper's samples scatter by 17.6 % (from the field); a laboratory fills to a few per
+    cent (recalled).  Beyond |e| = 0.02 overlaps are no longer small.
     """
 
     strength: Real = quantity(0.0)
@@ -32,7 +32,7 @@ class SpecimenDensity(AbstractEffect):
         confined="denser: no toe, stiffer; looser: toe",
         unconfined="denser: stronger",
         confounders=("seating_gap", "shear_modulus", "preparation_friction"),
-        source="17.6 % between the paper's samples; validity of the realisation",
+        source="17.6 % between the paper's samples; the realisation holds to 2 %",
     )
 
     def packing(self, packing):

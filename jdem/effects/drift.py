@@ -14,7 +14,7 @@ class LoadCellDrift(AbstractEffect):
 
     Nothing is seen in the confined test, which lasts seconds; a slow ramp in the unconfined
     one, which lasts many minutes at the laboratory's rate.  in_servo as for the gain.
-    c = 0.1 to 0.5 % of full scale an hour, 10 kN (recalled; gap.md 4, no. 16).
+    c = 0.1 to 0.5 % of full scale an hour, 10 kN (recalled).
     """
 
     strength: Real = quantity(0.0)

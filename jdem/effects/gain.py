@@ -17,7 +17,7 @@ class LoadCellGain(AbstractEffect):
     target/(1 + g) and the specimen is pressed less), 0 if only the record is wrong (the
     specimen is the base model's, and derivatives of both curves are exact and free of
     simulation).  g = 1 % (class 1, ISO 7500-1, recalled), more below a tenth of the cell's
-    range, where these tests are (gap.md 4, no. 14).
+    range, where these tests are.
     """
 
     strength: Real = quantity(0.0)

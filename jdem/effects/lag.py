@@ -18,7 +18,7 @@ class AcquisitionLag(AbstractEffect):
     The machine reverses late: readings on loading lie v tau further, the true force overshoots
     by v tau S (S the soil's slope), the reading goes on rising while the platen turns and forms
     a loop.  Nothing at the unconfined test's slow rate.  Solved in the loop, in nominal time,
-    so a faster simulation has the same v tau.  tau = 20 to 100 ms (recalled; gap.md 4, no. 18):
+    so a faster simulation has the same v tau.  tau = 20 to 100 ms (recalled):
     10 to 48 N at 8 mm/s.
     """
 

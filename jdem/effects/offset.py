@@ -16,7 +16,7 @@ class LoadCellOffset(AbstractEffect):
 
     The baseline and the peak shift by b; slopes stay, H changes by the curve's curvature, and
     force does not return to zero.  in_servo as for the gain.  b up to 10 N: 0.1 % of the full
-    scale of a 10 kN cell (class 1, recalled; gap.md 4, no. 15).
+    scale of a 10 kN cell (class 1, recalled).
     """
 
     strength: Real = quantity(0.0)

@@ -16,7 +16,7 @@ class PlatenFriction(AbstractEffect):
     where the soil's own platen_friction is 0, else no lower than minus that.
 
     Stronger and more ductile without the mould (barrelling), hardly anything in it.  Strength
-    falls with height over diameter, steeply below 1 (Gueneyli and Ruesen 2016; gap.md 4, no. 4);
+    falls with height over diameter, steeply below 1 (Gueneyli and Ruesen 2016);
     extra coefficients of 0.1 to 0.5 (recalled).
     """
 

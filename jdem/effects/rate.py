@@ -23,7 +23,7 @@ class RateDependence(AbstractEffect):
     and in the rest; the unconfined test at 0.01 mm/s is weaker by some 3 rho (2.9 decades
     between the tests' speeds).  With one rate a test and no hold it is exactly alike to a
     factor on the second test.  rho = 0.05 to 0.15 (recalled; 9 % in fast tests on Boston blue
-    clay, Sheahan 1996; gap.md 4, nos. 7 and 12).
+    clay, Sheahan 1996).
     """
 
     strength: Real = quantity(0.0)

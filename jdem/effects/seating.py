@@ -17,7 +17,7 @@ class SeatingGap(AbstractEffect):
     A long toe below some 3 F_s in both tests; H and peak force stay, the strain at peak grows
     by s.  The gap opens again on unloading (the curve's tail).  Displacement counts from a
     seating force as ever, which hides the part of s that is closed there.  s = 0.1 to 1 mm
-    (recalled; gap.md 4, no. 2), one s for both tests of a specimen.
+    (recalled), one s for both tests of a specimen.
     """
 
     strength: Real = quantity(0.0)

@@ -16,8 +16,8 @@ class SecondTestFactor(AbstractEffect):
     unconfined curve is multiplied by 1 + e (quasi-static, weight neglected); the confined
     curve is untouched.  Stands for drying (5 to 15 % per per cent of water, recalled), ageing
     (x 1.75 in 160 days), disturbance by extrusion and trimming (-10 to -50 %, recalled): with one
-    rate a test these are exactly alike (gap.md 4, nos. 5, 11, 13).  The time step is that of
-    e = 0 and good up to e of about 5.
+    rate a test these are exactly alike.  The time step is that of e = 0 and good up to e of
+    about 5.
     """
 
     strength: Real = quantity(0.0)
