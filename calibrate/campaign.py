@@ -124,6 +124,7 @@ class Campaign:
             "soil": _numbers(soil),
             "slope_exponent": soil.slope_exponent,
             "lab": _numbers(self.lab),
+            "effects": [type(effect).__name__ for effect in self.lab.effects],
             "static": repr((self.lab.grid, self.lab.capacity, self.lab.tests, self.lab.numerics)),
             **self._packing_content(seed),
         }
