@@ -5,7 +5,6 @@ order of the effects; errors of instruments add up.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,20 +33,20 @@ from jdem.surroundings import AbstractSurroundings
 
 TOUCH = 1.0  # N; below it errors fade for the servo: it returns until the platen is free
 
-EFFECTS: dict[str, AbstractEffect] = {
-    "load_frame_compliance": LoadFrameCompliance(),
-    "seating_gap": SeatingGap(),
-    "load_cell_gain": LoadCellGain(),
-    "load_cell_offset": LoadCellOffset(),
-    "load_cell_drift": LoadCellDrift(),
-    "acquisition_lag": AcquisitionLag(),
-    "wall_friction": WallFriction(),
-    "platen_friction": PlatenFriction(),
-    "second_test_factor": SecondTestFactor(),
-    "capillary_tension": CapillaryTension(),
-    "cementation": Cementation(),
-    "rate_dependence": RateDependence(),
-    "specimen_density": SpecimenDensity(),
+EFFECTS: dict[str, type[AbstractEffect]] = {
+    "load_frame_compliance": LoadFrameCompliance,
+    "seating_gap": SeatingGap,
+    "load_cell_gain": LoadCellGain,
+    "load_cell_offset": LoadCellOffset,
+    "load_cell_drift": LoadCellDrift,
+    "acquisition_lag": AcquisitionLag,
+    "wall_friction": WallFriction,
+    "platen_friction": PlatenFriction,
+    "second_test_factor": SecondTestFactor,
+    "capillary_tension": CapillaryTension,
+    "cementation": Cementation,
+    "rate_dependence": RateDependence,
+    "specimen_density": SpecimenDensity,
 }
 
 
@@ -61,19 +60,11 @@ def with_strengths(
     )
 
 
-class Described(Protocol):
-    """An effect or a setting."""
-
-    @property
-    def about(self) -> About: ...
-
-
-def as_table(entries: Mapping[str, Described]) -> str:
-    """What effects or settings are about, as a table in Markdown; all are off at 0."""
+def as_table(entries: Mapping[str, About]) -> str:
+    """What is known about effects or settings, as a table in Markdown; all are off at 0."""
     head = "| name | strength | unit | typical | confined test | unconfined test | alike | source |"
     rows = [head, "|" + " --- |" * 8]
-    for name, entry in entries.items():
-        about = entry.about
+    for name, about in entries.items():
         sides = ">= 0: " if about.one_sided else ""
         typical = f"{sides}{about.typical[0]:.2g} to {about.typical[1]:.2g}"
         alike = ", ".join(about.confounders)
