@@ -31,7 +31,7 @@ from jdem.experiments.pair import SpherePair, drive_overlap
 from jdem.experiments.unconfined import UnconfinedCompression
 from jdem.observables import Curve, displacement_at
 from jdem.packing import Specimen, prepare
-from jdem.quantity import Real, quantity
+from jdem.quantity import Real, as_quantity, quantity
 from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law
 
@@ -212,7 +212,7 @@ def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
     values = {"load_cell_gain": 0.01, "load_cell_offset": 2.0, "load_cell_drift": 0.01}
     effects = with_strengths(ALL.effects, strengths(**values))
     deaf = tuple(
-        eqx.tree_at(lambda e: e.in_servo, effect, jnp.asarray(0.0)) if name in values else effect
+        eqx.tree_at(lambda e: e.in_servo, effect, as_quantity(0.0)) if name in values else effect
         for name, effect in zip(NAMES, effects, strict=True)
     )
     true = outcome()

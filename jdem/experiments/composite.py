@@ -176,7 +176,8 @@ def outcome(
     readings = recorded(effects, readings, samples.platen_force, time)
     loading = _curve(readings, samples.segment == tests.names.index("loading"))
     crushing = _curve(readings, samples.segment == tests.names.index("crushing"))
-    depth = depression_depth(loading, tests.confined.force_low, tests.confined.force_high)
+    thresholds = (tests.confined.force_low, tests.confined.force_high)
+    depth = depression_depth(loading, *cast(thresholds, readings.force.dtype))
     force = crushing_force(running_mean(crushing, tests.peak_rows), tests.peak_width)
     highest = jnp.max(loading.force * loading.valid)
     short = highest < tests.confined.force_high
