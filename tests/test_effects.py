@@ -20,7 +20,7 @@ from calibrate.campaign import Campaign
 from calibrate.parameters import FACTORS
 from calibrate.presets import numerics_for
 from jdem.contact import ContactHistory
-from jdem.effects.base import About, AbstractEffect
+from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
 from jdem.effects.capillary import CUTOFF, DECAY, CapillaryTension
 from jdem.effects.cementation import STRAIN, Bonded
 from jdem.effects.composite import EFFECTS, as_table, with_strengths
@@ -328,13 +328,35 @@ def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
     print(f"depth {change:+.4f}, unconfined x {ratio:.3f}, at the slow rate {slowest:.3f}")
     assert slowest * 0.95 < ratio < 1.0
     rho = 0.5
-    held = [segment(outcome(HOLD, **v), "holding") for v in ({}, {"rate_dependence": rho})]
-    falls = [float(h.platen_force[-1] / h.platen_force[0]) for h in held]
-    # v fades from v_c as 1/(1/v_c + t/A): the nominal hold's decades, seen by all contacts.
-    rate = 8e-3 / 0.06
-    faded = math.log10(1 + rate * HOLD * (0.05 / 8e-3) / 0.01)
-    print(f"force left after the hold {falls}, expected {math.exp(-rho * faded):.4f}")
-    assert falls[1] / falls[0] == pytest.approx(math.exp(-rho * faded), abs=0.01)
+    tests = [outcome(HOLD, **v) for v in ({}, {"rate_dependence": rho})]
+    falls = [
+        float(h.platen_force[-1] / h.platen_force[0])
+        for h in (segment(test, "holding") for test in tests)
+    ]
+    slow = np.log10(slowness(tests[1]))[-len(segment(tests[1], "holding").time) :]
+    expected = math.exp(-rho * (slow[-1] - slow[0]))
+    print(f"force left after the hold {falls}, expected {expected:.4f}")
+    assert expected < 0.97
+    assert falls[1] / falls[0] == pytest.approx(expected, abs=0.003)
+
+
+def slowness(outcome):
+    """v_c/v at each sample of loading and holding, from the recorded motion of the platen.
+
+    The servo slows down before the hold, so a part of the relaxation has passed when it begins.
+    """
+    parts = [segment(outcome, name) for name in ("loading", "holding")]
+    height, time = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("platen_height", "time")
+    )
+    found = [1.0]
+    for strain, interval in zip(-np.diff(height) / height[:-1], np.diff(time), strict=True):
+        share = abs(strain) / FADING_STRAIN
+        mean = -math.expm1(-share) / share if share > 1e-6 else 1.0
+        nominal = 8e-3 / 0.06 * interval * (0.05 / 8e-3)
+        found.append(found[-1] * math.exp(-share) + nominal / FADING_STRAIN * mean)
+    return np.array(found)
 
 
 def test_capillary_tension_strengthens_without_the_mould(outcome):
@@ -435,18 +457,19 @@ def slopes(packing, time_step):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
-    """Tangents against central differences over 1e-6 of a typical strength (one-sided at 0
-    for the lag, whose filter has no meaning below 0)."""
+    """Tangents against central differences over 1e-7 of a typical strength (one-sided at 0
+    for the lag, whose filter has no meaning below 0); a step of 1e-6 crosses slips, which
+    costs the depth 20 % with platen friction."""
     typical = TYPICAL[name]
-    size = 1e-6 * typical
+    size = 1e-7 * typical
     found = slopes[NAMES.index(name)] * typical
     low = 0.0 if name == "acquisition_lag" else -size
     ends = [outcome(**{name: end}) for end in (size, low)]
     pairs = [np.array([1e3 * o.depression_depth, o.crushing_force], float) for o in ends]
     expected = (pairs[0] - pairs[1]) / (size - low) * typical
     print(f"{name}: tangent {found}, difference {expected} (mm, N per typical strength)")
-    np.testing.assert_allclose(found[0], expected[0], rtol=0.15, atol=1e-6)
-    np.testing.assert_allclose(found[1], expected[1], rtol=0.25, atol=1e-4)
+    np.testing.assert_allclose(found[0], expected[0], rtol=0.01, atol=1e-6)
+    np.testing.assert_allclose(found[1], expected[1], rtol=0.01, atol=1e-4)
 
 
 # ------------------------------------------------------------------ library and settings
