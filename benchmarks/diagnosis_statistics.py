@@ -150,7 +150,7 @@ def scored(rows: list[Row], seed: int) -> dict:
     of = {
         kind: [r for r in rows if r.kind == kind] for kind in ("null", "single", "pair", "outside")
     }
-    clear = [r for r in of["single"] if r.snr > 2]
+    clear = [r for r in of["single"] if r.stratum != "0.5-2"]
     return {
         "false_alarm": share(r.ours != NONE for r in of["null"]),
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of["null"]),

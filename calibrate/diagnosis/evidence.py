@@ -48,7 +48,8 @@ def evidence(
 ) -> Evidence:
     """Evidences of all explanations from one linearisation.
 
-    residual (m,): measured minus simulated plus B delta; kernel: factors of smooth discrepancies, unprojected.
+    residual (m,): measured minus simulated plus B delta; kernel: factors of
+    smooth discrepancies, not projected.
     """
     one_sided = description.one_sided
     index = np.array(np.triu_indices(len(one_sided), 1)).T

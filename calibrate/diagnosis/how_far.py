@@ -14,7 +14,7 @@ distortions of displacement and of force along force, the same in both tests, an
 measuring effects).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -181,15 +181,10 @@ def _spans(description, measured, noise, base: Refit) -> dict[str, np.ndarray]:
     """Directions (m, q), one typical size each, of the two ceilings."""
     kind = np.array([effect.kind for effect in description.effects])
     smooth = kernel_factors(description.features, noise.specimen)
-    contact = np.hstack(
-        [
-            base.effect_slopes[:, kind == "contact"],
-            *(SMOOTH_AMPLITUDE / SPAN_SD * f for f in smooth),
-        ]
-    )
-    chain = np.hstack(
-        [base.effect_slopes[:, kind == "measuring"], distortions(description, measured)]
-    )
+    any_shape = [SMOOTH_AMPLITUDE / SPAN_SD * factor for factor in smooth]
+    contact = np.hstack([base.effect_slopes[:, kind == "contact"], *any_shape])
+    instruments = base.effect_slopes[:, kind == "measuring"]
+    chain = np.hstack([instruments, distortions(description, measured)])
     return {"contact law": contact, "measuring chain": chain}
 
 
@@ -230,7 +225,6 @@ def _span_gap(base: Refit, measured, noise, columns, weight) -> float:
     prior = np.full(every.shape[1], SPAN_SD)
     prior[: base.base_slopes.shape[1]] = np.inf
     hat = _hat(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
-    working = replace(base).working
-    left = working - hat @ working
+    left = base.working - hat @ base.working
     swallowed = 2 * weight @ np.diag(hat @ noise.mean) - weight @ np.diag(noise.mean)
     return float(weight @ left**2 + swallowed)

@@ -47,10 +47,12 @@ def project(
     lower = np.linalg.cholesky(covariance)
     whitening = linalg.solve_triangular(lower, np.eye(m), lower=True)
     stacked = np.vstack([whitening @ base_slopes, np.diag(1 / prior_sd)])
-    full, upper = linalg.qr(stacked)
+    full, upper = np.linalg.qr(stacked, mode="complete")
     operator = full[:, p:].T[:, :m] @ whitening
     log_determinant = 2 * float(
-        np.log(np.diag(lower)).sum() + np.log(np.abs(np.diag(upper))).sum() + np.log(prior_sd).sum()
+        np.log(np.diag(lower)).sum()
+        + np.log(np.abs(np.diag(upper[:p]))).sum()
+        + np.log(prior_sd).sum()
     )
     return Projected(operator, operator @ residual, operator @ effect_slopes, log_determinant)
 

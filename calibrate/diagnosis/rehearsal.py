@@ -57,9 +57,10 @@ def generated_case(prepared: Prepared, rng: np.random.Generator, kind: str) -> C
         return Case(world.measured(rng), (NONE,), (), 0.0)
     if kind == UNKNOWN and rng.random() < 0.5:
         return Case(world.measured(rng, gap=world.smooth_gap(rng, snr)), (UNKNOWN,), (), snr)
-    chosen = rng.choice(len(names), 2 if kind == "pair" and len(names) > 1 else 1, replace=False)
+    count = 2 if kind == "pair" and len(names) > 1 else 1
+    chosen = [int(k) for k in rng.permutation(len(names))[:count]]
     for k in chosen:
-        strengths[k] = _signed(prepared, rng, int(k), snr)
+        strengths[k] = _signed(prepared, rng, k, snr)
     measured = world.measured(rng, strengths)
     if kind == UNKNOWN:
         return Case(measured, (UNKNOWN,), prepared.classes.of(names[chosen[0]]), snr)

@@ -60,8 +60,8 @@ def from_vectors(features: Sequence[Feature], specimens: np.ndarray) -> Measured
     ValueError if a feature was never measured: use `measured_features` first.
     """
     known = np.isfinite(specimens)
-    if not known.any(axis=0).all():
-        missing = [f.name for f, k in zip(features, known.any(axis=0), strict=True) if not k]
+    missing = [f.name for i, f in enumerate(features) if not known[:, i].any()]
+    if missing:
         raise ValueError(f"never measured: {missing[0]}; drop it with measured_features")
     shared = known.astype(float).T @ known.astype(float)
     mean = np.nanmean(specimens, axis=0)
@@ -94,8 +94,8 @@ def measured_features(
     """Those features that every specimen with a curve of their test has."""
     values = np.array([vector(features, curves) for curves in specimens])
     has_test = np.array([[f.test in curves for f in features] for curves in specimens])
-    complete = (np.isfinite(values) | ~has_test).all(axis=0) & has_test.any(axis=0)
-    return tuple(f for f, keep in zip(features, complete, strict=True) if keep)
+    complete = np.isfinite(values) | ~has_test
+    return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())
 
 
 def _scatter(values: np.ndarray) -> Scatter | None:
