@@ -53,10 +53,10 @@ def description(seed: int = 0) -> Linearised:
     return simple(FEATURES, mean, base, effects, simulated - mean)
 
 
-def case(seed: int, gap: np.ndarray | None = None) -> Measured:
-    """A laboratory with base parameters from their prior and a gap (m,) from the truth."""
+def case(seed: int, gap: np.ndarray | None = None, off_centre: float = 1.0) -> Measured:
+    """A laboratory with a gap (m,) and base parameters from `off_centre` times their prior."""
     known = description()
-    delta = known.prior_sd * np.random.default_rng(seed).standard_normal(5)
+    delta = off_centre * known.prior_sd * np.random.default_rng(seed).standard_normal(5)
     mean = known.base_slopes @ delta + (0 if gap is None else gap)
     specimens = mean + draws(scatter(), len(PLAN), 10_000 + seed)
     return from_vectors(FEATURES, np.where(PLAN, specimens, np.nan))

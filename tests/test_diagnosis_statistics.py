@@ -10,7 +10,13 @@ import pytest
 from scipy import integrate, stats
 
 from calibrate.diagnosis.classes import classes, separable, separation
-from calibrate.diagnosis.discrepancy import kernel_factors, log_bayes_factor, projected, spectrum
+from calibrate.diagnosis.discrepancy import (
+    AMPLITUDES,
+    kernel_factors,
+    log_bayes_factor,
+    projected,
+    spectrum,
+)
 from calibrate.diagnosis.evidence import SCALES, Evidence, bivariate_normal, pairs, singles
 from calibrate.diagnosis.generated import World
 from calibrate.diagnosis.lack_of_fit import statistics, table
@@ -62,13 +68,12 @@ def test_a_shape_keeps_every_variance():
 @pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
 def test_the_amplitude_comes_back_from_repeats(true):
     covariance = world.scatter()
+    tiny = 1e-6 * np.diag(np.diag(covariance))
     found = []
     for seed in range(30):
         rows = true * world.draws(covariance, 4, seed)
         rows = rows - rows.mean(axis=0)
-        found.append(
-            amplitude_of(covariance, 1e-6 * np.diag(np.diag(covariance)), Scatter(rows.T @ rows, 3))
-        )
+        found.append(amplitude_of(covariance, tiny, Scatter(rows.T @ rows, 3)))
     ln, sd = np.log([a for a, _ in found]), np.mean([s for _, s in found])
     assert abs(ln.mean() - np.log(true)) < 0.12
     assert 0.6 < ln.std() / sd < 1.6  # the stated deviation is that of repetitions
@@ -213,7 +218,6 @@ def test_evidence_of_a_smooth_gap_is_that_of_the_normal_distribution():
     factor = np.random.default_rng(5).standard_normal((6, 3))
     residual = small_design().residual
     null = stats.multivariate_normal(np.zeros(6), np.eye(6)).logpdf(residual)
-    from calibrate.diagnosis.discrepancy import AMPLITUDES
 
     terms = [
         stats.multivariate_normal(np.zeros(6), np.eye(6) + a**2 * factor @ factor.T).logpdf(

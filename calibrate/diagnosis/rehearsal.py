@@ -3,6 +3,8 @@
 Cases are made by `generated.World` in equal parts of no gap, single effects (signal-to-noise
 0.5-2, 2-6 and 6-15), pairs, and gaps that the library does not hold: half of these are an
 effect of the library, left out of it with its class, the other half smooth random ones.
+Each case is diagnosed with a covariance estimated anew from as many simulated specimens as
+there are, so that what is not known of the covariance shows in the stated probabilities.
 One half of the cases fits the probabilities, the other the size of sets of explanations.
 """
 
@@ -11,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.diagnosis.noise import best_shape
 from calibrate.diagnosis.opinion import NONE, UNKNOWN, Facts, fitted, log_probabilities
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.sets import threshold
@@ -33,11 +36,14 @@ class Case:
 def rehearsed(prepared: Prepared, seed: int, cases: int = 400) -> Prepared:
     """The same with an opinion and sets fitted to generated cases."""
     rng = np.random.default_rng(seed)
+    residuals = prepared.description.packing_residuals
+    shape = best_shape(residuals - residuals.mean(axis=0))
     facts: list[Facts] = []
     truths: list[np.ndarray] = []
     for number in range(cases):
         case = generated_case(prepared, rng, KINDS[number % len(KINDS)])
         library = prepared.without(case.left_out) if case.left_out else prepared
+        library = library.with_packing(shape.of(prepared.world.simulated(rng)))
         found = diagnose(library, case.measured).facts
         facts.append(found)
         truths.append(right(found, library.classes, case.truth))

@@ -67,6 +67,10 @@ class Prepared:
         world = replace(self.world, description=self.description.without_effects(names))
         return replace(self, world=world, classes=design_classes(world))
 
+    def with_packing(self, packing: np.ndarray) -> "Prepared":
+        """The same with another covariance (m, m) of simulated specimens."""
+        return replace(self, world=replace(self.world, packing=packing))
+
 
 @dataclass(frozen=True, eq=False)
 class Which:
@@ -214,23 +218,24 @@ def _at(prepared, noise: Noise, fit: Refit) -> float:
 
 
 def _left(prepared, noise: Noise, kernel: Factors, found: Evidence, refits):
-    """The best explanation and the p-value of what it leaves: the better of the best
-    effect and the best pair."""
-    d = prepared.description
-    single = max((k for k in refits if len(k) == 1), key=lambda k: found.singles[k[0]], default=())
-    if not single:
+    """The best refitted effect, and the p-value of what is left: the better of those after
+    this effect and after the best refitted pair."""
+    if not refits:
         return (), 1.0
-    best_pair = found.pair_index[int(np.argmax(found.pairs))] if len(found.pairs) else None
-    keys = [single] + ([tuple(int(i) for i in best_pair)] if best_pair is not None else [])
+    d = prepared.description
+    value = dict(zip(map(tuple, found.pair_index.tolist()), found.pairs, strict=True))
+    value |= {(k,): found.singles[k] for k in range(len(found.singles))}
+    best = max((key for key in refits if len(key) == 1), key=lambda key: value[key])
+    pairs = [key for key in refits if len(key) == 2]
+    keys = [best, *([max(pairs, key=lambda key: value[key])] if pairs else [])]
     p_values = []
     for key in keys:
         fit = refits[key]
         design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, noise.mean)
         shapes = projected(kernel, design.operator)
-        p_values.append(
-            prepared.null.after.p_value(statistics_after(design, list(key), d.one_sided, shapes))
-        )
-    return single, max(p_values)
+        left = statistics_after(design, list(key), d.one_sided, shapes)
+        p_values.append(prepared.null.after.p_value(left))
+    return best, max(p_values)
 
 
 def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
