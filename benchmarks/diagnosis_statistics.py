@@ -23,9 +23,10 @@ from scipy import stats
 from toy_reality import STRATA, Case, Reality, plan
 
 from calibrate.diagnosis import baselines
+from calibrate.diagnosis.how_far import feature_weights, fresh_gap, how_far, shrinkage
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
-from calibrate.diagnosis.which import Prepared, diagnose, label, prepare
+from calibrate.diagnosis.which import Prepared, Which, diagnose, label, prepare
 
 TIERS = ("linear", "curves")
 DRAWS = 400  # of the null distributions
@@ -57,6 +58,10 @@ class Row:
     set_size: int
     p_before: float
     p_after: float
+    claimed: float | None
+    claimed_low: float | None
+    claimed_high: float | None
+    realised: float | None
     majority: str
     template: str
     bic: str
@@ -101,7 +106,7 @@ def _inputs(prepared: Prepared, measured) -> np.ndarray:
     )
 
 
-def row(ready: Methods, case: Case) -> Row:
+def row(ready: Methods, case: Case, reality: Reality) -> Row:
     """One case through all methods."""
     prepared, measured = ready.prepared, case.measured
     found = diagnose(prepared, measured)
@@ -124,11 +129,30 @@ def row(ready: Methods, case: Case) -> Row:
         set_size=len(found.likely_set),
         p_before=found.facts.p_before,
         p_after=found.facts.p_after,
+        **shrinkage_row(description, case, found, reality),
         majority=ready.majority,
         template=label(names, (template,)),
         bic=label(names, (baselines.bic(description, measured),)),
         classifier=ready.classifier.best(_inputs(prepared, measured)),
     )
+
+
+def shrinkage_row(description, case: Case, found: Which, reality: Reality) -> dict:
+    """The shrinkage claimed for the best effect and that on fresh specimens, where one effect
+    was named at a signal-to-noise above 6."""
+    if case.stratum != "above 6" or case.kind != "single" or found.verdict in (NONE, UNKNOWN):
+        return dict.fromkeys(("claimed", "claimed_low", "claimed_high", "realised"))
+    fit = found.refits[found.best]
+    far = how_far(description, case.measured, found.noise, found.base, fit, seed=0)
+    fresh, weight = reality.fresh(case), feature_weights(description, found.noise)
+    gaps = [fresh_gap(f.values, fresh, weight) for f in (found.base, fit)]
+    realised = shrinkage(*gaps)
+    return {
+        "claimed": far.shrinkage,
+        "claimed_low": far.low,
+        "claimed_high": far.high,
+        "realised": realised,
+    }
 
 
 def share(values) -> dict:
@@ -151,6 +175,7 @@ def scored(rows: list[Row], seed: int) -> dict:
         kind: [r for r in rows if r.kind == kind] for kind in ("null", "single", "pair", "outside")
     }
     clear = [r for r in of["single"] if r.stratum != "0.5-2"]
+    claims = [r for r in rows if r.claimed is not None]
     return {
         "false_alarm": share(r.ours != NONE for r in of["null"]),
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of["null"]),
@@ -178,6 +203,10 @@ def scored(rows: list[Row], seed: int) -> dict:
         },
         "set_coverage": share(r.in_set for r in rows),
         "mean_set_size": float(np.mean([r.set_size for r in rows])),
+        "shrinkage_within_10": share(abs(r.claimed - r.realised) <= 0.1 for r in claims),
+        "shrinkage_in_interval": share(
+            r.claimed_low <= r.realised <= r.claimed_high for r in claims
+        ),
         "calibration": calibration(rows, seed),
         "log_score": float(np.mean([np.log(max(r.of_truth, 1e-6)) for r in rows])),
         "against": {name: against(clear, rows, name) for name in METHODS[1:]},
@@ -245,11 +274,12 @@ def tier_results(tier: str, seed: int, scale: float) -> tuple[dict, list[Row]]:
     ready = methods(tier, seed + 10, scale)
     reality = Reality(tier, seed)
     rows = [
-        row(ready, reality.case(kind, stratum))
+        row(ready, reality.case(kind, stratum), reality)
         for kind, stratum, count in PLAN
         for _ in range(max(int(count * scale), 2))
     ]
     content = scored(rows, seed)
+    content["typical_snr"] = reality.typical_snr()
     content["inflation"] = ready.prepared.null.inflation
     content["opinion"] = asdict(ready.prepared.opinion)
     content["classes"] = [list(group) for group in ready.prepared.classes.members]
@@ -275,6 +305,16 @@ def markdown(tiers: dict) -> str:
             f"{content['mean_set_size']:.2f}, inflation of the covariance "
             f"{content['inflation']:.2f}.\n"
         )
+    effects = next(iter(tiers.values()))["typical_snr"]
+    rows = [
+        [name, *(f"{c['typical_snr'][name][k]:.1f}" for c in tiers.values() for k in range(2))]
+        for name in effects
+    ]
+    header = ["", *(f"{tier}, {what}" for tier in tiers for what in ("sixty", "exact"))]
+    text += (
+        "\n## Signal-to-noise at typical strength\n\nWith the covariance of sixty specimens, "
+        "and with that of all.\n\n" + reporting.table(header, rows)
+    )
     text += "\n## Against what is usually done\n\nClear single effects (signal-to-noise above 2).\n"
     for tier, content in tiers.items():
         rows = [
@@ -306,6 +346,8 @@ _LINES = [
     ("outside taken for one effect", lambda c: c["outside_taken_for_one_effect"]),
     ("known called unknown", lambda c: c["known_called_unknown"]),
     ("wrong and confident", lambda c: c["wrong_and_confident"]),
+    ("shrinkage within 10 points", lambda c: c["shrinkage_within_10"]),
+    ("shrinkage in its 90 % interval", lambda c: c["shrinkage_in_interval"]),
     ("sets hold the truth", lambda c: c["set_coverage"]),
 ]
 

@@ -27,6 +27,7 @@ REALITY_AMPLITUDE, REALITY_LENGTH = 1.25, 0.2  # simulated specimens: 1 and 0.15
 REFERENCE_SPECIMENS = 600
 STRATA = {"0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "above 6": (6.0, 15.0)}
 OUTSIDE_SNR = (3.0, 15.0)
+FRESH = 10  # times eight specimens, against which a shrinkage is checked
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Case:
     stratum: str
     strengths: dict[str, float]
     snr: float
+    delta: np.ndarray
     measured: Measured
 
     @property
@@ -78,7 +80,7 @@ class Reality:
         while True:
             delta = self.rng.standard_normal(bank.P) * np.array(list(toy.BASE.values()))
             if kind == "null":
-                return Case(kind, "", {}, 0.0, self._measured(delta, {}))
+                return Case(kind, "", {}, 0.0, delta, self._measured(delta, {}))
             names = list(toy.OUTSIDE) if kind == "outside" else [e.name for e in toy.EFFECTS]
             count = 2 if kind == "pair" else 1
             chosen = [str(n) for n in self.rng.choice(names, count, replace=False)]
@@ -87,19 +89,38 @@ class Reality:
             strengths = self._strengths(delta, chosen, snr)
             if max(abs(e) for e in strengths.values()) <= LARGEST:
                 measured = self._measured(delta, strengths)
-                return Case(kind, stratum, strengths, snr, measured)
+                return Case(kind, stratum, strengths, snr, delta, measured)
+
+    def fresh(self, case: Case) -> np.ndarray:
+        """Features (n, m) of fresh specimens of a case's soil, or its mean in the linear tier."""
+        if self.tier == "linear":
+            return self._linear_mean(case.delta, case.strengths)[None, :]
+        return np.vstack([self._curves(case.delta, case.strengths) for _ in range(FRESH)])
+
+    def typical_snr(self) -> dict[str, tuple[float, float]]:
+        """Signal-to-noise of each effect at typical strength at the centre: with the
+        covariance of sixty specimens, and with that of all."""
+        zero = np.zeros(bank.P)
+        slopes = np.array([self._slope(zero, effect.name) for effect in toy.EFFECTS]).T
+        found = [self._snr(zero, slopes, c) for c in (self.known, self.covariance)]
+        return {
+            effect.name: (float(few), float(every))
+            for effect, few, every in zip(toy.EFFECTS, *found, strict=True)
+        }
+
+    def _snr(self, delta, slopes, specimen) -> np.ndarray:
+        """Projected lengths (k,) of changes of features (m, k)."""
+        base = np.array([self._base_slope(delta, i) for i in range(bank.P)]).T
+        tests = tests_of(toy.FEATURES)
+        covariance = specimen / REPEATS * (tests[:, None] == tests[None, :])
+        prior = np.array(list(toy.BASE.values()))
+        return lengths(project(np.zeros(len(base)), base, prior, slopes, covariance).effects)
 
     def _strengths(self, delta, chosen, snr) -> dict[str, float]:
         slopes = np.array([self._slope(delta, name) for name in chosen]).T
-        base = np.array([self._base_slope(delta, i) for i in range(bank.P)]).T
-        prior = np.array(list(toy.BASE.values()))
-        covariance = self.known / REPEATS
-        blocks = tests_of(toy.FEATURES)
-        covariance = covariance * (blocks[:, None] == blocks[None, :])
-        design = project(np.zeros(len(base)), base, prior, slopes, covariance)
         two_sided = {e.name for e in toy.EFFECTS if not e.one_sided}
         sign = [self.rng.choice([-1, 1]) if n in two_sided else 1 for n in chosen]
-        values = np.array(sign) * snr / lengths(design.effects)
+        values = np.array(sign) * snr / self._snr(delta, slopes, self.known)
         return {n: float(v) for n, v in zip(chosen, values, strict=True)}
 
     def _measured(self, delta, strengths) -> Measured:
@@ -125,13 +146,16 @@ class Reality:
         )
 
     def _linear(self, delta, strengths) -> np.ndarray:
+        mean = self._linear_mean(delta, strengths)
+        return mean + self.rng.standard_normal((2 * REPEATS, len(mean))) @ self.root.T
+
+    def _linear_mean(self, delta, strengths) -> np.ndarray:
         zero = np.zeros(bank.P)
         base = np.array([self._base_slope(zero, i) for i in range(bank.P)]).T
         mean = self.mean + base @ delta
         for name, strength in strengths.items():
             mean = mean + strength * self._slope(zero, name)
-        scatter = self.rng.standard_normal((2 * REPEATS, len(mean))) @ self.root.T
-        return mean + scatter
+        return mean
 
     def _slope(self, delta, name, step=0.25) -> np.ndarray:
         delta = np.zeros(bank.P) if self.tier == "linear" else delta
