@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from calibrate import verbs
 from calibrate.errors import CalibrationError, InputError, one_line
 
 app = typer.Typer(
@@ -172,6 +173,9 @@ def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -
     report.write(result, out, json)
     report.show(result, Console())
     print(f"page and JSON in {out}")
+
+
+verbs.register(app)
 
 
 def main() -> None:

@@ -43,7 +43,7 @@ HOLD = 0.005  # s, simulated; the longest hold that the program has room for
 TYPICAL = {name: effect.about.typical[-1] for name, effect in EFFECTS.items()}
 
 
-def tests_with(hold=0.0):
+def both_tests(hold=0.0):
     confined = ConfinedCompression(
         simulated_rate=0.05,
         force_low=100.0,
@@ -55,8 +55,8 @@ def tests_with(hold=0.0):
 
 
 def lab_with(*effects, hold=0.0):
-    lab = VirtualLab.of(SMALL, tests_with(HOLD), NUMERICS, effects)
-    return eqx.tree_at(lambda lab: lab.tests, lab, tests_with(hold))
+    lab = VirtualLab.of(SMALL, both_tests(HOLD), NUMERICS, effects)
+    return eqx.tree_at(lambda lab: lab.tests, lab, both_tests(hold))
 
 
 def strengths(**values):
@@ -145,7 +145,7 @@ def test_strength_zero_is_the_base_model_bit_for_bit(base, outcome):
 def test_effects_keep_single_precision(packing):
     """Traced only: a loop whose numbers changed their precision could not be traced."""
     numerics = replace(NUMERICS, dtype="float32")
-    lab = VirtualLab.of(SMALL, tests_with(), numerics, ALL.effects)
+    lab = VirtualLab.of(SMALL, both_tests(), numerics, ALL.effects)
     outcome = eqx.filter_eval_shape(VirtualLab.run, lab, packing, SOIL)
     shown = (outcome.depression_depth, outcome.confined, outcome.unconfined, outcome.nominal_time)
     assert {leaf.dtype for leaf in jax.tree.leaves(shown)} == {jnp.dtype("float32")}
@@ -496,7 +496,7 @@ def test_the_documented_table_is_the_librarys():
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_a_setting_changes_what_it_says_and_nothing_at_strength_zero(name):
-    trial = Trial(SMALL, tests_with(), NUMERICS)
+    trial = Trial(SMALL, both_tests(), NUMERICS)
     setting = SETTINGS[name]
     same, doubled = (setting.changed(trial, s) for s in (0.0, math.log(2.0)))
     assert same.specimen == trial.specimen

@@ -1,0 +1,16 @@
+"""Verbs of the command line that bring data in and parameters out, one per file.
+
+Each file has `register(app)`, which adds its command to the program in `calibrate.cli`.
+"""
+
+import typer
+
+from calibrate.verbs import convert
+
+VERBS = (convert,)
+
+
+def register(app: typer.Typer) -> None:
+    """Adds all verbs of this folder to the program."""
+    for verb in VERBS:
+        verb.register(app)
