@@ -21,7 +21,7 @@ P = len(toy.BASE)
 STEP = np.concatenate([SD, np.ones(len(toy.EFFECTS))])  # of mixed differences
 LOW = np.concatenate([-3 * SD, [-0.5 if e.one_sided else -4.5 for e in toy.EFFECTS]])
 HIGH = np.concatenate([3 * SD, [4.5] * len(toy.EFFECTS)])
-KNOTS = 10  # on each axis, and zero
+KNOTS = 11  # on each axis; LOW and HIGH put one at zero
 FINE = toy.Instrument(0.02, 0.02)
 NOISE = (0.5, 0.004)  # N, mm
 LABORATORY = toy.Instrument(0.15, 0.05, *NOISE)
@@ -32,21 +32,24 @@ CHECKS = 40
 class Bank:
     """f(x) = f0 + sum_i h_i(x_i) + sum_{i<j} Q_ij x_i x_j in x = (delta, strengths).
 
-    Along each axis a spline h_i through simulated points; Q (m, d, d) symmetric with zero
-    diagonal.
+    Along each axis a cubic spline h_i through simulated points: knots (d, n) and coefficients
+    (d, n - 1, 4, m); Q (m, d, d) symmetric with zero diagonal.
     """
 
     value: np.ndarray
-    axes: tuple[CubicSpline, ...]
-    slopes: tuple[CubicSpline, ...]
+    knots: np.ndarray
+    pieces: np.ndarray
     cross: np.ndarray
 
     def __call__(self, delta: np.ndarray, strengths: np.ndarray):
         x = np.clip(np.concatenate([delta, strengths]), LOW, HIGH)
         bend = self.cross @ x
-        along = np.array([axis(t) for axis, t in zip(self.axes, x, strict=True)])
-        value = self.value + along.sum(axis=0) + 0.5 * bend @ x
-        slopes = np.array([s(t) for s, t in zip(self.slopes, x, strict=True)]).T + bend
+        axis = np.arange(len(x))
+        piece = (self.knots[:, 1:-1] <= x[:, None]).sum(axis=1)
+        t = (x - self.knots[axis, piece])[:, None]
+        a, b, c, d = self.pieces[axis, piece].swapaxes(0, 1)
+        value = self.value + (((a * t + b) * t + c) * t + d).sum(axis=0) + 0.5 * bend @ x
+        slopes = ((3 * a * t + 2 * b) * t + c).T + bend
         return value, slopes[:, :P], slopes[:, P:]
 
 
@@ -94,7 +97,7 @@ def _bank(mean: np.ndarray) -> Bank:
     centre = middle(np.zeros(d))
     axes, ends = [], []
     for i in range(d):
-        knots = np.unique(np.append(np.linspace(LOW[i], HIGH[i], KNOTS), 0.0))
+        knots = np.linspace(LOW[i], HIGH[i], KNOTS)
         values = np.array([middle(t * np.eye(d)[i]) for t in knots]) - centre
         axes.append(CubicSpline(knots, values))
         ends.append(axes[i](STEP[i]))
@@ -104,7 +107,9 @@ def _bank(mean: np.ndarray) -> Bank:
             both = middle(STEP[i] * np.eye(d)[i] + STEP[j] * np.eye(d)[j]) - centre
             mixed = (both - ends[i] - ends[j]) / (STEP[i] * STEP[j])
             cross[:, i, j] = cross[:, j, i] = mixed
-    return Bank(mean, tuple(axes), tuple(axis.derivative() for axis in axes), cross)
+    knots = np.array([axis.x for axis in axes])
+    pieces = np.array([axis.c.transpose(1, 0, 2) for axis in axes])
+    return Bank(mean, knots, pieces, cross)
 
 
 def _tolerance(bank: Bank, rng: np.random.Generator) -> np.ndarray:
