@@ -167,7 +167,7 @@ def unconfined(soil: Soil, body: Specimen) -> tuple[np.ndarray, np.ndarray]:
     form = form * (1 + 0.02 * e("stick-slip", 0.0) * np.sin(18 * x) * np.minimum(x, 1))
     form = form * (1 - 0.05 * e("crushing", 0.0) * np.exp(-(((x - 0.9) / 0.3) ** 2)))
     wavy = 1 + np.interp(x, KNOTS, body.unconfined)
-    factor = 1 + 0.25 * e("strength factor", 0.0)
+    factor = np.exp(0.25 * e("strength factor", 0.0))
     force = peak * form * wavy * factor
     displacement = x * place + 0.1 * np.exp(dev["toe"]) * (1 - np.exp(-x / 0.03))
     force = force + 15.0 * e("drift", 0.0) * displacement / PEAK_MM * (x > 0)
@@ -187,7 +187,11 @@ def _lagged(displacement, force, lag: float):
     """A first-order lag of force over path, of 0.12 mm at typical strength."""
     if lag == 0:
         return displacement, force
-    path = np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(displacement)), 1e-9))])
+    rest = 60  # points recorded after the platen has stopped, in which the force catches up
+    displacement = np.append(displacement, displacement[-1] - 1e-6 * np.arange(1, rest + 1))
+    force = np.append(force, np.full(rest, force[-1]))
+    path = np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(displacement)), 0.0))])
+    path[-rest:] += 0.04 * np.arange(1, rest + 1)
     even = np.linspace(0.0, path[-1], 1200)
     length, level = 0.12 * abs(lag), np.interp(even, path, force)
     keep = np.exp(-(even[1] - even[0]) / length)

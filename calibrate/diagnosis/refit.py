@@ -15,7 +15,6 @@ from itertools import product
 import numpy as np
 
 from calibrate.diagnosis.linear import Linearised
-from calibrate.diagnosis.projection import fitted_shift, project
 
 STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running away
 STEPS = 8
@@ -51,7 +50,7 @@ def refit(
     inverse = np.linalg.inv(covariance)
     point = _point(description, measured, inverse, tuple(chosen), delta, strengths)
     for _ in range(STEPS):
-        step = _step(description, covariance, point)
+        step = _step(description, inverse, point)
         best = _shortened(description, measured, inverse, point, *step)
         gain = point.objective - best.objective
         point = best if gain > 0 else point
@@ -75,18 +74,23 @@ def best_strengths(gram: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) ->
     return best
 
 
-def _step(description: Linearised, covariance: np.ndarray, point: Refit):
-    """Full Gauss-Newton step: new delta (p,) and strengths (k,)."""
-    on = list(point.chosen)
-    slopes, sd = point.effect_slopes[:, on], description.prior_sd
+def _step(description: Linearised, inverse: np.ndarray, point: Refit):
+    """Full Gauss-Newton step: new delta (p,) and strengths (k,), from normal equations with
+    the base parameters eliminated."""
+    on, p = list(point.chosen), len(description.prior_sd)
+    columns = np.hstack([point.base_slopes, point.effect_slopes[:, on]])
+    weighted = inverse @ columns
+    prior = np.concatenate([description.prior_sd, np.full(len(on), STRENGTH_SD)])
+    normal = columns.T @ weighted + np.diag(prior**-2.0)
+    pull = weighted.T @ point.working
     strengths = np.zeros_like(point.strengths)
     if on:
-        design = project(point.working, point.base_slopes, sd, slopes, covariance)
-        gram = design.effects.T @ design.effects + np.eye(len(on)) / STRENGTH_SD**2
-        pull = design.effects.T @ design.residual
-        strengths[on] = best_strengths(gram, pull, description.one_sided[on])
-    left = point.working - slopes @ strengths[on]
-    return fitted_shift(left, point.base_slopes, sd, covariance)[0], strengths
+        eliminated = np.linalg.solve(normal[:p, :p], np.column_stack([normal[:p, p:], pull[:p]]))
+        gram = normal[p:, p:] - normal[p:, :p] @ eliminated[:, :-1]
+        left = pull[p:] - normal[p:, :p] @ eliminated[:, -1]
+        strengths[on] = best_strengths(gram, left, description.one_sided[on])
+    rest = pull[:p] - normal[:p, p:] @ strengths[on]
+    return np.linalg.solve(normal[:p, :p], rest), strengths
 
 
 def _shortened(description, measured, inverse, point: Refit, delta, strengths) -> Refit:

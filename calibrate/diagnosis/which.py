@@ -38,11 +38,11 @@ from calibrate.diagnosis.opinion import (
 from calibrate.diagnosis.projection import fitted_shift, project
 from calibrate.diagnosis.refit import Refit, refit
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.score import Scores, scores
+from calibrate.diagnosis.score import Scores, admissible, lengths, scores
 from calibrate.diagnosis.sets import explanations
 
 ALPHA = 0.05  # of both gates
-REFITTED = 3  # leading effects, and their pairs
+REFITTED = 3  # leading effects whose pairs are refitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,17 +178,37 @@ def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray
 
 
 def _refits(prepared, measured, covariance, base: Refit, first: Evidence):
-    """Fits with the leading effects, their pairs and the leading pair."""
+    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
+    the leading effects, the best one with its companions, and the leading pair."""
     d = prepared.description
-    lead = [int(k) for k in np.argsort(-first.singles)[:REFITTED]]
-    chosen = [(k,) for k in lead]
-    chosen += [(min(i, j), max(i, j)) for n, i in enumerate(lead) for j in lead[n + 1 :]]
+
+    def with_effects(key: tuple[int, ...]) -> Refit:
+        return refit(d, measured.mean, covariance, key, base.delta)
+
+    order = [int(k) for k in np.argsort(-first.singles)]
+    alone = order if d.emulator is not None else order[:REFITTED]
+    fits = {(k,): with_effects((k,)) for k in alone}
+    lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
+    chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
+    if lead:
+        chosen += [(lead[0], j) for j in _companions(prepared, fits[(lead[0],)], covariance)]
     if len(first.pairs):
         i, j = first.pair_index[int(np.argmax(first.pairs))]
         chosen.append((int(i), int(j)))
-    return {
-        key: refit(d, measured.mean, covariance, key, base.delta) for key in dict.fromkeys(chosen)
-    }
+    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
+    return fits | {key: with_effects(key) for key in pairs}
+
+
+def _companions(prepared, fit: Refit, covariance) -> list[int]:
+    """The two effects that would help most beside the fitted one."""
+    d, on = prepared.description, list(fit.chosen)
+    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, covariance)
+    unit = design.effects[:, on] / lengths(design.effects[:, on])
+    others = design.effects - unit @ (unit.T @ design.effects)
+    left = design.residual - unit @ (unit.T @ design.residual)
+    score = admissible(others.T @ left / lengths(others), d.one_sided)
+    score[on] = -np.inf
+    return [int(k) for k in np.argsort(-score)[:2] if k not in on]
 
 
 def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
