@@ -8,12 +8,10 @@ at 50 N, displacement recovered on unloading, displacement at the peak and the e
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from effects import BY_NAME, Effect, Setup
@@ -27,25 +25,31 @@ STRENGTH_SHARE = 0.8  # of the logarithmic way from the weak to the strong end
 
 
 def records(setup: Setup, seed: int, folder: Path) -> tuple[Record, Record]:
-    """Both tests as the machine writes them, without scatter of the zero; cached in `folder`."""
-    saved = folder.with_suffix(".json")
-    if not saved.exists():
+    """Both tests as the machine writes them, without scatter of the zero; cached by `folder`."""
+
+    def made() -> tuple[Record, Record]:
         outcome = run(setup.soil, setup.physics, setup.instrument, seed, folder)
         if not outcome.stands:
             raise RuntimeError(f"{folder.name}: {outcome.facts}")
         random = np.random.default_rng(0)
-        tests = [
-            record(curve[:, 0], curve[:, 1], speed, setup.instrument, 0.0, random)
-            for curve, speed in (
-                (outcome.confined, CONFINED_SPEED),
-                (outcome.unconfined, UNCONFINED_SPEED),
-            )
-        ]
-        lists = [{k: v.tolist() for k, v in asdict(test).items()} for test in tests]
-        saved.write_text(json.dumps(lists))
+        first, second = outcome.confined, outcome.unconfined
+        chain = setup.instrument
+        return (
+            record(first[:, 0], first[:, 1], CONFINED_SPEED, chain, 0.0, random),
+            record(second[:, 0], second[:, 1], UNCONFINED_SPEED, chain, 0.0, random),
+        )
+
+    return cached(folder.with_suffix(".json"), made)
+
+
+def cached(file: Path, made: Callable[[], tuple[Record, Record]]) -> tuple[Record, Record]:
+    """Two records from `file`, which `made` fills the first time."""
+    if not file.exists():
+        lists = [{k: v.tolist() for k, v in asdict(test).items()} for test in made()]
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(lists))
     first, second = [
-        Record(**{k: np.array(v) for k, v in test.items()})
-        for test in json.loads(saved.read_text())
+        Record(**{k: np.array(v) for k, v in test.items()}) for test in json.loads(file.read_text())
     ]
     return first, second
 

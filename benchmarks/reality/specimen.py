@@ -41,6 +41,7 @@ LOADING, UNLOADING, CRUSHING = 0.1, 0.08, 0.08  # m/s, simulated platen speeds
 STRAIN = 0.12  # end of the second test
 CHUNK, EVERY = 60, 15  # time steps between looks at the machine, and between saved forces
 DEEPEST = 0.02  # m; a specimen that has not reached the target force by then is given up
+LEVELLING_FORCE = 10.0  # N, of the platen that levels the settled bed
 FILLING_FRICTION = 0.3  # of the spheres while they settle, on average
 
 
@@ -69,7 +70,8 @@ def run(soil: Soil, physics: Physics, instrument: Instrument, seed: int, folder:
     radii = _column(folder / "column.data", spheres, random)
     for name in ("in.settle", "in.tests", "plate.stl"):
         shutil.copy(HERE / "liggghts" / name, folder)
-    (folder / "filling.in").write_text(filling_materials(filling))
+    levelling = f"variable level index {LEVELLING_FORCE}\n"
+    (folder / "filling.in").write_text(levelling + filling_materials(filling))
     _liggghts(folder, "in.settle")
     height = _heights(folder / "bed.data")[1]
     _write_input(folder, soil, physics, instrument, height, seed)
@@ -154,7 +156,7 @@ def _liggghts(folder: Path, script: str) -> None:
     command = ["liggghts", "-in", script, "-log", f"{script}.log"]
     with open(folder / f"{script}.out", "w") as output:
         subprocess.run(
-            command, cwd=folder, stdout=output, stderr=subprocess.STDOUT, timeout=900, check=False
+            command, cwd=folder, stdout=output, stderr=subprocess.STDOUT, timeout=7200, check=False
         )
 
 
