@@ -52,8 +52,8 @@ class Effect:
         return float(size * (random.choice([-1, 1]) if self.signed else 1))
 
 
-# Compliance of both platens from 100 to 395 N, mm/kN, for each 1/MPa by which the inverse of their
-# Young's modulus exceeds the soil's: 12.49 at 5 MPa and 12.50 at 10 MPa, soil of 22.1 MPa, packing 1.
+# Compliance of both platens between 100 and 395 N, mm/kN, for each 1/MPa by which the inverse of
+# their modulus exceeds the soil's: 12.49 at 5 MPa, 12.50 at 10 MPa, soil of 22.1 MPa, packing 1.
 PLATEN_COMPLIANCE = 12.5
 
 
