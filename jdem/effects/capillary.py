@@ -10,11 +10,11 @@ strength that it gives a bed of any sphere size (Rumpf 1962: 1.05 F/d^2 at a sol
 0.55 and six contacts).
 """
 
+import math
 from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jdem.contact import Contact, ContactHistory, NormalForce
@@ -72,7 +72,8 @@ class AcrossGaps(AbstractContactLaw):
         """The attraction, N."""
         diameter = 4 * contact.radius
         lengths = jnp.maximum(-contact.overlap, 0.0) / (DECAY * diameter)
-        share = (jnp.exp(-lengths) - np.exp(-CUTOFF)) / (1 - np.exp(-CUTOFF))
+        tail = math.exp(-CUTOFF)
+        share = (jnp.exp(-lengths) - tail) / (1 - tail)
         return self.stress * diameter**2 * jnp.maximum(share, 0.0)
 
     def stiffness_bound(self, radius):
