@@ -317,7 +317,7 @@ def test_the_second_test_alone_is_multiplied(outcome):
     assert high.crushing_force / low.crushing_force == pytest.approx(1.3, rel=0.1)
 
 
-def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(packing, outcome):
+def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
     rho = 0.1
     low, high = outcome(), outcome(rate_dependence=rho)
     decades = math.log10(1e-5 / 8e-3)
