@@ -30,7 +30,7 @@ def configure(compilation_cache: bool = True) -> None:
 def provenance() -> dict:
     """Command, machine and versions; no date, so that equal results are equal files."""
     return {
-        "command": shlex.join(["python", _relative(sys.argv[0]), *sys.argv[1:]]),
+        "command": shlex.join(["python", _relative(sys.argv[0]), *_arguments()]),
         "machine": {"cores": os.cpu_count(), "cpu": _cpu_model(), "system": platform.system()},
         "versions": {
             "python": platform.python_version(),
@@ -71,6 +71,15 @@ def footer(origin: dict) -> str:
         f"\nMade by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
         f"{listed}; engine {origin['engine']}.\n"
     )
+
+
+def _arguments() -> list[str]:
+    """The command's options without --folder, which changes no number."""
+    options = sys.argv[1:]
+    if "--folder" in options:
+        place = options.index("--folder")
+        del options[place : place + 2]
+    return options
 
 
 def _relative(path: str) -> str:

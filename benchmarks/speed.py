@@ -114,38 +114,38 @@ class Timed:
 
 def ready(bed: Spread, dtype: str) -> Timed:
     """Compiles, loads the bed to 100 N, and runs to 400 N once to warm up."""
-    numerics = _numerics(bed, dtype)
-    built = _built(bed, numerics)
+    numerics = numerics_of(bed, dtype)
+    built = built_bed(bed, numerics)
     every = max(1, round(numerics.sample_time / TIME_STEP))
-    state = cast(start(built, _vector(bed.centres), bed.height, MOULD_RADIUS), jnp.dtype(dtype))
+    state = cast(start(built, vector(bed.centres), bed.height, MOULD_RADIUS), jnp.dtype(dtype))
     capacity = int(np.ceil(0.3 / (every * TIME_STEP)))
     begun = time.perf_counter()
-    compiled = _compiled(built, state, _loading(0.0, dtype), every, capacity)
+    compiled = compiled_run(built, state, loading(0.0, dtype), every, capacity)
     seconds = time.perf_counter() - begun
-    seated = compiled(built, state, _loading(100.0, dtype), jnp.asarray(every)).state
-    inputs = (built, seated, _loading(400.0, dtype), jnp.asarray(every))
+    seated = compiled(built, state, loading(100.0, dtype), jnp.asarray(every)).state
+    inputs = (built, seated, loading(400.0, dtype), jnp.asarray(every))
     record = _checked(compiled(*inputs), built)
     return Timed(dtype, compiled, inputs, every, len(bed.radius), seconds, _steps(record, every))
 
 
-def _numerics(bed: Spread, dtype: str) -> Numerics:
+def numerics_of(bed: Spread, dtype: str) -> Numerics:
     specimen = Specimen(diameter=2 * MOULD_RADIUS, height=bed.height, count=len(bed.radius))
     return numerics_for(specimen, dtype=dtype)
 
 
-def _built(bed: Spread, numerics: Numerics) -> Bed:
+def built_bed(bed: Spread, numerics: Numerics, soil: SoilParameters = SOIL) -> Bed:
     extent = (2 * MOULD_RADIUS, 1.5 * bed.height)
     radius = bed.radius
     grid = plan_grid(len(radius), float(radius.mean()), float(radius.max()), extent, numerics)
     spheres = Spheres(jnp.asarray(radius), jnp.asarray(bed.mass))
-    return build_bed(spheres, SOIL, grid, numerics, jnp.asarray(TIME_STEP))
+    return build_bed(spheres, soil, grid, numerics, jnp.asarray(TIME_STEP))
 
 
-def _vector(centres: np.ndarray) -> Vector:
+def vector(centres: np.ndarray) -> Vector:
     return Vector(*[jnp.asarray(centres[:, axis]) for axis in range(3)])
 
 
-def _loading(force: float, dtype: str) -> Segment:
+def loading(force: float, dtype: str) -> Segment:
     """At 0.1 m/s to `force` (N); the end is sharp, as the peer's is."""
     segment = Segment(
         platen_speed=0.1,
@@ -158,8 +158,12 @@ def _loading(force: float, dtype: str) -> Segment:
     return cast(stack([segment]), jnp.dtype(dtype))
 
 
-def _compiled(bed: Bed, state: BedState, programme: Segment, every: int, capacity: int):
-    jitted = eqx.filter_jit(lambda *inputs: run(*inputs, capacity))
+def compiled_run(
+    bed: Bed, state: BedState, programme: Segment, every: int, capacity: int
+) -> Callable:
+    jitted = eqx.filter_jit(
+        lambda bed, state, programme, steps: run(bed, state, programme, steps, capacity)
+    )
     return jitted.lower(bed, state, programme, jnp.asarray(every)).compile()
 
 

@@ -6,8 +6,8 @@ itself belongs to the path that this computer took, not to the soil.  Variants:
 
     as first built      dashpot beside the friction limit, rattling spheres hardly damped
     dashpot limited     spring and dashpot share the friction limit
-    rattlers damped     the same, and spheres that carry no load are damped (the default)
-    sharp friction      the default with stick-slip rounded ten times less
+    rattlers damped     the same, and spheres that carry no load are damped
+    sharp friction      the same with stick-slip rounded ten times less (the default)
 
     python benchmarks/tangents.py               about 5 minutes on two cores
 
@@ -70,8 +70,8 @@ class UnlimitedDashpot(CoulombSpring):
 VARIANTS = {
     "as first built": {"unlimited": True, "unloaded": 0.0, "slip": 0.5},
     "dashpot limited": {"unlimited": False, "unloaded": 0.0, "slip": 0.5},
-    "rattlers damped (default)": {"unlimited": False, "unloaded": 4000.0, "slip": 0.5},
-    "default, sharp friction": {"unlimited": False, "unloaded": 4000.0, "slip": 0.05},
+    "rattlers damped": {"unlimited": False, "unloaded": 4000.0, "slip": 0.5},
+    "sharp friction (default)": {"unlimited": False, "unloaded": 4000.0, "slip": 0.05},
 }
 STAGES = ("loading", "unloading", "resting", "crushing")
 LINES = {0: ("#9fb7c9", ":"), 1: ("#7a7a7a", "--"), 2: ("#20344f", "-"), 3: ("#c4622d", "-.")}

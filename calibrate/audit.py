@@ -3,6 +3,9 @@
     reference   one parameter at a time, steps of +-0.2 in ln p, every packing
     estimate    what a strategy of `jdem.sensitivity` returns on the same packings
 
+Both observables are judged, and both whole curves are differentiated with them from the same
+runs: displacement at a force on loading, force at a displacement on crushing.
+
 An estimate passes where it has the reference's sign and lies within 15 % (depression depth)
 or 25 % (crushing force) of it.  Slopes that are not three standard errors from zero are not
 judged: there the data could not tell a right estimate from a wrong one.
@@ -17,35 +20,71 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from calibrate.campaign import Campaign
+from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
-from calibrate.parameters import Space
+from calibrate.parameters import Space, ensemble
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
-from jdem.sensitivity.ensemble import Ensemble
 from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
 
-STRATEGIES: dict[str, AbstractStrategy] = {
-    "regression": Regression((0.25,)),
-    "ensemble": Ensemble(),
-    "pathwise": Pathwise(),
-    "blend": Blend(),
-}
+STRATEGIES = ("ensemble", "regression", "pathwise", "blend")
 REFERENCE = Regression((0.2,))
 OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
 WITHIN = {"depression_depth_mm": 0.15, "crushing_force_n": 0.25}  # of the reference
 JUDGED_FROM = 3.0  # standard errors of the reference
+POINTS = 20  # of each curve
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Where the curves are read: loading forces (N), and displacements (mm) while crushing."""
+
+    loading_n: np.ndarray
+    crushing_mm: np.ndarray
+
+    @staticmethod
+    def of(work: Campaign) -> "CurvePoints":
+        share = np.arange(1, POINTS + 1) / POINTS
+        tests = work.lab.tests
+        return CurvePoints(
+            float(tests.confined.force_high) * share, 1e3 * float(tests.unconfined.stroke) * share
+        )
+
+    def read(self, run: Run) -> np.ndarray:
+        """H (mm), F (N), displacements (mm) on loading, forces (N) on crushing; NaN: failed."""
+        if run.failure:
+            return np.full(len(OBSERVABLES) + 2 * POINTS, np.nan)
+        travel, force = run.confined.T
+        highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
+        loading = np.interp(self.loading_n, highest, travel[: len(highest)])
+        crushing = np.interp(self.crushing_mm, *run.unconfined.T)
+        values = [run.observables()[name] for name in OBSERVABLES]
+        return np.concatenate([values, loading, crushing])
+
+    def slices(self) -> dict[str, slice]:
+        """Where each test's curve stands among what `read` returns."""
+        first = len(OBSERVABLES)
+        return {
+            "confined": slice(first, first + POINTS),
+            "unconfined": slice(first + POINTS, first + 2 * POINTS),
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """Slopes of both observables (2, p) per unit of ln p, by strategy, and the reference's."""
+    """Slopes (m, p) per unit of ln p, by strategy, and the reference's.
+
+    Rows are both observables, and then, for strategies that have them, both curves.
+    """
 
     names: tuple[str, ...]
     reference: Sensitivity
     estimates: dict[str, Sensitivity]
+    costs: dict[str, float]  # forward runs a packing
+    described: dict[str, str]
     packings: int
+    points: CurvePoints
 
     def rows(self, strategy: str) -> list[dict]:
         """One row for each parameter and observable: the contract's keys, and intervals."""
@@ -57,21 +96,29 @@ class Audit:
         ]
 
     def _row(self, found: Sensitivity, m: int, observable: str, p: int, parameter: str) -> dict:
-        estimate, reference = float(found.slopes[m, p]), float(self.reference.slopes[m, p])
-        error = float(self.reference.standard_error[m, p])
-        judged = abs(reference) > JUDGED_FROM * error
-        close = abs(estimate - reference) <= WITHIN[observable] * abs(reference)
-        return {
-            "parameter": parameter,
-            "observable": observable,
-            "estimate": estimate,
-            "estimate_se": float(found.standard_error[m, p]),
-            "reference": reference,
-            "reference_se": error,
-            "relative_error": estimate / reference - 1 if reference else float("nan"),
-            "judged": judged,
-            "passed": bool(close) if judged else None,
-        }
+        return judged(
+            {
+                "parameter": parameter,
+                "observable": observable,
+                "estimate": float(found.slopes[m, p]),
+                "estimate_se": float(found.standard_error[m, p]),
+                "reference": float(self.reference.slopes[m, p]),
+                "reference_se": float(self.reference.standard_error[m, p]),
+            }
+        )
+
+
+def judged(row: dict) -> dict:
+    """The row with relative_error, whether it can be judged, and if so whether it passed."""
+    estimate, reference = row["estimate"], row["reference"]
+    large = abs(reference) > JUDGED_FROM * row["reference_se"]
+    close = abs(estimate - reference) <= WITHIN[row["observable"]] * abs(reference)
+    return {
+        **row,
+        "relative_error": estimate / reference - 1 if reference else float("nan"),
+        "judged": large,
+        "passed": bool(close) if large else None,
+    }
 
 
 def verdict(rows: Sequence[dict]) -> bool:
@@ -79,47 +126,64 @@ def verdict(rows: Sequence[dict]) -> bool:
     return all(row["passed"] for row in rows if row["judged"])
 
 
-def audit(space: Space, work: Campaign, seeds: Sequence[int], strategies: Sequence[str]) -> Audit:
+def strategies(space: Space) -> dict[str, AbstractStrategy]:
+    """What can be audited, by name, with the steps that suit the space's parameters."""
+    return {
+        "ensemble": ensemble(space),
+        "regression": Regression((0.25,)),
+        "pathwise": Pathwise(),
+        "blend": Blend(unbiased=ensemble(space)),
+    }
+
+
+def audit(space: Space, work: Campaign, seeds: Sequence[int], names: Sequence[str]) -> Audit:
     """Reference and estimates at the space's base soil, on the packings `seeds`."""
     point, count = jnp.log(jnp.asarray(space.start())), len(seeds)
-    simulated = simulated_response(space, work, seeds)
+    points = CurvePoints.of(work)
+    simulated = simulated_response(space, work, seeds, points)
     reference = REFERENCE(simulated("reference"), point, count)
     if not bool(jnp.all(jnp.isfinite(reference.slopes))):
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
-    estimates: dict[str, Sensitivity] = {}
-    if "regression" in strategies:
-        strategy = STRATEGIES["regression"]
-        estimates["regression"] = strategy(simulated("regression"), point, count)
-    if {"ensemble", "blend"} & set(strategies):
-        strategy = STRATEGIES["ensemble"]
-        estimates["ensemble"] = strategy(simulated("ensemble"), point, count)
-    if {"pathwise", "blend"} & set(strategies):
+    available, estimates = strategies(space), {}
+    for name in ("regression", "ensemble"):
+        if name in names or (name == "ensemble" and "blend" in names):
+            estimates[name] = available[name](simulated(name), point, count)
+    if {"pathwise", "blend"} & set(names):
         work.progress.say("pathwise: one pass with all tangents on every packing")
         estimates["pathwise"] = traced_slopes(space, work, seeds, point)
-    if "blend" in strategies:
-        estimates["blend"] = blended(estimates["pathwise"], estimates["ensemble"])
-    return Audit(space.names, reference, {name: estimates[name] for name in strategies}, count)
+    if "blend" in names:
+        both = _first_rows(estimates["ensemble"], len(OBSERVABLES))
+        estimates["blend"] = blended(estimates["pathwise"], both)
+    return Audit(
+        names=space.names,
+        reference=reference,
+        estimates={name: estimates[name] for name in names},
+        costs={name: available[name].runs(len(space.names), count) for name in names},
+        described={name: available[name].describe() for name in names},
+        packings=count,
+        points=points,
+    )
 
 
-def simulated_response(space: Space, work: Campaign, seeds: Sequence[int]) -> Callable:
+def _first_rows(found: Sensitivity, rows: int) -> Sensitivity:
+    return Sensitivity(found.values[:, :rows], found.slopes[:rows], found.standard_error[:rows])
+
+
+def simulated_response(
+    space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
+) -> Callable:
     """What: a response whose runs are cached simulations; failed runs are NaN."""
 
     def named(what: str):
-        def response(points: Array) -> Array:
-            rows = np.asarray(space.inside(np.asarray(points)))
+        def response(asked: Array) -> Array:
+            rows = np.asarray(space.inside(np.asarray(asked)))
             soils = [[space.soil(np.exp(point)) for point in row] for row in rows]
             runs = work.each(soils, seeds, what)
-            return jnp.asarray([[_observed(run) for run in row] for row in runs])
+            return jnp.asarray([[points.read(run) for run in row] for row in runs])
 
         return response
 
     return named
-
-
-def _observed(run) -> list[float]:
-    if run.failure:
-        return [float("nan")] * len(OBSERVABLES)
-    return [run.observables()[name] for name in OBSERVABLES]
 
 
 def traced_slopes(space: Space, work: Campaign, seeds: Sequence[int], point: Array) -> Sensitivity:
@@ -144,15 +208,49 @@ def traced_slopes(space: Space, work: Campaign, seeds: Sequence[int], point: Arr
     return averaged(values, each)
 
 
-def audit_json(found: Audit, first: str) -> dict:
-    """The contract's keys for `audit`; all strategies under "strategies"."""
-    rows = {name: found.rows(name) for name in found.estimates}
+def audit_json(found: Audit) -> dict:
+    """The contract's keys for the first strategy, all of them under "strategies", and curves."""
+    first = next(iter(found.estimates))
+    each = {name: _strategy_json(found, name) for name in found.estimates}
     return {
         "strategy": first,
-        "passed": verdict(rows[first]),
+        "passed": each[first]["passed"],
         "packings": found.packings,
-        "rows": rows[first],
-        "strategies": {
-            name: {"passed": verdict(each), "rows": each} for name, each in rows.items()
+        "rows": each[first]["rows"],
+        "strategies": each,
+        "curves": {test: _curve_json(found, test) for test in found.points.slices()},
+    }
+
+
+def _strategy_json(found: Audit, name: str) -> dict:
+    rows = found.rows(name)
+    return {
+        "passed": verdict(rows),
+        "rows": rows,
+        "forward_runs": found.costs[name],
+        "described": found.described[name],
+    }
+
+
+def _curve_json(found: Audit, test: str) -> dict:
+    """Mean curve and its slopes in every parameter, by reference and by strategy."""
+    rows, points = found.points.slices()[test], found.points
+    abscissa = {"force_n": points.loading_n, "displacement_mm": points.crushing_mm}
+    key = "force_n" if test == "confined" else "displacement_mm"
+    by_name = {"reference": found.reference} | {
+        name: each for name, each in found.estimates.items() if len(each.slopes) >= rows.stop
+    }
+    return {
+        key: abscissa[key].tolist(),
+        "mean": np.nanmean(found.reference.values[:, rows], axis=0).tolist(),
+        "slopes": {
+            parameter: {
+                name: {
+                    "slope": each.slopes[rows, p].tolist(),
+                    "se": each.standard_error[rows, p].tolist(),
+                }
+                for name, each in by_name.items()
+            }
+            for p, parameter in enumerate(found.names)
         },
     }

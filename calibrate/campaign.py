@@ -21,6 +21,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -28,7 +29,9 @@ from calibrate.progress import AbstractProgress, Silent
 from jdem.experiments.composite import Outcome, VirtualLab
 from jdem.observables import inertial_number
 from jdem.packing import Packing, Specimen, load, prepare, save
+from jdem.particles import Spheres
 from jdem.soil import SoilParameters
+from jdem.vector import Vector
 
 NETCDF = "h5netcdf"
 
@@ -66,7 +69,7 @@ class Campaign:
     specimen: Specimen
     folder: Path
     progress: AbstractProgress = field(default_factory=Silent)
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    workers: int = field(default_factory=lambda: cores())
     preparation: SoilParameters | None = None  # soil that beds settle with; None: neutral
     simulated: int = 0  # runs that were not in the cache
     _compiled: dict[tuple, Any] = field(default_factory=dict)
@@ -76,7 +79,8 @@ class Campaign:
         """The specimen's packings of these seeds, prepared if they are not on disk yet."""
         missing = [s for s in seeds if self._stored_packing(s) is None]
         if missing:
-            self._in_parallel("preparing packings", self._prepare, missing)
+            self._prepare(missing[0])  # compiles for all of them
+            self._in_parallel("preparing packings", self._prepare, missing[1:])
         packings = [self._stored_packing(seed) for seed in seeds]
         return [packing for packing in packings if packing is not None]
 
@@ -90,7 +94,7 @@ class Campaign:
         self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
     ) -> list[list[Run]]:
         """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
-        packings = dict(zip(seeds, self.packings(seeds), strict=True))
+        packings = dict(zip(seeds, self._packings_while_compiling(soils, seeds), strict=True))
         keyed = [
             [
                 (self.key(soil, seed), soil, packings[seed])
@@ -104,12 +108,23 @@ class Campaign:
         found.update(self._simulated(tasks, what))
         return [[run for key, _, _ in row if (run := found[key])] for row in keyed]
 
+    def _packings_while_compiling(self, soils, seeds: Sequence[int]) -> list[Packing]:
+        """The packings; where some must be prepared, the simulation is compiled meanwhile."""
+        if all(self._stored_packing(seed) is not None for seed in seeds) or not len(soils):
+            return self.packings(seeds)
+        with ThreadPoolExecutor(1) as pool:
+            compiled = pool.submit(self._program, self.lab, blank(self.specimen), soils[0][0])
+            packings = self.packings(seeds)
+            compiled.result()
+        return packings
+
     def key(self, soil: SoilParameters, seed: int) -> str:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""
         content = {
             "soil": _numbers(soil),
             "slope_exponent": soil.slope_exponent,
             "lab": _numbers(self.lab),
+            "effects": [type(effect).__name__ for effect in self.lab.effects],
             "static": repr((self.lab.grid, self.lab.capacity, self.lab.tests, self.lab.numerics)),
             **self._packing_content(seed),
         }
@@ -154,6 +169,8 @@ class Campaign:
         save(prepare(self.specimen, seed, self.preparation), self._packing_path(seed))
 
     def _in_parallel(self, what: str, function, tasks) -> list:
+        if not tasks:
+            return []
         self.progress.start(what, len(tasks))
         results = []
         try:
@@ -190,6 +207,12 @@ class Campaign:
     def _stored_run(self, key: str) -> Run | None:
         path = self._run_path(key)
         return _read_run(path) if path.exists() else None
+
+
+def blank(specimen: Specimen) -> Packing:
+    """A packing of the right shapes and no meaning, to compile for."""
+    zeros = jnp.zeros(specimen.count)
+    return Packing(Vector(zeros, zeros, zeros), Spheres(zeros, zeros), 1.0, 1.0)
 
 
 def summary(
@@ -264,6 +287,13 @@ def _numbers(tree) -> list[str]:
 
 def _hash(content: dict) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def cores() -> int:
+    """Processor cores that this process may use (taskset and cgroups' sets are obeyed)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @cache

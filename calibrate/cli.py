@@ -1,4 +1,4 @@
-"""The command line: `calibrate simulate`, `fit`, `contact` and `audit`.
+"""The command line: `calibrate simulate`, `fit`, `contact`, `audit`, `doe` and `reproduce`.
 
 Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
 field and repair), 1 anything else.
@@ -112,7 +112,7 @@ def audit_command(
     lab: LabFile = None,
     strategy: Annotated[
         list[str] | None,
-        typer.Option("--strategy", help="regression (default), ensemble, pathwise, blend."),
+        typer.Option("--strategy", help="ensemble (default), regression, pathwise, blend."),
     ] = None,
     changes: Changes = None,
     spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
@@ -128,8 +128,51 @@ def audit_command(
     output.check_writable(json)
     session = output.Session.open(lab, preset, out).resized(spheres)
     values = output.parse_changes(changes or [])
-    names = output.parse_strategies(strategy or ["regression"])
+    names = output.parse_strategies(strategy or ["ensemble"])
     output.run_audit(session, names, values, packings, seed, json)
+
+
+@app.command("doe")
+def doe_command(
+    lab: LabFile = None,
+    changes: Changes = None,
+    preset: PresetName = "quick",
+    seed: Seed = 0,
+    out: Out = Path("results/doe"),
+    json: Json = None,
+) -> None:
+    """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
+    from rich.console import Console
+
+    from calibrate import output
+    from calibrate.designed import design
+    from calibrate.report import study as report
+
+    output.check_writable(json)
+    session = output.Session.open(lab, preset, out)
+    values = output.parse_changes(changes or [])
+    work = session.campaign(out, None)
+    done = design(session.lab, session.preset, values, seed, work)
+    report.write(session, done, json)
+    report.show(done, Console())
+    print(f"result.json, {report.PAGE}, figures and run sheets are in {out}")
+
+
+@app.command("reproduce")
+def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -> None:
+    """Put the paper's published figures beside what its own printed tables give."""
+    from rich.console import Console
+
+    from calibrate import output
+    from calibrate.report import reproduction as report
+    from calibrate.reproduction import paper
+
+    output.check_writable(json)
+    output.make_folder(out)
+    result = paper.reproduce()
+    report.write(result, out, json)
+    report.show(result, Console())
+    print(f"page and JSON in {out}")
 
 
 verbs.register(app)

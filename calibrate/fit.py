@@ -23,10 +23,9 @@ from jax import Array
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
 from calibrate.identifiability import Identifiability, assess
-from calibrate.parameters import Space
+from calibrate.parameters import Space, ensemble
 from calibrate.problem import Problem, shrunk_covariance
 from jdem.sensitivity.base import AbstractStrategy
-from jdem.sensitivity.regression import Regression
 
 
 @dataclass(frozen=True)
@@ -35,13 +34,14 @@ class Settings:
 
     A fit is done when every whitened data residual is below `tolerance`, when the solver
     says so, when `patience` evaluations in a row were no better, or after `evaluations`.
-    Slopes come from `strategy` in ln p.
+    Slopes come from `strategy` in ln p, by default the ensemble that passes the audit
+    (docs/gradients.md), with steps that suit the parameters.
     """
 
     evaluations: int = 24
     patience: int = 6
     tolerance: float = 0.15
-    strategy: AbstractStrategy = field(default_factory=lambda: Regression((0.25,)))
+    strategy: AbstractStrategy | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +94,7 @@ class Calibration:
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
         self.forward_runs = 0.0  # asked for so far, on each packing
+        self.strategy = self.settings.strategy or ensemble(self.space)
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 
@@ -122,7 +123,7 @@ class Calibration:
             rows = self.runs(np.asarray(points), what)
             return jnp.asarray(np.array([self.problem.simulated(row) for row in rows]))
 
-        strategy, packings = self.settings.strategy, len(self.seeds)
+        strategy, packings = self.strategy, len(self.seeds)
         found = strategy(response, jnp.log(values), packings)
         self.forward_runs += strategy.runs(len(values), packings) - 1  # the centre is known
         slopes = np.asarray(found.slopes)

@@ -11,7 +11,7 @@ The solver's damping never enters.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 IDENTIFIED = 0.5  # a direction counts as fixed if the data halve the prior's deviation
 
@@ -75,7 +75,7 @@ def assess(
     scale = np.outer(prior_sd, prior_sd)
     covariance = (directions / (1 + information)) @ directions.T * scale
     sd = np.sqrt(np.diag(covariance))
-    reach = stats.t.ppf(0.975, max(freedom, 1)) * sd
+    reach = stdtrit(max(freedom, 1), 0.975) * sd
     return Identifiability(
         names=names,
         values=values,

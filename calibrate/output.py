@@ -7,6 +7,8 @@ with the option's name as the field.
 import csv
 import json
 import os
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -158,7 +160,7 @@ def write_json(path: Path, content: dict) -> None:
 
 def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
     """result.json (and `--json`), a figure, and a table on the terminal."""
-    _write_result(session.out, {**_origin(session), **result}, path)
+    _write_result(session.out, {**origin_of(session), **result}, path)
     plotting.simulation_figure(runs, session.lab, session.out / "curves.png")
     console = Console()
     console.print(_observables_table(session.lab, {"simulated": result}))
@@ -175,7 +177,7 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
 
 def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     """result.json (and `--json`), history.csv, a figure, and what was found on the terminal."""
-    result = {**_origin(session), **fit_json(done)}
+    result = {**origin_of(session), **fit_json(done)}
     _write_result(session.out, result, path)
     _write_history(session.out / "history.csv", result["history"])
     plotting.fit_figure(done, session.out / "fit.png")
@@ -200,23 +202,26 @@ def run_audit(
     seed: int,
     path: Path | None,
 ) -> None:
-    """audit.json (and `--json`), a figure, and a table on the terminal."""
+    """audit.json (and `--json`), two figures, and a table on the terminal."""
     base = with_values(base_soil(session.lab), changes)
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
     work = session.campaign(session.out, None)
     found = audit(audited, work, seeds, strategies)
     spheres = {"spheres": session.preset.spheres, "seeds": list(seeds)}
-    result = {**_origin(session), **spheres, **audit_json(found, strategies[0])}
+    result = {**origin_of(session), **spheres, **audit_json(found)}
     write_json(session.out / "audit.json", result)
     if path is not None:
         write_json(path, result)
     plotting.audit_figure(found, session.out / "audit.png")
+    plotting.curve_slopes_figure(found, session.out / "audit_curves.png")
     console = Console()
     for name in strategies:
         console.print(_audit_table(found, name))
         console.print(f"{name}: {_judgement(found.rows(name))}", highlight=False)
-    console.print(f"audit.json and audit.png are in {session.out}", highlight=False)
+    console.print(
+        f"audit.json, audit.png and audit_curves.png are in {session.out}", highlight=False
+    )
 
 
 def _audit_table(found: Audit, strategy: str) -> Table:
@@ -258,10 +263,11 @@ def _write_result(out: Path, result: dict, path: Path | None) -> None:
         write_json(path, result)
 
 
-def _origin(session: Session) -> dict:
-    """What made a result: soil, preset, versions."""
+def origin_of(session: Session) -> dict:
+    """What made a result: command, soil, preset, versions."""
     packages = ("jax", "equinox", "optimistix", "numpy")
     return {
+        "command": shlex.join(["calibrate", *sys.argv[1:]]),
         "soil": session.lab.name,
         "preset": session.preset.name,
         "versions": {name: metadata.version(name) for name in packages},

@@ -20,7 +20,6 @@ from calibrate.parameters import FACTORS, Space, base_soil, space, with_values
 from calibrate.presets import Preset, specimen, virtual_lab
 from calibrate.problem import Problem, pose
 from calibrate.progress import AbstractProgress
-from jdem.sensitivity.regression import Regression
 from jdem.soil import SoilParameters
 
 SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
@@ -190,7 +189,7 @@ def calibrate(
         scatter=scatter,
         simulations=work.simulated,
         named=named,
-        strategy=calibration.settings.strategy.describe(),
+        strategy=calibration.strategy.describe(),
     )
 
 
@@ -201,9 +200,8 @@ def screen(
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
     candidates = tuple(name for name in CANDIDATES if name not in held)
     every = space(lab, candidates, base)
-    settings = Settings(strategy=Regression((0.3,)))
     calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
     )
     slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
     whitened = calibration.whitened(slopes)

@@ -18,6 +18,7 @@ from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law, wall_law
 
 MOST_SPHERES = 46_000
+PAIRS_GROW = 4  # power of the listing distance with which the number of listed pairs grows
 
 
 class Numerics(eqx.Module):
@@ -61,12 +62,17 @@ def build_bed(
         particle_law=between,
         wall_law=walls,
         friction=soil.static_friction,
-        wall_friction=jnp.stack([soil.platen_friction, soil.platen_friction, soil.wall_friction]),
+        wall_friction=friction_of_walls(soil),
         time_step=time_step,
         roll_width=numerics.smoothing.roll,
         grid=grid,
     )
     return cast(bed, jnp.dtype(numerics.dtype))
+
+
+def friction_of_walls(soil: SoilParameters) -> Array:
+    """Friction coefficients (-) of base, platen and mould, shape (3,)."""
+    return jnp.stack([soil.platen_friction, soil.platen_friction, soil.wall_friction])
 
 
 def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
@@ -95,21 +101,25 @@ def plan_grid(
     max_radius: float,
     extent: tuple[float, float],
     numerics: Numerics,
+    reach: float = 0.0,
 ) -> Grid:
     """The neighbour search for spheres of these sizes (m).
 
-    `extent` is the width and height (m) that the search grid covers before it wraps.
+    `extent` is the width and height (m) that the search grid covers before it wraps; `reach`
+    (m) is the gap across which forces act.
     """
     if count > MOST_SPHERES:
         raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
     skin = numerics.skin * 2 * mean_radius
-    cell = 2 * max_radius + skin
+    cell = 2 * max_radius + skin + reach
+    pairs_per_sphere = numerics.pairs_per_sphere * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
     across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
     return Grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,
-        pairs=int(np.ceil(numerics.pairs_per_sphere * count)),
+        pairs=int(np.ceil(pairs_per_sphere * count)),
         wall_contacts=int(np.ceil(numerics.wall_layer * count * 2 * mean_radius / extent[0])) + 16,
         cell=cell,
         skin=skin,
+        reach=reach,
     )

@@ -6,6 +6,7 @@ first body.  All numbers are SI.  Nothing here knows which bodies are in contact
 """
 
 import equinox as eqx
+import jax
 from jax import Array
 
 from jdem.vector import Vector
@@ -25,22 +26,25 @@ class Contact(eqx.Module):
 
 
 class ContactHistory(eqx.Module):
-    """What a contact remembers; all zero while the bodies are apart."""
+    """What a contact remembers; all zero while the bodies are apart.
+
+    `extra` holds what laws beyond the base model remember (`AbstractContactLaw.memory`); it
+    outlasts separation, and the base model's laws neither see nor return it.
+    """
 
     max_overlap: Array  #: m; largest overlap, which carries the plastic memory
     low_overlap: Array  #: m; smallest overlap since, from which adhesive reload starts
     stretch: Vector  #: m; elastic stretch of the tangential spring
+    extra: tuple = ()  #: trees of arrays
 
     @staticmethod
-    def zeros(shape, dtype) -> "ContactHistory":
+    def zeros(shape, dtype, extra: tuple = ()) -> "ContactHistory":
         stretch = Vector.zeros(shape, dtype)
-        return ContactHistory(stretch.x, stretch.x, stretch)
+        return ContactHistory(stretch.x, stretch.x, stretch, extra)
 
     def kept_while(self, touching) -> "ContactHistory":
         """This history where `touching` is 1, and zeros where it is 0."""
-        return ContactHistory(
-            self.max_overlap * touching, self.low_overlap * touching, self.stretch * touching
-        )
+        return jax.tree.map(lambda leaf: leaf * touching, self)
 
 
 class NormalForce(eqx.Module):

@@ -59,6 +59,7 @@ class BedState(eqx.Module):
     mould_drag: Array  #: N; axial force on the mould
     energy: Ledger
     time: Array
+    reading: Array  #: N; the platen force that the load cell reads
 
 
 class Command(eqx.Module):
@@ -115,6 +116,7 @@ def _step(bed: Bed, state: BedState, command: Command) -> BedState:
         mould_drag=on_walls[3],
         energy=state.energy + power,
         time=state.time + bed.time_step,
+        reading=state.reading,
     )
 
 

@@ -28,8 +28,9 @@ class Grid(eqx.Module):
     """Capacities of the search; static, because arrays take their shapes from it.
 
     `shape` counts cells along x, y, z (three at least: space is wrapped around the grid,
-    so spheres may leave it); `cell` (m) is a cell's edge, `skin` (m) the extra distance
-    at which a pair is listed.
+    so spheres may leave it); `cell` (m) is a cell's edge.  Pairs are listed up to a gap of
+    `skin` + `reach` (m): spheres may move by the skin between rebuilds, and forces act across
+    gaps up to the reach.
     """
 
     shape: tuple[int, int, int] = eqx.field(static=True)
@@ -38,6 +39,7 @@ class Grid(eqx.Module):
     wall_contacts: int = eqx.field(static=True)
     cell: float = eqx.field(static=True)
     skin: float = eqx.field(static=True)
+    reach: float = eqx.field(static=True, default=0.0)
 
 
 class ContactList(eqx.Module):
@@ -53,10 +55,11 @@ class ContactList(eqx.Module):
     history: ContactHistory
 
     @staticmethod
-    def empty(capacity: int, dtype) -> "ContactList":
+    def empty(capacity: int, dtype, extra: tuple = ()) -> "ContactList":
+        """Without entries; `extra` is what its law remembers beyond the base model."""
         zero = jnp.zeros(capacity, jnp.int32)
         key = jnp.full(capacity, _NO_KEY, jnp.int32)
-        history = ContactHistory.zeros(capacity, dtype)
+        history = ContactHistory.zeros(capacity, dtype, extra)
         return ContactList(key, zero, zero, jnp.zeros(capacity, dtype), history)
 
 
@@ -139,7 +142,7 @@ def _flat(grid: Grid, place):
 def _close(grid: Grid, spheres: Spheres, position: Vector, first, second):
     other = jnp.minimum(second, spheres.count - 1)
     offset = position.at(first) - position.at(other)
-    reach = spheres.radius[first] + spheres.radius[other] + grid.skin
+    reach = spheres.radius[first] + spheres.radius[other] + (grid.skin + grid.reach)
     return offset.dot(offset) < reach * reach
 
 

@@ -49,11 +49,16 @@ class Specimen(eqx.Module):
             radius = float((cube / (4 / 3 * np.pi * (1 + self.spread**2))) ** (1 / 3))
         return radius
 
-    def grid(self, numerics: Numerics, stretch: float = 1.5) -> Grid:
-        """Neighbour search for any packing of this specimen, `stretch` times its height."""
-        mean = self.mean_radius()
+    def max_radius(self) -> float:
+        """Radius (m) of the largest sphere there can be."""
+        return self.mean_radius() * (1 + self.spread)
+
+    def grid(self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0) -> Grid:
+        """Neighbour search for any packing of this specimen, `stretch` times its height, with
+        forces across gaps up to `reach` (m)."""
+        mean, largest = self.mean_radius(), self.max_radius()
         extent = (self.diameter, stretch * self.height)
-        return plan_grid(self.count, mean, mean * (1 + self.spread), extent, numerics)
+        return plan_grid(self.count, mean, largest, extent, numerics, reach)
 
 
 def solid_fraction(size_ratio: float) -> float:
@@ -190,12 +195,16 @@ def _advanced(
     numerics = _settling_numerics(2 * specimen.mean_radius())
     bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
     programme = stack(segments)
-    capacity = sample_capacity(programme, numerics)
+    capacity = _ROWS * -(-sample_capacity(programme, numerics) // _ROWS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    record = eqx.filter_jit(run)(bed, state, programme, steps_per_sample(bed, numerics), capacity)
+    record = _run(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):
         raise ValueError(f"while settling the bed, {record.explain_overflow(bed.grid)}")
     return record
+
+
+_run = eqx.filter_jit(run)
+_ROWS = 256  # capacities are multiples of it, so that beds of all seeds share one program
 
 
 def _settling_numerics(diameter: float) -> Numerics:

@@ -6,6 +6,9 @@ every apparatus and any parameter values.  Each sample sees to the contact lists
 duration or once its servo force is reached; the loop ends with the last segment.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,8 +19,9 @@ from jdem.energy import Ledger
 from jdem.neighbors import ContactList, Demand, Grid
 from jdem.particles import Motion, kinetic_energy
 from jdem.quantity import Real, quantity
+from jdem.surroundings import AbstractSurroundings, Unchanging
 from jdem.upkeep import Upkeep, checked, refreshed
-from jdem.walls import BASE, COUNT, PLATEN, Walls
+from jdem.walls import BASE, COUNT, MOULD, PLATEN, Walls
 
 KEEP, REMOVE, LOWER = 0, 1, 2
 FAR = 10.0  # m; where a wall is put that has been taken away
@@ -29,8 +33,10 @@ class Segment(eqx.Module):
     The platen moves at platen_speed * tanh((force_target - F)/servo_width), downward
     positive, so it arrives at the target smoothly; with an infinite target the speed is
     constant.  The mould opens at mould_speed.  The segment ends after `duration` or when
-    |F - force_target| < tolerance.  `platen` and `mould` say what happens to the walls
-    first: KEEP, REMOVE, or LOWER the platen onto the highest sphere.
+    |F - force_target| < tolerance.  F is what the load cell reads: it follows the force with
+    the time constant `lag`; with a lag the segment also ends when F passes the target.
+    `platen` and `mould` say what happens to the walls first: KEEP, REMOVE, or LOWER the
+    platen onto the highest sphere.
     """
 
     platen_speed: Real = quantity(0.0)
@@ -41,6 +47,7 @@ class Segment(eqx.Module):
     damping: Real = quantity(0.0)
     unloaded_damping: Real = quantity(0.0)
     duration: Real = quantity(0.0)
+    lag: Real = quantity(0.0)
     platen: Array = eqx.field(default=KEEP, converter=jnp.asarray)
     mould: Array = eqx.field(default=KEEP, converter=jnp.asarray)
 
@@ -48,8 +55,9 @@ class Segment(eqx.Module):
 class Sample(eqx.Module):
     """Means over one sampling interval; arrays of shape (samples,) once recorded.
 
-    platen_height in m is the value at the interval's middle; forces in N; kinetic energy
-    in J and time in s at its end; segment is -1 in rows that were not reached.
+    platen_height in m is the value at the interval's middle; forces in N, `reading` being the
+    platen force that the load cell reads; kinetic energy in J and time in s at its end;
+    segment is -1 in rows that were not reached.
     """
 
     segment: Array
@@ -59,6 +67,7 @@ class Sample(eqx.Module):
     base_force: Array
     mould_force: Array
     mould_drag: Array
+    reading: Array
     kinetic_energy: Array
 
 
@@ -94,12 +103,15 @@ def start(bed: Bed, position, platen_height, mould_radius) -> BedState:
         walls=Walls(
             jnp.asarray(platen_height, dtype), zero, jnp.asarray(mould_radius, dtype), zero
         ),
-        pairs=ContactList.empty(bed.grid.pairs, dtype),
+        pairs=ContactList.empty(
+            bed.grid.pairs, dtype, bed.particle_law.memory(bed.grid.pairs, dtype)
+        ),
         wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype),
         wall_force=jnp.zeros(COUNT, dtype),
         mould_drag=zero,
         energy=Ledger.zeros(dtype),
         time=zero,
+        reading=zero,
     )
 
 
@@ -110,42 +122,59 @@ class _Progress(eqx.Module):
     sample: Array
     samples: Sample
     upkeep: Upkeep
+    memory: Any
 
 
 def run(
-    bed: Bed, state: BedState, programme: Segment, steps_per_sample: Array, capacity: int
+    bed: Bed,
+    state: BedState,
+    programme: Segment,
+    steps_per_sample: Array,
+    capacity: int,
+    surroundings: AbstractSurroundings | None = None,
 ) -> Record:
     """Runs a programme (stack of segments) from `state`; at most `capacity` samples.
 
+    `surroundings` (the base model's if not given) may change the bed as the programme runs.
     Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode.
     """
+    around = Unchanging() if surroundings is None else surroundings
     count = jnp.shape(programme.platen_speed)[0]
     prepared = _prepared(bed, state, _row(programme, 0))
     none = jnp.zeros((), jnp.int32)
     samples = _empty_samples(capacity, state.time.dtype)
-    progress = _Progress(prepared, none, state.time, none, samples, Upkeep.begin(prepared))
+    upkeep, memory = Upkeep.begin(prepared), around.begin(state.time.dtype)
+    progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
 
     def unfinished(progress: _Progress):
         return (progress.segment < count) & (progress.sample < capacity)
 
     def advance(progress: _Progress):
-        segment = _row(programme, progress.segment)
-        state, upkeep, motion = refreshed(bed, progress.state, progress.upkeep)
-        state, sample = _sampled(bed, state, segment, steps_per_sample)
-        sample = eqx.tree_at(lambda s: s.segment, sample, progress.segment)
-        ended = _ended(segment, sample, progress.begun, progress.state.time)
+        number, memory, before = progress.segment, progress.memory, progress.state
+        segment, present = _row(programme, number), around.bed(bed, number, memory)
+
+        def shown(reading):
+            return around.shown(reading, memory)
+
+        state, upkeep, motion = refreshed(bed, before, progress.upkeep)
+        state, sample = _sampled(present, state, segment, steps_per_sample, shown)
+        sample = eqx.tree_at(lambda s: s.segment, sample, number)
+        readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
+        elapsed = (sample.time - progress.begun, sample.time - before.time)
+        ended = _ended(segment, readings, elapsed)
         upkeep = checked(state, upkeep, motion)
-        following = _row(programme, jnp.minimum(progress.segment + 1, count - 1))
-        changes = (ended > 0) & (progress.segment + 1 < count)
+        following = _row(programme, jnp.minimum(number + 1, count - 1))
+        changes = (ended > 0) & (number + 1 < count)
         walls = _prepared(bed, state, following).walls
         walls = jax.tree.map(lambda a, b: jnp.where(changes, a, b), walls, state.walls)
         return _Progress(
             eqx.tree_at(lambda s: s.walls, state, walls),
-            progress.segment + ended,
+            number + ended,
             jnp.where(ended, state.time, progress.begun),
             progress.sample + 1,
             jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
             upkeep,
+            around.later(memory, number, before, state),
         )
 
     final = jax.lax.while_loop(unfinished, advance, progress)
@@ -167,7 +196,7 @@ def _row(programme: Segment, index) -> Segment:
 def _empty_samples(capacity: int, dtype) -> Sample:
     blank = jnp.zeros(capacity, dtype)
     unreached = jnp.full(capacity, -1, jnp.int32)
-    return Sample(unreached, blank, blank, blank, blank, blank, blank, blank)
+    return Sample(unreached, *[blank] * 8)
 
 
 def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
@@ -181,22 +210,32 @@ def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
     return eqx.tree_at(lambda s: s.walls, state, Walls(height, zero, radius, zero))
 
 
-def _ended(segment: Segment, sample: Sample, begun, previous_time) -> Array:
-    """1 once the force is reached, or after the duration to the nearest interval."""
-    reached = jnp.abs(sample.platen_force - segment.force_target) < segment.tolerance
-    half = 0.5 * (sample.time - previous_time)
-    return (reached | (sample.time - begun >= segment.duration - half)).astype(jnp.int32)
+def _ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]) -> Array:
+    """1 once the force is reached, or after the duration to the nearest interval.
+
+    `readings` (N) are those before, averaged over, and after the interval; `elapsed` (s) is
+    the time since the segment began and the length of the interval.
+    """
+    before, mean, after = (reading - segment.force_target for reading in readings)
+    since, interval = elapsed
+    reached = jnp.abs(mean) < segment.tolerance
+    passed = (segment.lag > 0) & (before * after < 0)  # a late reading does not slow down
+    over = since >= segment.duration - 0.5 * interval
+    return (reached | passed | over).astype(jnp.int32)
 
 
-def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
+def _sampled(
+    bed: Bed, state: BedState, segment: Segment, steps: Array, shown: Callable[[Array], Array]
+):
     """The state after `steps` time steps, and means over them."""
 
     def advance(_, carry):
         state, sums = carry
-        state = step(bed, state, _command(segment, state))
+        state = step(bed, state, _command(segment, shown(state.reading)))
+        state = _read(state, segment.lag, bed.time_step)
         return state, sums + _probe(state)
 
-    sums = jnp.zeros(5, state.time.dtype)
+    sums = jnp.zeros(6, state.time.dtype)
     state, sums = jax.lax.fori_loop(0, steps, advance, (state, sums))
     means = sums / steps
     sample = Sample(
@@ -207,13 +246,22 @@ def _sampled(bed: Bed, state: BedState, segment: Segment, steps: Array):
         base_force=means[2],
         mould_force=means[3],
         mould_drag=means[4],
+        reading=means[5],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
     return state, sample
 
 
-def _command(segment: Segment, state: BedState) -> Command:
-    shortfall = (segment.force_target - state.wall_force[PLATEN]) / segment.servo_width
+def _read(state: BedState, lag: Real, time_step: Real) -> BedState:
+    """The load cell's reading R after a time step: lag dR/dt = F - R, implicitly."""
+    force = state.wall_force[PLATEN]
+    reading = force + (state.reading - force) * (lag / (lag + time_step))
+    return eqx.tree_at(lambda s: s.reading, state, reading)
+
+
+def _command(segment: Segment, force: Array) -> Command:
+    """What the machine does where it sees `force` (N)."""
+    shortfall = (segment.force_target - force) / segment.servo_width
     return Command(
         platen_speed=-segment.platen_speed * jnp.tanh(shortfall),
         mould_speed=segment.mould_speed,
@@ -224,6 +272,5 @@ def _command(segment: Segment, state: BedState) -> Command:
 
 def _probe(state: BedState) -> Array:
     force = state.wall_force
-    return jnp.stack(
-        [state.walls.platen_height, force[PLATEN], force[BASE], force[2], state.mould_drag]
-    )
+    height, drag = state.walls.platen_height, state.mould_drag
+    return jnp.stack([height, force[PLATEN], force[BASE], force[MOULD], drag, state.reading])

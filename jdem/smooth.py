@@ -33,7 +33,7 @@ class Smoothing(eqx.Module):
     branch: Real = quantity(0.2)
     cap: Real = quantity(0.2)
     reload: Real = quantity(0.02)
-    slip: Real = quantity(0.5)
+    slip: Real = quantity(0.05)
     roll: Real = quantity(0.01)
     load: Real = quantity(0.05)
     onset: Real = quantity(1e-4)

@@ -19,7 +19,7 @@ from calibrate.measurements import bundled_lab
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
 CASE = json.loads((REFERENCE / "cases.json").read_text())["c1_paper_opt"]
-VERBS = ("simulate", "fit", "contact", "audit")
+VERBS = ("simulate", "fit", "contact", "audit", "doe")
 
 
 @pytest.fixture
@@ -176,7 +176,7 @@ def refused(answer, words):
     assert words in error
 
 
-@pytest.mark.parametrize("verb", ["simulate", "fit", "audit"])
+@pytest.mark.parametrize("verb", ["simulate", "fit", "audit", "doe"])
 @pytest.mark.parametrize("case", LABS)
 def test_a_wrong_lab_file_is_refused(calibrate, tmp_path, verb, case):
     text, words = LABS[case]
@@ -198,7 +198,7 @@ def test_a_missing_curve_is_refused(calibrate, tmp_path):
     refused(calibrate("simulate", "lab.toml"), "c.csv")
 
 
-@pytest.mark.parametrize("verb", ["simulate", "fit", "audit"])
+@pytest.mark.parametrize("verb", ["simulate", "fit", "audit", "doe"])
 @pytest.mark.parametrize("case", OPTIONS)
 def test_a_wrong_option_is_refused(calibrate, verb, case):
     options, words = OPTIONS[case]

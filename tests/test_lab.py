@@ -208,13 +208,13 @@ def test_single_precision_gives_the_same_depth(packing):
 def test_depth_has_its_exact_derivative(packing):
     """Tangents against central differences in each of the seven ln p, at a fixed time step.
 
-    Step 3e-7: round-off in H is some 1e-13 mm, so 3e-7 mm per unit of ln p; a larger step
-    crosses contacts that open or slip one time step earlier or later (at 1e-5 a quotient is
-    wrong by per cents). Hence 1e-4 of each derivative, plus 1e-6 mm for one that is nil:
-    surface energy does not matter to a bed that was settled without it.  Numerics and damping
-    are the defaults, and the bed is no special one (docs/gradients.md).
+    Differences tend to the tangents in proportion to their step, because a step crosses slips
+    that begin one time step earlier or later: for rolling friction they are off by 0.03 at
+    3e-6, 5e-4 at 1e-7 and 1e-4 mm at 3e-8, 6e-4 of the derivative.  Round-off in H is up to
+    2e-12 mm, so 3e-5 mm per unit of ln p at 3e-8.  Numerics and damping are the defaults, and
+    the bed is no special one (docs/gradients.md).
     """
-    time_step, size = 0.8 * PRESSED.time_step(packing, SOIL), 3e-7
+    time_step, size = 0.8 * PRESSED.time_step(packing, SOIL), 3e-8
     found, expected = [], []
     for direction in np.eye(len(FACTORS)):
         found.append(observables(PRESSED, packing, CENTRE, direction, time_step)[1][0])
@@ -224,7 +224,7 @@ def test_depth_has_its_exact_derivative(packing):
     for name, ours, theirs in zip(FACTORS, found, expected, strict=True):
         print(f"dH/dln {name:22s} tangent {ours: .7f}  difference {theirs: .7f} mm")
     assert np.abs(found).max() > 0.05, "the bed does not respond: nothing was tested"
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=5e-5)
 
 
 def plackett_burman():

@@ -7,9 +7,12 @@ where a test says so noise: what a bed of spheres has, without a bed of spheres.
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
-from calibrate.audit import Audit, verdict
+from calibrate.audit import POINTS, Audit, CurvePoints, verdict
+from calibrate.campaign import Run
 from calibrate.fit import Evaluation, secant
+from calibrate.parameters import FACTORS, probing_groups
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.ensemble import Ensemble
@@ -18,13 +21,16 @@ from jdem.sensitivity.regression import Regression
 
 PACKINGS, PARAMETERS = 5, 7
 RNG = np.random.default_rng(7)
-LEVEL = RNG.normal(size=(PACKINGS, 2))
+LEVEL = jnp.asarray(RNG.normal(size=(PACKINGS, 2)))
 SLOPE = RNG.normal(size=(2, PARAMETERS))
 BEND = RNG.normal(size=(2, PARAMETERS, PARAMETERS))
 POINT = jnp.asarray(RNG.normal(size=PARAMETERS))
 
 
-def quadratic(points):
+GROUPED = Ensemble(0.2, ((0, 3, 6), (1, 4), (2, 5)))
+
+
+def quadratic(points: Array) -> Array:
     """Values (k, n, 2) of a full quadratic around POINT, at another level on each packing."""
     x = points - POINT
     bent = jnp.einsum("knp,mpq,knq->knm", x, BEND, x)
@@ -35,7 +41,7 @@ def noisy(amplitude, seed=0):
     """The quadratic with noise that is fresh at every point."""
     rng = np.random.default_rng(seed)
 
-    def response(points):
+    def response(points: Array) -> Array:
         values = quadratic(points)
         return values + amplitude * rng.normal(size=values.shape)
 
@@ -43,7 +49,8 @@ def noisy(amplitude, seed=0):
 
 
 @pytest.mark.parametrize(
-    "strategy", [Pathwise(), Regression((0.1, 0.2)), Ensemble(0.2, 1), Ensemble(0.3, 4), Blend()]
+    "strategy",
+    [Pathwise(), Regression((0.1, 0.2)), Ensemble(), GROUPED, Ensemble(0.3, pairs=4), Blend()],
 )
 def test_slopes_of_a_quadratic_are_exact(strategy):
     """Curvature and interactions of two parameters leave no trace in antithetic steps."""
@@ -52,7 +59,7 @@ def test_slopes_of_a_quadratic_are_exact(strategy):
     assert np.abs(np.asarray(found.values) - LEVEL).max() < 1e-12
 
 
-@pytest.mark.parametrize("strategy", [Regression((0.2,)), Ensemble(0.2, 2), Ensemble(0.2, 3)])
+@pytest.mark.parametrize("strategy", [Regression((0.2,)), Ensemble(), GROUPED])
 def test_a_strategy_costs_the_runs_that_it_says(strategy):
     asked = []
 
@@ -65,13 +72,44 @@ def test_a_strategy_costs_the_runs_that_it_says(strategy):
     assert all(shape[1:] == (PACKINGS, PARAMETERS) for shape in asked)
 
 
-def test_seven_slopes_cost_six_forward_runs_on_three_packings():
-    """The bound that the project set itself: all factors, values at the point apart."""
-    assert Ensemble().runs(7, 3) - 1 <= 6
-    assert Ensemble().runs(7, 8) - 1 <= 6
+def test_seven_slopes_cost_six_forward_runs():
+    """The bound that the project set itself: all factors, the value at the point apart."""
+    for names in (FACTORS, (*FACTORS, "shear_modulus")):
+        strategy = Ensemble(0.2, probing_groups(names))
+        for packings in (3, 4, 8):
+            assert strategy.runs(len(names), packings) - 1 <= 6
 
 
-@pytest.mark.parametrize("strategy", [Regression((0.2,)), Ensemble(0.2, 3)])
+def test_groups_keep_what_matters_apart():
+    """Each of the four parameters that matter most to force has a partner that does not."""
+    names = (*FACTORS, "shear_modulus")
+    groups = [{names[i] for i in group} for group in probing_groups(names)]
+    assert sum(len(group) for group in groups) == len(names) == len(set().union(*groups))
+    for one, other in (
+        ("shear_modulus", "plasticity_ratio"),
+        ("shear_modulus", "rolling_friction"),
+        ("shear_modulus", "tangential_multiplier"),
+        ("plasticity_ratio", "surface_energy"),
+        ("plasticity_ratio", "rolling_friction"),
+    ):
+        assert not any({one, other} <= group for group in groups)
+
+
+def test_a_slope_does_not_feel_other_groups():
+    """Third orders and packings' own slopes leak within a group only."""
+
+    def rough(points: Array) -> Array:
+        x = points - POINT
+        own = jnp.arange(PACKINGS)[None, :, None] * x[..., 3:4]  # a slope of each packing's own
+        return quadratic(points) + own + x[..., :1] * x[..., 3:4] ** 2
+
+    together = Ensemble()(rough, POINT, PACKINGS)
+    apart = Ensemble(0.2, ((0, 1, 2), (3, 4), (5, 6)))(rough, POINT, PACKINGS)
+    assert np.abs(np.asarray(together.slopes - SLOPE))[:, 0].max() > 0.03
+    assert np.abs(np.asarray(apart.slopes - SLOPE))[:, :3].max() < 1e-12
+
+
+@pytest.mark.parametrize("strategy", [Regression((0.2,)), GROUPED, Ensemble(0.2, pairs=3)])
 def test_standard_errors_are_honest(strategy):
     """Over 200 repetitions the slopes scatter by what the standard errors say, within 15 %."""
     repeated = [strategy(noisy(0.3, seed), POINT, PACKINGS) for seed in range(200)]
@@ -80,8 +118,40 @@ def test_standard_errors_are_honest(strategy):
     assert np.abs(np.mean(scatter) / np.mean(claimed) - 1) < 0.15
 
 
+def test_steps_of_its_own_for_each_parameter():
+    """Short in a parameter on which the response bends to third order, bias goes with s^2."""
+
+    def bent(points: Array) -> Array:
+        x = points - POINT
+        third = x[..., :1] * x[..., 1:2] ** 2  # biases slope 0 by the square of step 1
+        return quadratic(points) - 10 + third
+
+    def bias(step):
+        steps = (0.2, step, *[0.2] * (PARAMETERS - 2))
+        found = Ensemble(steps, pairs=4)(bent, POINT, PACKINGS)
+        return np.asarray(found.slopes - SLOPE)[:, 0]
+
+    assert bias(0.2) == pytest.approx([0.04, 0.04])
+    assert bias(0.05) == pytest.approx([0.0025, 0.0025])
+
+
+def test_curves_are_read_where_the_audit_says():
+    """Displacement at a force counts from the highest force so far; failed runs are NaN."""
+    travel = np.linspace(0, 4, 81)
+    confined = np.column_stack([travel, np.concatenate([100 * travel[:-1], [0.0]])])
+    unconfined = np.column_stack([travel, 5 * travel])
+    run = Run(2.0, 20.0, confined, unconfined, {})
+    points = CurvePoints(10.0 * np.arange(1, POINTS + 1), 0.1 * np.arange(1, POINTS + 1))
+    read = points.read(run)
+    assert read[:2].tolist() == [2.0, 20.0]
+    assert read[points.slices()["confined"]] == pytest.approx(points.loading_n / 100)
+    assert read[points.slices()["unconfined"]] == pytest.approx(5 * points.crushing_mm)
+    failed = Run(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
+    assert np.all(np.isnan(points.read(failed)))
+
+
 def test_the_ensemble_is_more_precise_than_one_at_a_time_at_lower_cost():
-    one, many = Regression((0.2,)), Ensemble(0.2, 3)
+    one, many = Regression((0.2,)), Ensemble(0.2, pairs=3)
     assert many.runs(7, PACKINGS) < one.runs(7, PACKINGS)
     errors = [
         np.mean([np.abs(np.asarray(s(noisy(0.3, k), POINT, PACKINGS).slopes) - SLOPE).mean()
@@ -95,12 +165,12 @@ def test_a_failed_run_leaves_its_pair_out():
     def failing(points):
         return jnp.asarray(quadratic(points)).at[1, 0].set(jnp.nan)
 
-    found = Ensemble(0.2, 3)(failing, POINT, PACKINGS)
+    found = Ensemble(0.2, pairs=3)(failing, POINT, PACKINGS)
     assert np.abs(np.asarray(found.slopes) - SLOPE).max() < 1e-12
 
 
 def test_too_many_failures_are_not_hidden():
-    found = Ensemble(0.2, 2)(lambda points: jnp.nan * quadratic(points), POINT, PACKINGS)
+    found = GROUPED(lambda points: jnp.nan * quadratic(points), POINT, PACKINGS)
     assert np.all(np.isnan(np.asarray(found.slopes)))
 
 
@@ -132,7 +202,8 @@ def audited(estimate):
         jnp.zeros((2, 2)), jnp.asarray([[1.0], [100.0]]), jnp.asarray([[0.1], [60.0]])
     )
     found = sensitivity([[estimate], [-50.0]], 0.01)
-    return Audit(("surface_energy",), reference, {"ensemble": found}, 2)
+    nowhere = CurvePoints(np.zeros(0), np.zeros(0))
+    return Audit(("surface_energy",), reference, {"ensemble": found}, {}, {}, 2, nowhere)
 
 
 @pytest.mark.parametrize(("estimate", "passed"), [(1.14, True), (1.16, False), (-1.0, False)])

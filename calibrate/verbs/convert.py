@@ -38,7 +38,8 @@ def convert_command(
     json: Annotated[Path | None, typer.Option("--json", help="Write what was found here.")] = None,
 ) -> None:
     """Turn a testing machine's export into clean curves and a lab file for `calibrate fit`."""
-    from calibrate import output, plotting_lab
+    from calibrate import output
+    from calibrate.plotting.lab import preview_figure
 
     output.check_writable(json)
     if test is not None and test not in TESTS:
@@ -56,7 +57,7 @@ def convert_command(
     for name, specimen in labtext.curve_files(read).items():
         output.write_text(out / name, labtext.curve_text(specimen))
     output.write_text(lab, labtext.lab_text(read))
-    plotting_lab.preview_figure(read, out / "preview.png")
+    preview_figure(read, out / "preview.png")
     result = summary(read, lab)
     output.write_json(out / "convert.json", result)
     if json is not None:

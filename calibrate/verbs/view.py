@@ -29,8 +29,9 @@ def view_command(
     json: Annotated[Path | None, typer.Option("--json", help="Write what was seen here.")] = None,
 ) -> None:
     """Run one specimen and show its bed: bed.png, bed.gif, and files for ParaView."""
-    from calibrate import output, plotting_lab
+    from calibrate import output
     from calibrate.parameters import base_soil, with_values
+    from calibrate.plotting import bed
     from calibrate.view.contacts import contacts_of
     from calibrate.view.frames import frames as states
     from calibrate.view.vtk import write_series
@@ -43,8 +44,8 @@ def view_command(
     seen = states(work.lab, packing, soil, frames, session.progress.say)
     touching = [contacts_of(frame.bed, frame.state) for frame in seen]
     write_series(seen, touching, out)
-    plotting_lab.bed_figure(seen, touching, out / "bed.png")
-    plotting_lab.bed_animation(seen, touching, out / "bed.gif")
+    bed.bed_figure(seen, touching, out / "bed.png")
+    bed.bed_animation(seen, touching, out / "bed.gif")
     result = {
         "soil": session.lab.name,
         "preset": session.preset.name,

@@ -35,3 +35,8 @@ class AbstractApparatus(eqx.Module):
     @abc.abstractmethod
     def names(self) -> tuple[str, ...]:
         """What each segment is called in the curves."""
+
+    @property
+    @abc.abstractmethod
+    def time_scales(self) -> tuple[Real, ...]:
+        """Nominal over simulated time of each segment: what passes in the laboratory."""

@@ -36,6 +36,10 @@ class ConfinedCompression(AbstractApparatus):
     def names(self):
         return ("loading", "holding", "unloading")
 
+    @property
+    def time_scales(self):
+        return (self.simulated_rate / self.nominal_rate,) * 3
+
     def segments(self):
         return [
             self._towards(self._beyond_force_high(), self.stroke / self.simulated_rate, LOWER),

@@ -5,6 +5,7 @@ lasts until the kinetic energy is gone; the platen is then lowered onto the spec
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jdem.experiments.base import AbstractApparatus, Damping
 from jdem.quantity import Real, quantity
@@ -31,6 +32,11 @@ class UnconfinedCompression(AbstractApparatus):
     @property
     def names(self):
         return ("opening", "resting", "crushing")
+
+    @property
+    def time_scales(self):
+        rest = self.nominal_rest / jnp.maximum(self.rest, 1e-9)
+        return (1.0, rest, self.simulated_rate / self.nominal_rate)
 
     def segments(self):
         return [self._opening(), self._resting(), self._crushing()]

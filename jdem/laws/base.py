@@ -67,3 +67,7 @@ class AbstractContactLaw(eqx.Module):
     @abc.abstractmethod
     def stiffness_bound(self, radius: Array) -> Array:
         """Largest stiffness (N/m) at effective radius R*, for the time step."""
+
+    def memory(self, shape, dtype) -> tuple:
+        """What a new contact remembers in `ContactHistory.extra`: nothing, unless said so."""
+        return ()

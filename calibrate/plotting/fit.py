@@ -1,15 +1,11 @@
-"""Figures: curves with their scatter, a calibration at a glance, one contact.
+"""Figures of a calibration: curves with their scatter, a fit at a glance, an audit, one contact.
 
-Colours differ in lightness as well as hue, so figures survive greyscale; packings that
-were not fitted are dashed.
+Packings that were not fitted are dashed.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,10 +13,10 @@ from matplotlib.axes import Axes
 from calibrate.audit import OBSERVABLES, WITHIN, Audit
 from calibrate.campaign import Run
 from calibrate.measurements import Lab
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE
 from calibrate.workflow import Calibrated
 
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
-DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 
 
 def simulation_figure(runs: Sequence[Run], lab: Lab, path: Path) -> None:
@@ -88,6 +84,52 @@ def _estimates(axis: Axes, rows: list[dict], strategy: str) -> None:
         )
         if row["judged"]:
             axis.annotate(row["parameter"].replace("_", " "), (row["reference"], row["estimate"]))
+
+
+def curve_slopes_figure(found: Audit, path: Path) -> None:
+    """Slopes of both whole curves in every parameter: the reference's band and the estimates."""
+    shape = (len(found.points.slices()), len(found.names))
+    figure, axes = plt.subplots(
+        *shape, figsize=(2.1 * shape[1], 5.2), layout="constrained", sharex="row", sharey="row"
+    )
+    abscissas = (found.points.loading_n, found.points.crushing_mm)
+    for row, (rows, abscissa) in enumerate(
+        zip(found.points.slices().values(), abscissas, strict=True)
+    ):
+        for p, name in enumerate(found.names):
+            _curve_slope(axes[row, p], found, rows, p, abscissa)
+            if row == 0:
+                axes[row, p].set_title(_pretty(name), fontsize=9)
+    for axis, label in zip(axes[:, 0], CURVE_SLOPES, strict=True):
+        axis.set_ylabel(label)
+    for row, label in enumerate(("force on loading (N)", "displacement (mm)")):
+        for axis in axes[row]:
+            axis.set_xlabel(label, fontsize=8)
+    axes[0, 0].legend(fontsize=7, frameon=False)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+CURVE_SLOPES = ("d displacement / d ln p (mm)", "d force / d ln p (N)")
+
+
+def _curve_slope(axis: Axes, found: Audit, rows: slice, p: int, abscissa: np.ndarray) -> None:
+    slope, error = (
+        np.asarray(part[rows, p])
+        for part in (found.reference.slopes, found.reference.standard_error)
+    )
+    axis.fill_between(
+        abscissa,
+        slope - 2 * error,
+        slope + 2 * error,
+        color=LIGHT,
+        lw=0,
+        label="reference ± 2 s.e.",
+    )
+    for name, each in found.estimates.items():
+        if len(each.slopes) >= rows.stop:
+            axis.plot(abscissa, each.slopes[rows, p], color=MARKS[name][1], lw=1.2, label=name)
+    axis.axhline(0, color="0.6", lw=0.6)
 
 
 def _band(axis: Axes, within: float) -> None:

@@ -1,0 +1,122 @@
+"""The audit of the gradients that `fit` uses, on two sets of packings.
+
+    python benchmarks/audit.py               about 45 minutes on two cores
+    python benchmarks/audit.py --packings 8  quicker, and less precise
+
+The bundled soil at 300 spheres: reference slopes by regression over +-20 %, one parameter at a
+time, against the ensemble's, on the same packings; then all of it again on other packings.
+Runs are kept in results/benchmarks; a second call resumes.  Writes
+benchmarks/results/audit.json and .md, and docs/images/audit*.png, after every seed.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import reporting
+
+from calibrate import plotting
+from calibrate.audit import OBSERVABLES, Audit, audit, audit_json, judged
+from calibrate.campaign import Campaign
+from calibrate.measurements import bundled_lab, load_lab
+from calibrate.parameters import FACTORS, space
+from calibrate.presets import PRESETS, specimen, virtual_lab
+from calibrate.progress import for_terminal
+
+IMAGES = Path(__file__).parent.parent / "docs" / "images"
+STRATEGY = "ensemble"
+
+
+def audited(spheres: int, seeds: range, folder: Path) -> Audit:
+    lab = load_lab(bundled_lab())
+    preset = replace(PRESETS["quick"], spheres=spheres)
+    work = Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, for_terminal())
+    return audit(space(lab, (*FACTORS, "shear_modulus")), work, seeds, [STRATEGY])
+
+
+def markdown(audits: dict[str, dict], spheres: int, packings: int, origin: dict) -> str:
+    begin = (
+        f"# Audit of the {STRATEGY} strategy\n\nBundled soil, {spheres} spheres, {packings} "
+        "packings a seed. Slopes per unit of ln p with standard errors. Passed: the reference's "
+        "sign, within 15 % (H, mm) or 25 % (F, N) of it; slopes below three standard errors are "
+        "not judged.\n\n"
+    )
+    tables = [
+        f"Packings of seed {seed}; {_cost(each)}:\n\n" + _table(each["rows"])
+        for seed, each in audits.items()
+    ]
+    if len(audits) > 1:
+        rows = pooled([each["rows"] for each in audits.values()])
+        tables.append(f"All {len(audits) * packings} packings together:\n\n" + _table(rows))
+    return begin + "\n".join(tables) + reporting.footer(origin)
+
+
+def pooled(audits: list[list[dict]]) -> list[dict]:
+    """Rows of several audits on as many sets of packings, averaged and judged anew."""
+    found = []
+    for rows in zip(*audits, strict=True):
+        means = {
+            key: float(np.mean([row[key] for row in rows])) for key in ("estimate", "reference")
+        }
+        errors = {
+            f"{key}_se": float(np.sqrt(np.sum([row[f"{key}_se"] ** 2 for row in rows]))) / len(rows)
+            for key in means
+        }
+        named = {key: rows[0][key] for key in ("parameter", "observable")}
+        found.append(judged({**named, **means, **errors}))
+    return found
+
+
+def _cost(content: dict) -> str:
+    cost = content["strategies"][STRATEGY]
+    return f"{cost['forward_runs']:.0f} forward runs a packing ({cost['described']})"
+
+
+def _table(found: list[dict]) -> str:
+    rows = [
+        [
+            row["parameter"],
+            "H" if row["observable"] == OBSERVABLES[0] else "F",
+            f"{row['reference']:.3g} ± {row['reference_se']:.2g}",
+            f"{row['estimate']:.3g} ± {row['estimate_se']:.2g}",
+            f"{100 * row['relative_error']:+.0f} %" if row["judged"] else "",
+            _word(row),
+        ]
+        for row in sorted(found, key=lambda row: not row["judged"])
+    ]
+    header = ("parameter", "of", "reference", "estimate", "differs by", "verdict")
+    return reporting.table(header, rows)
+
+
+def _word(row: dict) -> str:
+    if not row["judged"]:
+        return "not judged"
+    return "passed" if row["passed"] else "FAILED"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--spheres", type=int, default=300)
+    parser.add_argument("--packings", type=int, default=16, help="packings a seed")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
+    chosen = parser.parse_args()
+    reporting.configure()
+    audits: dict[str, dict] = {}
+    for seed in chosen.seeds:
+        seeds = range(100 * seed, 100 * seed + chosen.packings)
+        found = audited(chosen.spheres, seeds, chosen.folder)
+        audits[str(seed)] = audit_json(found)
+        if seed == chosen.seeds[0]:
+            plotting.audit_figure(found, IMAGES / "audit.png")
+            plotting.curve_slopes_figure(found, IMAGES / "audit_curves.png")
+        origin = reporting.provenance()
+        text = markdown(audits, chosen.spheres, chosen.packings, origin)
+        reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""Generate cases whose reality LIGGGHTS computes, with sealed labels.
+
+    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR]
+
+Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
+repeated, so the command may be stopped and given again.  A case appears in OUT/cases when all its
+specimens stand; then its label joins OUT/sealed and its hash OUT/labels.sha256.  Needs the
+`liggghts` program (Debian package of that name).
+"""
+
+import argparse
+import json
+import secrets
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from cases import ATTEMPTS, SPECIMENS, Case, accepted, plan
+from instrument import TARGET_FORCE
+from labfiles import Specimen, measured, write_case
+from seal import write_seal
+from specimen import Run, run
+
+HERE = Path(__file__).parent
+DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)
+
+
+def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
+    """One specimen, from disk if it has been computed."""
+    saved = work / f"{case.name}-{attempt}-{number}.npz"
+    if saved.exists():
+        with np.load(saved) as old:
+            facts = json.loads(str(old["facts"]))
+            numbers = [float(value) for value in old["numbers"]]
+            return Run(numbers[0] == 1, numbers[1], numbers[2], old["first"], old["second"], facts)
+    setup = case.setup(attempt)
+    seed = case.specimen_seed(attempt, number)
+    new = run(setup.soil, setup.physics, setup.instrument, seed, work / "runs" / case.name)
+    np.savez_compressed(
+        saved, facts=json.dumps(new.facts), numbers=[new.stands, new.height, new.mass],
+        first=new.confined, second=new.unconfined,
+    )  # fmt: skip
+    return new
+
+
+def depth_mm(run: Run) -> float:
+    """Displacement between half the target force and the target, first passages, mm."""
+    way, force = run.confined[: run.confined[:, 0].argmax() + 1].T
+    low, high = np.interp(DEPTH_FORCES, np.maximum.accumulate(force), way)
+    return 1e3 * float(high - low)
+
+
+def crushing_n(run: Run) -> float:
+    """Largest force of the second test, smoothed over 81 savings, N."""
+    return float(np.convolve(run.unconfined[:, 1], np.full(81, 1 / 81), "valid").max())
+
+
+def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:
+    """The runs of one attempt, or None as soon as it is not acceptable."""
+    runs: list[Run] = []
+    for number in range(SPECIMENS):
+        runs.append(specimen_run(case, attempt, number, work))
+        if not runs[-1].stands:
+            return None
+    good = accepted([depth_mm(r) for r in runs], [crushing_n(r) for r in runs])
+    return runs if good else None
+
+
+def make_case(case: Case, work: Path, out: Path) -> dict | None:
+    """Simulate and write one case; its label, or None if no attempt was acceptable."""
+    for attempt in range(ATTEMPTS):
+        runs = attempt_case(case, attempt, work)
+        if runs is not None:
+            random = np.random.default_rng([case.seed, attempt, 10**6])
+            instrument = case.setup(attempt).instrument
+            specimens: list[Specimen] = [measured(r, instrument, random) for r in runs]
+            write_case(case.name, specimens, out / "cases" / case.name)
+            return case.label(attempt)
+    return None
+
+
+def master_seed(work: Path, given: int | None) -> int:
+    """The seed given, or that of `work`, drawn at the first start."""
+    kept = work / "seed"
+    if given is None and not kept.exists():
+        kept.write_text(f"{secrets.randbits(62)}\n")
+    return int(kept.read_text()) if given is None else given
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--cases", type=int, default=67)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=HERE)
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    planned, labels = plan(options.cases, master_seed(options.work, options.seed)), []
+    (options.work / "plan.json").write_text(json.dumps([asdict(c) for c in planned], indent=1))
+    with ProcessPoolExecutor(options.jobs) as pool:
+        results = [pool.submit(make_case, c, options.work, options.out) for c in planned]
+        for case, result in zip(planned, results, strict=True):
+            label = result.result()
+            print(case.name, "written" if label else "given up", flush=True)
+            if label:
+                labels.append(label)
+                write_seal(labels, options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Data made from the description itself: specimens with or without a known gap.
+
+Each draw shifts the base parameters by their prior, adds errors of mean and slopes, and
+scatters specimens by the covariance of simulated ones.  Used for null distributions and to
+rehearse a diagnosis; data of the same make as the description flatter it, so this is
+never a test of the diagnosis.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibrate.diagnosis.discrepancy import kernel_factors
+from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.projection import project
+from calibrate.diagnosis.repeats import Measured, from_vectors
+from calibrate.diagnosis.score import lengths
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Where the description is true.
+
+    plan (s, m): which specimen has which feature; packing (m, m): covariance of simulated
+    specimens, taken as true.
+    """
+
+    description: Linearised
+    plan: np.ndarray
+    packing: np.ndarray
+
+    @cached_property
+    def packing_root(self) -> np.ndarray:
+        return root_of(self.packing)
+
+    @cached_property
+    def specimen_root(self) -> np.ndarray:
+        return root_of(self.specimen)
+
+    @cached_property
+    def specimen(self) -> np.ndarray:
+        """Covariance (m, m) of one specimen."""
+        d = self.description
+        return self.packing + d.extra + d.sensor + np.diag(d.tolerance**2)
+
+    def measured(
+        self,
+        rng: np.random.Generator,
+        strengths: np.ndarray | None = None,
+        gap: np.ndarray | None = None,
+    ) -> Measured:
+        """A sample with effects of given strengths (k,) and any other gap (m,)."""
+        d = self.description
+        delta = d.prior_sd * rng.standard_normal(len(d.prior_sd))
+        given = np.zeros(len(d.effects)) if strengths is None else strengths
+        mean = d.at(delta, given)[0] + self._wrong_by(rng, delta)
+        if gap is not None:
+            mean = mean + gap
+        values = mean + normal(rng, self.specimen_root, len(self.plan))
+        return from_vectors(d.features, np.where(self.plan, values, np.nan))
+
+    def simulated(self, rng: np.random.Generator) -> np.ndarray:
+        """As many residuals (n, m) of simulated specimens as the description has."""
+        samples = normal(rng, self.packing_root, len(self.description.packing_residuals))
+        return samples - samples.mean(axis=0)
+
+    def snr(self, signatures: np.ndarray) -> np.ndarray:
+        """Projected signal-to-noise of changes of features (m, k)."""
+        d = self.description
+        design = project(
+            np.zeros(len(d.mean)), d.base_slopes, d.prior_sd, signatures, self.mean_covariance
+        )
+        return lengths(design.effects)
+
+    def strength_of(self, effect: int, snr: float) -> float:
+        """Strength of an effect that has this signal-to-noise."""
+        return float(snr / self.snr(self.description.effect_slopes[:, [effect]])[0])
+
+    def smooth_gap(self, rng: np.random.Generator, snr: float) -> np.ndarray:
+        """A smooth gap (m,) of no particular cause, at a signal-to-noise."""
+        every = kernel_factors(self.description.features, self.specimen)
+        factor = every[rng.integers(len(every))]
+        gap = factor @ rng.standard_normal(factor.shape[1])
+        return gap * snr / self.snr(gap[:, None])[0]
+
+    @cached_property
+    def mean_covariance(self) -> np.ndarray:
+        """Covariance (m, m) of measured minus simulated mean."""
+        known = self.plan.astype(float)
+        shared = known.T @ known
+        weights = shared / np.outer(np.diag(shared), np.diag(shared))
+        return (
+            self.specimen * weights
+            + self.packing / self.description.mean_specimens
+            + np.diag(self.description.tolerance**2)
+        )
+
+    def _wrong_by(self, rng: np.random.Generator, delta: np.ndarray) -> np.ndarray:
+        """Errors (m,) of the description: of its mean, its slopes, and what it admits."""
+        d = self.description
+        deviation = np.sqrt(np.maximum(np.diag(self.packing), 1e-300))
+        mean = normal(rng, self.packing_root, 1)[0] / np.sqrt(d.mean_specimens)
+        shared = normal(rng, self.packing_root / deviation[:, None], len(delta)).T
+        slopes = (d.base_errors * shared) @ delta
+        return mean + slopes + d.tolerance * rng.standard_normal(len(d.mean))
+
+
+def normal(rng: np.random.Generator, root: np.ndarray, count: int) -> np.ndarray:
+    """Draws (count, m) with covariance `root` root'."""
+    return rng.standard_normal((count, root.shape[1])) @ root.T
+
+
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """R (m, m) with R R' = covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def plan_of(measured: Measured) -> np.ndarray:
+    """Which specimen (s, m) has which feature; scalar targets count as specimens apart."""
+    if len(measured.specimens):
+        return np.isfinite(measured.specimens)
+    unit = np.eye(len(measured.features), dtype=bool)
+    return np.repeat(unit, measured.counts.astype(int), axis=0)

@@ -1,0 +1,284 @@
+"""Which effect is it?  From a sample and a description to probabilities and a verdict.
+
+    noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
+    refit of the leading effects and their pairs -> is anything left? -> probabilities
+
+The verdict is "none" unless the gate finds a gap at `ALPHA`; "unknown" where something is
+left after the best effect and after the best pair, or where that is likeliest; else the
+likeliest class of effects.  `prepare` does what depends on the plan of measurement only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibrate.diagnosis import evidence as evidences
+from calibrate.diagnosis.classes import Classes, classes
+from calibrate.diagnosis.discrepancy import Factors, kernel_factors, projected
+from calibrate.diagnosis.evidence import Evidence, evidence
+from calibrate.diagnosis.generated import World
+from calibrate.diagnosis.lack_of_fit import (
+    DRAWS,
+    NullTable,
+    simulate,
+    statistics,
+    statistics_after,
+)
+from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.noise import Noise, estimate, packing_covariance
+from calibrate.diagnosis.opinion import (
+    NONE,
+    UNKNOWN,
+    Facts,
+    Opinion,
+    hypotheses,
+    log_probabilities,
+)
+from calibrate.diagnosis.projection import fitted_shift, project
+from calibrate.diagnosis.refit import Refit, refit
+from calibrate.diagnosis.repeats import Measured
+from calibrate.diagnosis.score import Scores, admissible, lengths, scores
+from calibrate.diagnosis.sets import explanations
+
+ALPHA = 0.05  # of both gates
+REFITTED = 3  # leading effects whose pairs are refitted
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """All that a diagnosis needs beside the data.
+
+    `smallest` is the least probability of a member of the set of explanations.
+    """
+
+    world: World
+    null: NullTable
+    classes: Classes
+    opinion: Opinion
+    smallest: float
+
+    @property
+    def description(self) -> Linearised:
+        return self.world.description
+
+    def without(self, names: Sequence[str]) -> "Prepared":
+        """The same with a smaller library; the null distributions stay."""
+        world = replace(self.world, description=self.description.without_effects(names))
+        return replace(self, world=world, classes=design_classes(world))
+
+    def with_packing(self, packing: np.ndarray) -> "Prepared":
+        """The same with another covariance (m, m) of simulated specimens."""
+        return replace(self, world=replace(self.world, packing=packing))
+
+
+@dataclass(frozen=True, eq=False)
+class Which:
+    """The answer and what it rests on.
+
+    probability by explanation (effects and pairs by name, none, unknown) and by_class; base
+    and refits are fits without and with effects.
+    """
+
+    verdict: str
+    probability: dict[str, float]
+    by_class: dict[str, float]
+    likely_set: list[str]
+    facts: Facts
+    scores: Scores
+    noise: Noise
+    base: Refit
+    refits: dict[tuple[int, ...], Refit]
+    best: tuple[int, ...]
+
+    @property
+    def stated(self) -> float:
+        """Probability stated for the verdict."""
+        return self.by_class.get(self.verdict, 0.0)
+
+
+def prepare(
+    description: Linearised,
+    plan: np.ndarray,
+    seed: int,
+    draws: int = DRAWS,
+    opinion: Opinion | None = None,
+    smallest: float = 0.1,
+) -> Prepared:
+    """Simulates null distributions and forms classes for a plan (s, m) of measurement."""
+    world = World(description, plan, packing_covariance(description))
+    null = simulate(world, seed, draws)
+    return Prepared(world, null, design_classes(world), opinion or Opinion(), smallest)
+
+
+def design_classes(world: World) -> Classes:
+    """Classes of effects that this plan cannot tell apart."""
+    d = world.description
+    covariance = world.mean_covariance
+    design = project(np.zeros(len(d.mean)), d.base_slopes, d.prior_sd, d.effect_slopes, covariance)
+    found = scores(design, d.effect_slopes, covariance)
+    return classes(d.effect_names, found.confusability, d.one_sided, found.visibility)
+
+
+def diagnose(prepared: Prepared, measured: Measured) -> Which:
+    """Names the explanation of a sample's gap."""
+    d = prepared.description
+    noise, base = fitted_base(prepared, measured)
+    covariance = prepared.null.inflation * noise.mean
+    kernel = kernel_factors(d.features, noise.specimen)
+    plain = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, noise.mean)
+    shapes = projected(kernel, plain.operator)
+    p_before = prepared.null.before.p_value(
+        statistics(plain.residual, plain.effects, d.one_sided, shapes)
+    )
+    first = evidence(
+        d,
+        base.working,
+        base.base_slopes,
+        base.effect_slopes,
+        noise,
+        prepared.null.inflation,
+        kernel,
+    )
+    refits = _refits(prepared, measured, covariance, base, first)
+    found = first if d.emulator is None else _refined(prepared, noise, base, refits, first)
+    best, p_after = _left(prepared, noise, kernel, found, refits)
+    facts = Facts(d.effect_names, found, p_before, p_after)
+    design = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, covariance)
+    return _answer(
+        prepared,
+        facts,
+        scores=scores(design, base.effect_slopes, covariance),
+        noise=noise,
+        base=base,
+        refits=refits,
+        best=best,
+    )
+
+
+def fitted_base(prepared: Prepared, measured: Measured) -> tuple[Noise, Refit]:
+    """The noise of a sample and the fit of the base parameters alone."""
+    d, world = prepared.description, prepared.world
+    noise = estimate(d, measured, world.packing, d.prior_sd**2)
+    base = refit(d, measured.mean, prepared.null.inflation * noise.mean)
+    spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
+    noise = estimate(d, measured, world.packing, base.delta**2 + np.diag(spread))
+    return noise, refit(d, measured.mean, prepared.null.inflation * noise.mean, start=base.delta)
+
+
+def label(classes_: Classes, hypothesis: tuple[str, ...]) -> str:
+    """The name of an explanation by classes: that of a class, or of two classes with "+"."""
+    return " + ".join(sorted({classes_.label(name) for name in hypothesis}))
+
+
+def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray:
+    """Mask over the hypotheses: those that name the class, or classes, of the truth."""
+    wanted = label(classes_, truth)
+    return np.array([label(classes_, h) == wanted for h in hypotheses(facts)])
+
+
+def _refits(prepared, measured, covariance, base: Refit, first: Evidence):
+    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
+    the leading effects, the best one with its companions, and the leading pair."""
+    d = prepared.description
+
+    def with_effects(key: tuple[int, ...]) -> Refit:
+        return refit(d, measured.mean, covariance, key, base.delta)
+
+    order = [int(k) for k in np.argsort(-first.singles)]
+    alone = order if d.emulator is not None else order[:REFITTED]
+    fits = {(k,): with_effects((k,)) for k in alone}
+    lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
+    chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
+    if lead:
+        chosen += [(lead[0], j) for j in _companions(prepared, fits[(lead[0],)], covariance)]
+    if len(first.pairs):
+        i, j = first.pair_index[int(np.argmax(first.pairs))]
+        chosen.append((int(i), int(j)))
+    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
+    return fits | {key: with_effects(key) for key in pairs}
+
+
+def _companions(prepared, fit: Refit, covariance) -> list[int]:
+    """The two effects that would help most beside the fitted one."""
+    d, on = prepared.description, list(fit.chosen)
+    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, covariance)
+    unit = design.effects[:, on] / lengths(design.effects[:, on])
+    others = design.effects - unit @ (unit.T @ design.effects)
+    left = design.residual - unit @ (unit.T @ design.residual)
+    score = admissible(others.T @ left / lengths(others), d.one_sided)
+    score[on] = -np.inf
+    return [int(k) for k in np.argsort(-score)[:2] if k not in on]
+
+
+def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
+    """Evidences of the refitted explanations replaced by those at their own best fit."""
+    none = _at(prepared, noise, base)
+    singles, pairs = first.singles.copy(), first.pairs.copy()
+    for key, fit in refits.items():
+        value = _at(prepared, noise, fit) - none
+        if len(key) == 1:
+            singles[key[0]] = value
+        else:
+            pairs[(first.pair_index == key).all(axis=1)] = value
+    return replace(first, singles=singles, pairs=pairs)
+
+
+def _at(prepared, noise: Noise, fit: Refit) -> float:
+    d, on = prepared.description, list(fit.chosen)
+    return evidences.at_a_fit(
+        fit.working,
+        fit.base_slopes,
+        d.prior_sd,
+        fit.effect_slopes[:, on],
+        d.one_sided[on],
+        noise,
+        prepared.null.inflation,
+    )
+
+
+def _left(prepared, noise: Noise, kernel: Factors, found: Evidence, refits):
+    """The best refitted effect, and the p-value of what is left: the better of those after
+    this effect and after the best refitted pair."""
+    if not refits:
+        return (), 1.0
+    d = prepared.description
+    value = dict(zip(map(tuple, found.pair_index.tolist()), found.pairs, strict=True))
+    value |= {(k,): found.singles[k] for k in range(len(found.singles))}
+    best = max((key for key in refits if len(key) == 1), key=lambda key: value[key])
+    pairs = [key for key in refits if len(key) == 2]
+    keys = [best, *([max(pairs, key=lambda key: value[key])] if pairs else [])]
+    p_values = []
+    for key in keys:
+        fit = refits[key]
+        design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, noise.mean)
+        shapes = projected(kernel, design.operator)
+        left = statistics_after(design, list(key), d.one_sided, shapes)
+        p_values.append(prepared.null.after.p_value(left))
+    return best, max(p_values)
+
+
+def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
+    every = hypotheses(facts)
+    values = np.exp(log_probabilities(facts, prepared.opinion))
+    probability = {" + ".join(h): float(p) for h, p in zip(every, values, strict=True)}
+    by_class: dict[str, float] = {}
+    for h, p in zip(every, values, strict=True):
+        name = label(prepared.classes, h)
+        by_class[name] = by_class.get(name, 0.0) + float(p)
+    return Which(
+        verdict=_verdict(facts, by_class),
+        probability=probability,
+        by_class=by_class,
+        likely_set=explanations(by_class, prepared.smallest),
+        facts=facts,
+        **rest,
+    )
+
+
+def _verdict(facts: Facts, by_class: dict[str, float]) -> str:
+    if facts.p_before > ALPHA:
+        return NONE
+    if facts.p_after < ALPHA:
+        return UNKNOWN
+    return max(by_class, key=lambda name: by_class[name])

@@ -1,0 +1,1 @@
+"""What the base model leaves out, one effect per file; see `base` for the contract."""

@@ -1,0 +1,33 @@
+"""The testing machine yields: frame, load cell and platens are a spring behind the platen.
+
+d_shown = d + F/K
+"""
+
+from typing import ClassVar
+
+from jdem.effects.base import About, AbstractEffect
+from jdem.quantity import Real, quantity
+
+
+class LoadFrameCompliance(AbstractEffect):
+    """Strength: compliance 1/K, m/N, one-sided; K does not depend on the force.
+
+    Slopes change by 1/(1 + S/K), S being the soil's: the steepest part, unloading, suffers
+    most; H grows by (F_high - F_low)/K, forces stay.  K = 1 to 20 kN/mm (recalled).  That the
+    platen itself then moves a little slower is left out.
+    """
+
+    strength: Real = quantity(0.0)
+    about: ClassVar[About] = About(
+        quantity="compliance 1/K",
+        unit="m/N",
+        typical=(5e-8, 1e-6),
+        one_sided=True,
+        confined="every slope flatter, unloading most; H up by 200 N/K",
+        unconfined="pre-peak flatter, peak later by F/K, same peak force",
+        confounders=("shear_modulus", "plasticity_ratio"),
+        source="K of 1-20 kN/mm (recalled)",
+    )
+
+    def travel_error(self, force):
+        return self.strength * force

@@ -1,0 +1,185 @@
+"""All effects of the library, and what several of them do together to one pair of tests.
+
+A new effect is one file beside this one and one line in EFFECTS.  Laws are wrapped in the
+order of the effects; errors of instruments add up.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.bed import friction_of_walls
+from jdem.dynamics import Bed, BedState
+from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, Stage
+from jdem.effects.capillary import CapillaryTension
+from jdem.effects.cementation import Cementation
+from jdem.effects.compliance import LoadFrameCompliance
+from jdem.effects.density import SpecimenDensity
+from jdem.effects.drift import LoadCellDrift
+from jdem.effects.gain import LoadCellGain
+from jdem.effects.lag import AcquisitionLag
+from jdem.effects.offset import LoadCellOffset
+from jdem.effects.platen_friction import PlatenFriction
+from jdem.effects.rate import RateDependence
+from jdem.effects.seating import SeatingGap
+from jdem.effects.second_test import SecondTestFactor
+from jdem.effects.wall_friction import WallFriction
+from jdem.quantity import Real, as_quantity, cast, quantity
+from jdem.smooth import Smoothing
+from jdem.soil import SoilParameters, particle_law, wall_law
+from jdem.surroundings import AbstractSurroundings
+
+TOUCH = 1.0  # N; below it errors fade for the servo: it returns until the platen is free
+
+EFFECTS: dict[str, type[AbstractEffect]] = {
+    "load_frame_compliance": LoadFrameCompliance,
+    "seating_gap": SeatingGap,
+    "load_cell_gain": LoadCellGain,
+    "load_cell_offset": LoadCellOffset,
+    "load_cell_drift": LoadCellDrift,
+    "acquisition_lag": AcquisitionLag,
+    "wall_friction": WallFriction,
+    "platen_friction": PlatenFriction,
+    "second_test_factor": SecondTestFactor,
+    "capillary_tension": CapillaryTension,
+    "cementation": Cementation,
+    "rate_dependence": RateDependence,
+    "specimen_density": SpecimenDensity,
+}
+
+
+def with_strengths(
+    effects: Sequence[AbstractEffect], strengths: Sequence[Real] | Array
+) -> tuple[AbstractEffect, ...]:
+    """The effects with other strengths, one for each; traced values are fine."""
+    return tuple(
+        eqx.tree_at(lambda e: e.strength, effect, as_quantity(strength))
+        for effect, strength in zip(effects, strengths, strict=True)
+    )
+
+
+def as_table(entries: Mapping[str, About]) -> str:
+    """What is known about effects or settings, as a table in Markdown; all are off at 0."""
+    head = "| name | strength | unit | typical | confined test | unconfined test | alike | source |"
+    rows = [head, "|" + " --- |" * 8]
+    for name, about in entries.items():
+        sides = ">= 0: " if about.one_sided else ""
+        typical = f"{sides}{about.typical[0]:.2g} to {about.typical[1]:.2g}"
+        alike = ", ".join(about.confounders)
+        cells = [name, about.quantity, about.unit, typical, about.confined, about.unconfined]
+        rows.append("| " + " | ".join([*cells, alike, about.source]) + " |")
+    return "\n".join(rows)
+
+
+class Timetable(eqx.Module):
+    """What the segments of the tests are to effects; arrays (segments,).
+
+    time_scale is nominal over simulated time (-); loading is 1 in segments in which a test
+    runs and time counts; unconfined and resting as in `Stage`.
+    """
+
+    time_scale: Array
+    loading: Array
+    unconfined: Array
+    resting: Array
+
+
+class Clock(eqx.Module):
+    """Nominal time (s) since the load cell was tared, and the rate of the confined test over
+    the rate that the soil feels (-)."""
+
+    time: Array
+    slowness: Array
+
+
+class Altered(AbstractSurroundings):
+    """The surroundings of both tests under some effects.
+
+    soil and smoothing are the base model's; mean_diameter (m) the spheres'; reference_rate
+    (1/s) the nominal axial strain rate of the confined test.
+    """
+
+    effects: tuple[AbstractEffect, ...]
+    soil: SoilParameters
+    smoothing: Smoothing
+    timetable: Timetable
+    mean_diameter: Array = quantity()
+    reference_rate: Real = quantity()
+
+    def begin(self, dtype) -> Clock:
+        return Clock(jnp.zeros((), dtype), jnp.ones((), dtype))
+
+    def bed(self, bed: Bed, segment: Array, memory: Clock) -> Bed:
+        stage, soil = self.stage(segment, memory), self.soil
+        for effect in self.effects:
+            soil = effect.soil(soil, stage)
+        between = particle_law(soil, self.mean_diameter, self.smoothing)
+        for effect in self.effects:
+            between = effect.law(between, stage)
+        walls = wall_law(soil, self.mean_diameter, self.smoothing)
+        present = (between, walls, soil.static_friction, friction_of_walls(soil))
+        present = cast(present, jnp.asarray(bed.time_step).dtype)
+        return eqx.tree_at(
+            lambda b: (b.particle_law, b.wall_law, b.friction, b.wall_friction), bed, present
+        )
+
+    def shown(self, reading: Array, memory: Clock) -> Array:
+        touching = jnp.clip(reading / TOUCH, 0.0, 1.0)
+        shown = reading
+        for effect in self.effects:
+            error = effect.servo_error(reading, memory.time)
+            shown = shown + (touching * error).astype(reading.dtype)
+        return shown
+
+    def later(self, memory: Clock, segment: Array, before: BedState, after: BedState) -> Clock:
+        time_scale = self.timetable.time_scale[segment]
+        interval = (after.time - before.time) * time_scale
+        height = before.walls.platen_height
+        strain = jnp.abs(after.walls.platen_height - height) / height
+        clock = Clock(
+            (memory.time + interval) * self.timetable.loading[segment],
+            _slowed(memory.slowness, strain, self.reference_rate * interval),
+        )
+        return cast(clock, after.time.dtype)
+
+    def stage(self, segment: Array, memory: Clock) -> Stage:
+        """Where the tests stand in this segment."""
+        return Stage(
+            unconfined=self.timetable.unconfined[segment],
+            resting=self.timetable.resting[segment],
+            log_rate=-jnp.log10(memory.slowness),
+        )
+
+
+def _slowed(slowness: Array, strain: Array, reference: Array) -> Array:
+    """The slowness w = v_c/v after an interval, v following dv/dt = v (v_machine - v)/A.
+
+    w' = w exp(-x) + (r/A) (1 - exp(-x))/x, x = strain/A: exact for a steady machine; r is the
+    strain of the interval at the confined test's nominal rate.
+    """
+    share = strain / FADING_STRAIN
+    moving = share > 1e-6
+    safe = jnp.where(moving, share, 1.0)
+    mean = jnp.where(moving, -jnp.expm1(-safe) / safe, 1.0)
+    return slowness * jnp.exp(-share) + reference / FADING_STRAIN * mean
+
+
+class Readings(eqx.Module):
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N)."""
+
+    travel: Array
+    force: Array
+
+
+def recorded(
+    effects: Sequence[AbstractEffect], readings: Readings, force: Array, time: Array
+) -> Readings:
+    """Readings with all errors of the instruments, from the true force (N) and the nominal
+    time (s) since the load cell was tared."""
+    travel, shown = readings.travel, readings.force
+    for effect in effects:
+        travel = travel + effect.travel_error(force)
+        shown = shown + effect.force_error(readings.force, time)
+    return Readings(travel, shown)

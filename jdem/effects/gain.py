@@ -1,0 +1,40 @@
+"""The load cell's sensitivity is off.
+
+F_shown = (1 + g) F
+"""
+
+from typing import ClassVar
+
+from jdem.effects.base import About, AbstractEffect
+from jdem.quantity import Real, quantity
+
+
+class LoadCellGain(AbstractEffect):
+    """Strength: relative error g, dimensionless, two-sided.
+
+    All forces scale, H changes through its thresholds.  in_servo is the share of the error
+    that the servo acts on: 1 if it reads the same cell (the true force at reversal is then
+    target/(1 + g) and the specimen is pressed less), 0 if only the record is wrong (the
+    specimen is the base model's, and derivatives of both curves are exact and free of
+    simulation).  g = 1 % (class 1, ISO 7500-1, recalled), more below a tenth of the cell's
+    range, where these tests are.
+    """
+
+    strength: Real = quantity(0.0)
+    in_servo: Real = quantity(1.0)
+    about: ClassVar[About] = About(
+        quantity="relative error g",
+        unit="1",
+        typical=(-0.03, 0.03),
+        one_sided=False,
+        confined="all forces x (1 + g), reversal excepted; H through its thresholds",
+        unconfined="all forces x (1 + g)",
+        confounders=("shear_modulus", "surface_energy"),
+        source="1 % for class 1 of ISO 7500-1 (recalled), more at 2-4 % of capacity",
+    )
+
+    def force_error(self, reading, time):
+        return self.strength * reading
+
+    def servo_error(self, reading, time):
+        return self.in_servo * self.force_error(reading, time)

@@ -1,0 +1,38 @@
+"""The force reading is late: filter, sampling, controller.
+
+tau dR/dt = F - R        R: what the servo acts on and the record stores
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from jdem.effects.base import About, AbstractEffect
+from jdem.quantity import Real, quantity
+from jdem.simulate import Segment
+
+
+class AcquisitionLag(AbstractEffect):
+    """Strength: time constant tau, s of nominal time, one-sided.
+
+    The machine reverses late: readings on loading lie v tau further, the true force overshoots
+    by v tau S (S the soil's slope), the reading goes on rising while the platen turns and forms
+    a loop.  Nothing at the unconfined test's slow rate.  Solved in the loop, in nominal time,
+    so a faster simulation has the same v tau.  tau = 20 to 100 ms (recalled):
+    10 to 48 N at 8 mm/s.
+    """
+
+    strength: Real = quantity(0.0)
+    about: ClassVar[About] = About(
+        quantity="time constant tau",
+        unit="s",
+        typical=(0.02, 0.1),
+        one_sided=True,
+        confined="loading shifted by v tau, force beyond the target, rounded reversal, loop",
+        unconfined="none: slow; the specimen was pressed harder",
+        confounders=("seating_gap", "wall_friction", "rate_dependence"),
+        source="20-100 ms (recalled)",
+    )
+
+    def programme(self, programme: Segment, time_scale):
+        return eqx.tree_at(lambda p: p.lag, programme, programme.lag + self.strength / time_scale)

@@ -1,0 +1,39 @@
+"""The load cell was not tared, or carries the platen's weight.
+
+F_shown = F + b
+"""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from jdem.effects.base import About, AbstractEffect
+from jdem.quantity import Real, quantity
+
+
+class LoadCellOffset(AbstractEffect):
+    """Strength: offset b, N, two-sided; the same in both tests.
+
+    The baseline and the peak shift by b; slopes stay, H changes by the curve's curvature, and
+    force does not return to zero.  in_servo as for the gain.  b up to 10 N: 0.1 % of the full
+    scale of a 10 kN cell (class 1, recalled).
+    """
+
+    strength: Real = quantity(0.0)
+    in_servo: Real = quantity(1.0)
+    about: ClassVar[About] = About(
+        quantity="offset b",
+        unit="N",
+        typical=(-10.0, 10.0),
+        one_sided=False,
+        confined="baseline shifted, also after release; H by curvature only",
+        unconfined="all forces shifted by b",
+        confounders=("load_cell_drift", "surface_energy"),
+        source="0.1 % of 10 kN for class 1 (recalled)",
+    )
+
+    def force_error(self, reading, time):
+        return self.strength * jnp.ones_like(reading)
+
+    def servo_error(self, reading, time):
+        return self.in_servo * self.force_error(reading, time)

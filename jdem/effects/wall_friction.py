@@ -1,0 +1,39 @@
+"""The mould holds the soil back more than it is greased to.
+
+mu_wall = wall_friction + strength        (Janssen: stress falls exponentially downwards)
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from jdem.effects.base import About, AbstractEffect
+from jdem.quantity import Real, quantity
+
+
+class WallFriction(AbstractEffect):
+    """Strength: extra coefficient of friction on the mould, dimensionless; one-sided where the
+    soil's own wall_friction is 0, else no lower than minus that.
+
+    Stiffer in the mould the higher the specimen; less force reaches the base than the platen
+    gives while loading, more while unloading, and force falls faster after reversal.  (On a
+    rigid soil that is an abrupt drop; here the contacts' tangential springs must turn first,
+    within some tenths of a millimetre.)  The unconfined test sees only the gradient that
+    this left.  Interface angles of 1 degree (grease and latex, Tatsuoka
+    1984) to 17 degrees (Teflon and silicone grease): tan = 0.02 to 0.3.
+    """
+
+    strength: Real = quantity(0.0)
+    about: ClassVar[About] = About(
+        quantity="extra coefficient of friction",
+        unit="1",
+        typical=(0.02, 0.3),
+        one_sided=True,
+        confined="stiffer, faster fall after reversal; base force below platen force",
+        unconfined="none but an inherited gradient",
+        confounders=("shear_modulus", "plasticity_ratio", "static_friction", "acquisition_lag"),
+        source="1 degree (Tatsuoka 1984) to 17 degrees",
+    )
+
+    def soil(self, soil, stage):
+        return eqx.tree_at(lambda s: s.wall_friction, soil, soil.wall_friction + self.strength)

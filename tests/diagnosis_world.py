@@ -1,0 +1,62 @@
+"""A made-up linear simulator for tests of the diagnosis: smooth slopes, smooth scatter.
+
+Eight effects act on both tests or on one; specimens scatter by a few smooth modes, so that
+neighbouring features are nearly the same number twice; what a diagnosis may know is sixty
+simulated specimens.  `case` makes a laboratory of four repeats of each test.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from calibrate.diagnosis.features import CONFINED, declare, tests_of
+from calibrate.diagnosis.linear import Effect, Linearised, simple
+from calibrate.diagnosis.repeats import Measured, from_vectors
+
+FEATURES = declare(400.0, 6.0, 200.0)
+CONFINED_ONES = tests_of(FEATURES) == CONFINED
+PLACE = np.array([f.position for f in FEATURES]) + 1.5 * ~CONFINED_ONES
+UNIT = np.where([f.unit == "mm" for f in FEATURES], 0.1, 10.0)
+PLAN = np.array([CONFINED_ONES] * 4 + [~CONFINED_ONES] * 4)
+EFFECTS = 8
+SIMULATED = 60
+
+
+def correlation(length: float) -> np.ndarray:
+    """Smooth correlation (m, m) of features along both tests."""
+    return np.exp(-0.5 * ((PLACE[:, None] - PLACE) / length) ** 2)
+
+
+def scatter() -> np.ndarray:
+    """True covariance (m, m) of a specimen: smooth, with a little roughness."""
+    return np.outer(UNIT, UNIT) * (correlation(0.3) + 0.02 * np.eye(len(UNIT)))
+
+
+def draws(covariance: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """Normal vectors (count, m)."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    return np.random.default_rng(seed).standard_normal((count, len(values))) @ root.T
+
+
+@cache
+def description(seed: int = 0) -> Linearised:
+    """What a diagnosis knows; seed chooses the simulated specimens, not the truth."""
+    shapes = UNIT * draws(correlation(0.25), EFFECTS, 1)
+    shapes[0::4] *= CONFINED_ONES
+    shapes[1::4] *= ~CONFINED_ONES
+    slopes = 2 * UNIT * draws(correlation(0.5), 5, 2)
+    simulated = draws(scatter(), SIMULATED, 100 + seed)
+    effects = [(Effect(f"e{k}", k % 2 == 0, 1.0), shape) for k, shape in enumerate(shapes)]
+    base = {f"b{i}": (slope, 0.5) for i, slope in enumerate(slopes)}
+    mean = simulated.mean(axis=0)
+    return simple(FEATURES, mean, base, effects, simulated - mean)
+
+
+def case(seed: int, gap: np.ndarray | None = None, off_centre: float = 1.0) -> Measured:
+    """A laboratory with a gap (m,) and base parameters from `off_centre` times their prior."""
+    known = description()
+    delta = off_centre * known.prior_sd * np.random.default_rng(seed).standard_normal(5)
+    mean = known.base_slopes @ delta + (0 if gap is None else gap)
+    specimens = mean + draws(scatter(), len(PLAN), 10_000 + seed)
+    return from_vectors(FEATURES, np.where(PLAN, specimens, np.nan))

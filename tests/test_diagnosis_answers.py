@@ -1,0 +1,283 @@
+"""The answers, in a made-up linear world: which, where, how far, next test, and the report.
+
+One library is prepared for all tests; cases come from the true covariance, which the
+diagnosis only knows from sixty simulated specimens (`diagnosis_world`).
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import diagnosis_world as world
+import numpy as np
+import pytest
+from scipy import stats
+
+from calibrate.diagnosis import baselines
+from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare_targets
+from calibrate.diagnosis.generated import plan_of
+from calibrate.diagnosis.how_far import (
+    distortions,
+    feature_weights,
+    fresh_gap,
+    how_far,
+    shrinkage,
+)
+from calibrate.diagnosis.linear import Effect, simple
+from calibrate.diagnosis.next_test import FurtherTest, next_tests
+from calibrate.diagnosis.refit import refit
+from calibrate.diagnosis.rehearsal import generated_case, rehearsed
+from calibrate.diagnosis.repeats import from_targets
+from calibrate.diagnosis.verdict import as_json, reports, status
+from calibrate.diagnosis.where import where
+from calibrate.diagnosis.which import Prepared, Which, diagnose, fitted_base, label, prepare
+
+KNOWN = world.description()
+NULLS, STRONG = 60, 24
+
+
+@cache
+def prepared() -> Prepared:
+    return prepare(KNOWN, world.PLAN, seed=1, draws=120)
+
+
+def gap_of(effect: int, snr: float) -> np.ndarray:
+    """What one effect does at a signal-to-noise."""
+    return prepared().world.strength_of(effect, snr) * KNOWN.effect_slopes[:, effect]
+
+
+@cache
+def answered(effect: int, snr: float, seed: int) -> Which:
+    return diagnose(prepared(), world.case(seed, gap_of(effect, snr)))
+
+
+# ------------------------------------------------------------------ which
+
+
+def test_false_alarms_stay_near_five_per_cent():
+    """At most what 5 % would give in 999 of 1000 such tests."""
+    alarms = sum(diagnose(prepared(), world.case(s)).verdict != "none" for s in range(NULLS))
+    assert alarms <= stats.binom.ppf(0.999, NULLS, 0.05)
+
+
+def test_strong_effects_are_named():
+    right = 0
+    for seed in range(STRONG):
+        effect = seed % world.EFFECTS
+        found = answered(effect, 12.0, 500 + seed)
+        right += found.verdict == label(prepared().classes, (f"e{effect}",))
+    assert right >= stats.binom.ppf(0.01, STRONG, 0.85)
+
+
+def test_a_gap_that_no_effect_makes_is_not_called_an_effect():
+    """A narrow dent in both curves, at a signal-to-noise of 20."""
+    dent = world.UNIT * np.exp(-0.5 * ((world.PLACE % 1.5 - 0.45) / 0.03) ** 2)
+    dent *= 20 / prepared().world.snr(dent[:, None])[0]
+    verdicts = [diagnose(prepared(), world.case(900 + s, dent)).verdict for s in range(6)]
+    assert verdicts.count("unknown") >= 4
+
+
+def test_probabilities_are_whole_and_the_set_holds_the_verdict():
+    found = answered(2, 12.0, 1)
+    assert sum(found.probability.values()) == pytest.approx(1.0)
+    assert sum(found.by_class.values()) == pytest.approx(1.0)
+    assert found.verdict in found.likely_set
+    assert {"none", "unknown", "e0 + e1"} <= set(found.probability)
+
+
+def test_an_effect_left_out_of_the_library_is_not_named():
+    fewer = prepared().without(["e2"])
+    assert "e2" not in fewer.description.effect_names
+    found = diagnose(fewer, world.case(3, gap_of(2, 20.0)))
+    assert "e2" not in found.probability
+    assert found.verdict != "none"
+
+
+def test_a_rehearsal_gives_an_opinion_and_a_size_of_sets():
+    trained = rehearsed(prepared(), seed=5, cases=60)
+    assert trained.opinion != prepared().opinion
+    assert 0 <= trained.smallest < 1
+    case = generated_case(trained, np.random.default_rng(1), "pair")
+    assert len(case.truth) == 2
+
+
+def test_scalar_targets_alone_get_an_honest_answer():
+    """Two numbers and seven parameters: nothing can be told."""
+    features = declare_targets(["depression_depth_mm", "crushing_force_n"])
+    rng = np.random.default_rng(4)
+    base = {f"b{i}": (rng.standard_normal(2) * [1.0, 60.0], 0.5) for i in range(7)}
+    effects = [(Effect(f"e{k}", True, 1.0), rng.standard_normal(2) * [0.3, 20]) for k in range(3)]
+    residuals = rng.standard_normal((30, 2)) * [0.3, 20]
+    known = simple(features, np.array([3.4, 200.0]), base, effects, residuals)
+    values = {"depression_depth_mm": (3.36, 0.3, 4), "crushing_force_n": (206.0, 20.0, 4)}
+    sample = from_targets(features, values)
+    ready = prepare(known, plan_of(sample), seed=2, draws=60)
+    found = diagnose(ready, sample)
+    assert found.verdict == "none"
+    assert {r.status for r in reports(ready, found)} <= {"inconclusive", "absent"}
+
+
+def test_an_emulator_that_is_linear_changes_nothing():
+    def emulator(delta, strengths):
+        values = KNOWN.mean + KNOWN.base_slopes @ delta + KNOWN.effect_slopes @ strengths
+        return values, KNOWN.base_slopes, KNOWN.effect_slopes
+
+    bent = replace(KNOWN, emulator=emulator)
+    ready = replace(prepared(), world=replace(prepared().world, description=bent))
+    sample = world.case(7, gap_of(5, 8.0))
+    one, other = diagnose(prepared(), sample), diagnose(ready, sample)
+    assert one.verdict == other.verdict
+    np.testing.assert_allclose(one.facts.evidence.singles, other.facts.evidence.singles, atol=0.02)
+
+
+def test_gauss_newton_finds_a_bent_truth():
+    def emulator(delta, strengths):
+        bend = 1 + 0.3 * strengths[2]
+        values = KNOWN.base_slopes @ delta + KNOWN.effect_slopes[:, 2] * strengths[2] * bend
+        slopes = np.zeros_like(KNOWN.effect_slopes)
+        slopes[:, 2] = KNOWN.effect_slopes[:, 2] * (1 + 0.6 * strengths[2])
+        return values, KNOWN.base_slopes, slopes
+
+    bent = replace(KNOWN, emulator=emulator)
+    strengths = np.zeros(world.EFFECTS)
+    strengths[2] = 1.5
+    truth = emulator(np.zeros(5), strengths)[0]
+    found = refit(bent, truth, 1e-4 * world.scatter(), [2])
+    assert found.strengths[2] == pytest.approx(1.5, abs=0.01)
+
+
+# ------------------------------------------------------------------ where
+
+
+def test_the_segment_that_differs_is_flagged_and_holds_the_share():
+    """A toe of the unconfined test that is off by six deviations of the mean."""
+    toe = np.array([f.test == UNCONFINED and f.segment == "toe" for f in world.FEATURES])
+    sample = world.case(21, 30.0 * toe)
+    noise, base = fitted_base(prepared(), sample)
+    found = where(KNOWN, sample, noise, base, seed=0)
+    rows = {(s.test, s.segment): s for s in found.segments}
+    assert rows[UNCONFINED, "toe"].outside
+    assert rows[UNCONFINED, "toe"].share > 3 * rows[UNCONFINED, "toe"].share_by_chance
+    assert sum(s.share for s in found.segments) == pytest.approx(1.0)
+    assert all(s.share_low <= s.share_high for s in found.segments)
+
+
+def test_bands_hold_everything_at_once():
+    outside = 0
+    for seed in range(NULLS):
+        sample = world.case(seed)
+        noise, base = fitted_base(prepared(), sample)
+        found = where(KNOWN, sample, noise, base, seed=seed)
+        outside += bool((np.abs(found.residual) > found.band).any())
+    assert outside <= stats.binom.ppf(0.999, NULLS, 0.05)
+
+
+def test_a_factor_on_one_test_shows_across_tests():
+    """Base parameters nearly known, so that one test says what the other should be."""
+    known = replace(KNOWN, mean=KNOWN.mean + 10 * world.UNIT, prior_sd=np.full(5, 0.01))
+    ready = prepare(known, world.PLAN, seed=1, draws=30)
+    weaker = np.where(world.CONFINED_ONES, 0.0, 2.0 * world.UNIT)
+    sample = world.case(31, 10 * world.UNIT + weaker, off_centre=0.0)
+    noise, base = fitted_base(ready, sample)
+    across = {c.predicted: c for c in where(known, sample, noise, base, seed=0).across}
+    assert abs(across[UNCONFINED].factor - 1.2) < 4 * across[UNCONFINED].factor_se
+    assert abs(across[CONFINED].factor - 1.0) < 4 * across[CONFINED].factor_se
+
+
+# ------------------------------------------------------------------ how far
+
+
+def test_claimed_shrinkage_is_that_on_fresh_specimens():
+    """Median error below ten points over strong effects, against 2000 fresh specimens' mean."""
+    errors = []
+    for seed in range(10):
+        effect = seed % world.EFFECTS
+        gap = gap_of(effect, 12.0)
+        sample = world.case(700 + seed, gap)
+        found = diagnose(prepared(), sample)
+        fit = found.refits[(effect,)] if (effect,) in found.refits else found.refits[found.best]
+        far = how_far(KNOWN, sample, found.noise, found.base, fit, seed=0)
+        delta = KNOWN.prior_sd * np.random.default_rng(700 + seed).standard_normal(5)
+        truth = (KNOWN.base_slopes @ delta + gap)[None, :]
+        weight = feature_weights(KNOWN, found.noise)
+        real = shrinkage(
+            fresh_gap(found.base.values, truth, weight), fresh_gap(fit.values, truth, weight)
+        )
+        errors.append(abs(far.shrinkage - real))
+        assert far.before >= far.floor and far.low <= far.high
+        assert far.left_out is not None
+        assert all(c >= far.shrinkage for c in far.ceilings.values())
+    assert np.median(errors) < 0.10
+
+
+def test_distortions_of_displacement_act_alike_in_both_tests():
+    columns = distortions(KNOWN, world.case(1))
+    assert columns.shape[0] == len(world.FEATURES)
+    assert (np.abs(columns[world.CONFINED_ONES]).max(axis=0) > 0).all()
+
+
+# ------------------------------------------------------------------ next test
+
+
+def test_the_test_that_differs_between_explanations_is_proposed():
+    found = answered(2, 12.0, 41)
+    fits = {k: refit(KNOWN, KNOWN.mean + gap_of(k, 6.0), found.noise.mean, [k]) for k in (2, 5)}
+    blind = FurtherTest(
+        "blind", 1.0, ("x",), np.zeros(1), np.zeros((1, 5)), np.zeros((1, 8)), np.eye(1), 4
+    )
+    telling = np.zeros((1, 8))
+    telling[0, 2] = 30.0 / max(fits[2].strengths[2], 0.01)
+    sharp = replace(blind, name="sharp", cost=5.0, effect_slopes=telling)
+    proposals = next_tests(KNOWN, found.noise, found.base, fits, [blind, sharp])
+    assert [p.name for p in proposals] == ["sharp", "blind"]
+    assert proposals[1].separation == pytest.approx(proposals[1].now, rel=1e-6)
+    assert proposals[0].separation > proposals[0].now
+    assert proposals[0].predicted["e2"][0] == pytest.approx(30.0, rel=1e-6)
+
+
+# ------------------------------------------------------------------ report and baselines
+
+
+def test_the_report_has_the_contract_s_keys_and_is_json():
+    sample = world.case(51, gap_of(3, 12.0))
+    found = diagnose(prepared(), sample)
+    fit = found.refits[found.best]
+    content = as_json(
+        prepared(),
+        where(KNOWN, sample, found.noise, found.base, seed=0),
+        found,
+        how_far(KNOWN, sample, found.noise, found.base, fit, seed=0),
+        [],
+    )
+    again = json.loads(json.dumps(content, allow_nan=False))
+    assert {"where", "which", "how_far", "next_test"} <= set(again)
+    assert {"test", "segment", "gap", "unit", "z", "share"} <= set(again["where"][0])
+    assert {"verdict", "probability", "alike"} <= set(again["which"])
+    assert {"before", "after", "interval", "floor", "ceiling"} <= set(again["how_far"])
+    assert again["which"]["probability"]["none"] + again["which"]["probability"]["unknown"] <= 1
+
+
+def test_the_reporting_rule():
+    assert status(5.0, True, 1.0, 6.0) == "found"
+    assert status(5.0, True, 0.1, 40.0) == "trivial"
+    assert status(0.5, True, 0.1, 6.0) == "absent"
+    assert status(0.5, True, 0.1, 1.0) == "inconclusive"
+
+
+def test_baselines_answer_in_the_same_words():
+    sample = world.case(61, gap_of(3, 12.0))
+    names = {"none", *KNOWN.effect_names}
+    assert baselines.template(KNOWN, sample, 0.0) in names
+    assert baselines.template(KNOWN, sample, np.inf) == "none"
+    assert baselines.bic(KNOWN, sample) in names
+    assert baselines.majority(["a", "b", "b"]) == "b"
+
+
+def test_the_classifier_learns_what_is_separable():
+    rng = np.random.default_rng(9)
+    inputs = np.concatenate([rng.normal(c, 1.0, (60, 3)) for c in (-3.0, 0.0, 3.0)])
+    labels = [name for name in "abc" for _ in range(60)]
+    trained = baselines.train(inputs, labels)
+    right = [trained.best(row) == name for row, name in zip(inputs, labels, strict=True)]
+    assert np.mean(right) > 0.9
+    assert trained.probability(inputs[0]).sum() == pytest.approx(1.0)

@@ -1,0 +1,135 @@
+"""Curves as features: what a laboratory is free to choose must not move them."""
+
+import numpy as np
+import pytest
+
+from calibrate.diagnosis.features import (
+    CONFINED,
+    UNCONFINED,
+    declare,
+    declare_targets,
+    segments_of,
+    vector,
+)
+from calibrate.diagnosis.repeats import from_curves, from_targets, from_vectors, measured_features
+from calibrate.diagnosis.sensor import Channel, recording
+
+FEATURES = declare(400.0, 6.0, 200.0)
+PEAK = [f.kind for f in FEATURES].index("peak force")
+
+
+def confined(points=2000):
+    """Displacement grows with the root of force, unloads along a line of 800 N/mm."""
+    force = np.linspace(0, 400, points)
+    up = 0.3 * np.sqrt(force)
+    down = up[-1] - (400 - force[::-1]) / 800
+    return np.concatenate([up, down[1:]]), np.concatenate([force, force[::-1][1:]])
+
+
+def unconfined(points=2000):
+    """A parabola with its peak of 200 N at 6 mm."""
+    travel = np.linspace(0, 13, points)
+    return travel, 200 * np.maximum(1 - (travel / 6 - 1) ** 2, 0.0) + 0 * travel
+
+
+def both(points=2000):
+    return {CONFINED: confined(points), UNCONFINED: unconfined(points)}
+
+
+def test_there_are_about_fifty_features_in_named_segments():
+    assert 40 <= len(FEATURES) <= 60
+    names = {(test, segment) for test, segment, _ in segments_of(FEATURES)}
+    assert {(CONFINED, s) for s in ("toe", "loading", "200-400 N", "reversal", "unloading")} < names
+    assert {(UNCONFINED, s) for s in ("toe", "rise", "peak", "softening")} < names
+    assert all(0 <= f.position <= 1 for f in FEATURES)
+
+
+def test_displacements_on_loading_and_unloading_are_those_of_the_formula():
+    values = vector(FEATURES, both())
+    for feature, value in zip(FEATURES, values, strict=True):
+        if feature.kind == "loading":
+            assert value == pytest.approx(0.3 * (feature.abscissa**0.5 - 200**0.5), abs=2e-3)
+        if feature.kind == "unloading":
+            exact = 0.3 * (20 - 200**0.5) - (400 - feature.abscissa) / 800
+            assert value == pytest.approx(exact, abs=2e-3)
+
+
+def test_forces_in_crushing_count_from_the_seating_force():
+    """Seating at 4 N lies where 1 - (1 - x)^2 = 0.02; a line through a window of a parabola
+    is off by its curvature times a third of the half-width squared: 0.1 N here."""
+    seat = 6 * (1 - np.sqrt(1 - 0.02))
+    values = vector(FEATURES, both())
+    for feature, value in zip(FEATURES, values, strict=True):
+        if feature.kind == "crushing" and 0.5 < feature.abscissa < 11:
+            exact = 200 * (1 - ((feature.abscissa + seat) / 6 - 1) ** 2)
+            assert value == pytest.approx(exact, abs=0.25)
+    assert values[PEAK] == pytest.approx(200, abs=0.2)
+
+
+@pytest.mark.parametrize("zero", [-7.0, 0.0, 120.0])
+def test_the_zero_of_displacement_drops_out(zero):
+    moved = {test: (x + zero, f) for test, (x, f) in both().items()}
+    np.testing.assert_allclose(vector(FEATURES, moved), vector(FEATURES, both()), atol=1e-9)
+
+
+def test_noise_and_coarse_sampling_move_features_by_little():
+    """Noise of 1 N and 0.005 mm at 150 points a test: no feature moves by more than 2 % of
+    the range of its unit."""
+    rng = np.random.default_rng(3)
+    noisy = {
+        test: (x + 0.005 * rng.standard_normal(len(x)), f + rng.standard_normal(len(f)))
+        for test, (x, f) in both(150).items()
+    }
+    apart = np.abs(vector(FEATURES, noisy) - vector(FEATURES, both()))
+    ranges = np.array([6.0 if f.unit == "mm" else 200.0 for f in FEATURES])
+    special = np.array([f.kind == "peak displacement" for f in FEATURES])
+    assert (apart / ranges)[~special].max() < 0.02
+
+
+def test_what_a_curve_does_not_reach_is_missing_and_can_be_dropped():
+    x, f = confined()
+    top = int(np.argmax(f))
+    short = {CONFINED: (x[: top + 1], f[: top + 1])}
+    values = vector(FEATURES, short)
+    kinds = np.array([feature.kind for feature in FEATURES])
+    assert np.isfinite(values[kinds == "loading"]).all()
+    assert np.isnan(values[kinds == "unloading"][1:]).all()
+    kept = measured_features(FEATURES, [short, short])
+    assert {f.kind for f in kept} <= {"loading", "largest force", "travel at the top", "unloading"}
+    assert from_curves(kept, [short, short]).counts.tolist() == [2.0] * len(kept)
+
+
+def test_a_curve_of_seven_points_can_be_read():
+    values = vector(FEATURES, both(7))
+    assert np.isfinite(values).all()
+
+
+def test_specimens_of_one_test_share_nothing_with_those_of_the_other():
+    both_tests, one = both(300), {CONFINED: confined(300)}
+    sample = from_curves(FEATURES, [both_tests, one, one])
+    assert sample.counts.tolist() == [3.0 if f.test == CONFINED else 1.0 for f in FEATURES]
+    assert sample.shared[0, -1] == 1.0
+    assert CONFINED in sample.scatter and UNCONFINED not in sample.scatter
+
+
+def test_never_measured_is_refused_by_name():
+    with pytest.raises(ValueError, match="displacement at 5 N"):
+        from_vectors(FEATURES, np.full((2, len(FEATURES)), np.nan))
+
+
+def test_targets_alone_are_a_sample_too():
+    features = declare_targets(["depression_depth_mm", "crushing_force_n"])
+    values = {"depression_depth_mm": (3.36, 0.3, 4), "crushing_force_n": (206.0, 20.0, 4)}
+    sample = from_targets(features, values)
+    assert sample.mean.tolist() == [3.36, 206.0]
+    assert sample.scatter[UNCONFINED].freedom == 3
+    assert sample.scatter[UNCONFINED].products[0, 0] == pytest.approx(3 * 20.0**2)
+
+
+def test_recording_misses_the_peak_and_scatters():
+    channels = {CONFINED: Channel(0.3, 0.5, 0.002), UNCONFINED: Channel(0.3, 0.5, 0.002)}
+    shift, covariance = recording(FEATURES, both(), channels, np.random.default_rng(0))
+    top = [f.kind for f in FEATURES].index("largest force")
+    assert shift[top] < -1
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+    assert 0.1 < np.sqrt(covariance[PEAK, PEAK]) < 1.0

@@ -1,0 +1,300 @@
+"""Noise, projection, scores, gate, evidence and classes, where the answer is known.
+
+Closed forms against the formulas in the files; rates by simulation in a made-up world
+(`diagnosis_world`), with bounds from the binomial distribution.
+"""
+
+import diagnosis_world as world
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from calibrate.diagnosis.classes import classes, separable, separation
+from calibrate.diagnosis.discrepancy import (
+    AMPLITUDES,
+    kernel_factors,
+    log_bayes_factor,
+    projected,
+    spectrum,
+)
+from calibrate.diagnosis.evidence import SCALES, Evidence, bivariate_normal, pairs, singles
+from calibrate.diagnosis.generated import World
+from calibrate.diagnosis.lack_of_fit import statistics, table
+from calibrate.diagnosis.noise import Shape, amplitude_of, best_shape, estimate, packing_covariance
+from calibrate.diagnosis.opinion import Facts, Opinion, fitted, log_probabilities
+from calibrate.diagnosis.projection import Projected, fitted_shift, project
+from calibrate.diagnosis.refit import best_strengths
+from calibrate.diagnosis.repeats import Scatter
+from calibrate.diagnosis.score import scores
+from calibrate.diagnosis.sets import explanations, threshold
+
+M = len(world.FEATURES)
+KNOWN = world.description()
+MEAN_COVARIANCE = world.scatter() / 4 * (world.PLAN.astype(float).T @ world.PLAN > 0)
+
+
+def plain(residual=None) -> Projected:
+    r = np.zeros(M) if residual is None else residual
+    return project(r, KNOWN.base_slopes, KNOWN.prior_sd, KNOWN.effect_slopes, MEAN_COVARIANCE)
+
+
+# ------------------------------------------------------------------ noise
+
+
+def test_the_shape_that_predicts_best_beats_the_raw_covariance():
+    """Distance to the true covariance, whitened by it, from thirty specimens of 51 features."""
+    samples = world.draws(world.scatter(), 30, 5)
+    samples = samples - samples.mean(axis=0)
+    root = np.linalg.inv(np.linalg.cholesky(world.scatter()))
+
+    def loss(covariance):
+        white = root @ covariance @ root.T
+        return np.trace(white) - np.linalg.slogdet(white)[1] - M
+
+    ours = loss(best_shape(samples).of(samples))
+    diagonal = loss(Shape(weight=1.0).of(samples))
+    assert ours < 0.5 * diagonal
+
+
+def test_a_shape_keeps_every_variance():
+    samples = world.draws(world.scatter(), 60, 6)
+    samples = samples - samples.mean(axis=0)
+    for shape in (Shape(factors=3), Shape(weight=0.2)):
+        np.testing.assert_allclose(
+            np.diag(shape.of(samples)), samples.var(axis=0, ddof=1), rtol=0.02
+        )
+
+
+@pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
+def test_the_amplitude_comes_back_from_repeats(true):
+    covariance = world.scatter()
+    tiny = 1e-6 * np.diag(np.diag(covariance))
+    found = []
+    for seed in range(30):
+        rows = true * world.draws(covariance, 4, seed)
+        rows = rows - rows.mean(axis=0)
+        found.append(amplitude_of(covariance, tiny, Scatter(rows.T @ rows, 3)))
+    ln, sd = np.log([a for a, _ in found]), np.mean([s for _, s in found])
+    assert abs(ln.mean() - np.log(true)) < 0.12
+    assert 0.6 < ln.std() / sd < 1.6  # the stated deviation is that of repetitions
+
+
+def test_without_repeats_the_amplitude_is_the_prior():
+    value, sd = amplitude_of(world.scatter(), np.zeros((M, M)), None)
+    assert value == pytest.approx(1.0, abs=1e-6)
+    assert sd == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_mean_of_four_and_the_simulated_mean_add_up():
+    packing = packing_covariance(KNOWN)
+    noise = estimate(KNOWN, world.case(1), packing, np.zeros(5))
+    i = 0
+    a2 = noise.amplitudes["confined"] ** 2
+    expected = packing[i, i] * (a2 / 4 + 1 / KNOWN.mean_specimens)
+    assert noise.mean[i, i] == pytest.approx(expected, rel=1e-9)
+
+
+# ------------------------------------------------------------------ projection and scores
+
+
+def test_the_projected_residual_is_standard_normal_and_blind_to_base_parameters():
+    operator = plain().operator
+    prior = np.diag(KNOWN.prior_sd**2)
+    marginal = MEAN_COVARIANCE + KNOWN.base_slopes @ prior @ KNOWN.base_slopes.T
+    np.testing.assert_allclose(operator @ marginal @ operator.T, np.eye(M), atol=1e-6)
+
+
+def test_the_determinant_is_that_of_the_marginal_covariance():
+    prior = np.diag(KNOWN.prior_sd**2)
+    marginal = MEAN_COVARIANCE + KNOWN.base_slopes @ prior @ KNOWN.base_slopes.T
+    assert plain().log_determinant == pytest.approx(np.linalg.slogdet(marginal)[1], rel=1e-9)
+
+
+def test_an_effect_that_base_parameters_mimic_is_invisible():
+    mimic = KNOWN.base_slopes @ np.ones(5)
+    wide = 1e4 * np.ones(5)
+    design = project(np.zeros(M), KNOWN.base_slopes, wide, mimic[:, None], MEAN_COVARIANCE)
+    assert scores(design, mimic[:, None], MEAN_COVARIANCE).visibility[0] < 1e-3
+
+
+def test_one_step_strength_is_the_refitted_strength():
+    """In a linear world the score's one step is the joint least-squares solution."""
+    gap = 1.3 * KNOWN.effect_slopes[:, 3]
+    residual = world.draws(MEAN_COVARIANCE, 1, 8)[0] + gap
+    found = scores(plain(residual), KNOWN.effect_slopes, MEAN_COVARIANCE)
+    slopes = np.hstack([KNOWN.base_slopes, KNOWN.effect_slopes[:, [3]]])
+    joint, _ = fitted_shift(residual, slopes, np.append(KNOWN.prior_sd, 1e6), MEAN_COVARIANCE)
+    assert found.strength[3] == pytest.approx(joint[-1], rel=1e-6)
+
+
+def test_scores_of_points_taken_as_independent_do_not_hold_their_rate():
+    """Why the covariance of specimens matters: the same test with points as the sample."""
+    draws = world.draws(MEAN_COVARIANCE, 400, 9)
+    independent = np.diag(np.diag(MEAN_COVARIANCE))
+    rates = []
+    for covariance in (MEAN_COVARIANCE, independent):
+        design = project(
+            np.zeros(M), KNOWN.base_slopes, KNOWN.prior_sd, KNOWN.effect_slopes, covariance
+        )
+        z = draws @ design.operator.T @ design.effects / np.linalg.norm(design.effects, axis=0)
+        rates.append((np.abs(z) > 1.96).mean())
+    assert 0.03 < rates[0] < 0.07
+    assert not 0.02 < rates[1] < 0.10
+
+
+# ------------------------------------------------------------------ gate
+
+
+def test_the_smallest_p_value_of_three_is_itself_a_p_value():
+    rng = np.random.default_rng(2)
+    known = table(rng.standard_normal((500, 3)))
+    p = [known.p_value(rng.standard_normal(3)) for _ in range(400)]
+    low, high = stats.binom.ppf([0.001, 0.999], 400, 0.1) / 400
+    assert low - 0.02 <= np.mean(np.array(p) <= 0.1) <= high + 0.02
+
+
+def test_statistics_see_an_effect():
+    design = plain(5 * KNOWN.effect_slopes[:, 2])
+    kernel = projected(kernel_factors(world.FEATURES, world.scatter()), design.operator)
+    quiet = statistics(np.zeros(M), design.effects, KNOWN.one_sided, kernel)
+    loud = statistics(design.residual, design.effects, KNOWN.one_sided, kernel)
+    assert (loud > quiet).all()
+
+
+# ------------------------------------------------------------------ evidence
+
+
+def small_design(seed=0) -> Projected:
+    rng = np.random.default_rng(seed)
+    effects = rng.standard_normal((6, 2)) * 1.5
+    return Projected(np.eye(6), effects @ [1.0, 0.4] + rng.standard_normal(6), effects, 0.0)
+
+
+@pytest.mark.parametrize("one_sided", [True, False])
+def test_evidence_of_one_effect_is_its_integral(one_sided):
+    design = small_design()
+    g, r = design.effects[:, 0], design.residual
+
+    def integrand(e, s):
+        half = 2.0 if one_sided else 1.0
+        like = np.exp(-0.5 * ((r - g * e) ** 2).sum() + 0.5 * (r**2).sum())
+        return like * half * stats.norm.pdf(e, scale=s)
+
+    low = 0.0 if one_sided else -10.0
+    exact = np.mean(
+        [integrate.quad(integrand, low, 10, args=(s,), points=[0, 1])[0] for s in SCALES]
+    )
+    one = Projected(design.operator, r, g[:, None], 0.0)
+    assert singles(one, np.array([one_sided]))[0] == pytest.approx(np.log(exact), abs=1e-5)
+
+
+@pytest.mark.parametrize("one_sided", [(True, True), (True, False), (False, True), (False, False)])
+def test_evidence_of_a_pair_is_its_integral(one_sided):
+    design = small_design(3)
+    g, r = design.effects, design.residual
+    factor = 2.0 ** sum(one_sided)
+    total = []
+    for s in SCALES:
+        grids = [np.linspace(0 if side else -8 * s, 8 * s, 1201) for side in one_sided]
+        a, b = np.meshgrid(*grids, indexing="ij")
+        prior = stats.norm.pdf(a, scale=s) * stats.norm.pdf(b, scale=s) * factor
+        left = r[:, None, None] - g[:, 0, None, None] * a - g[:, 1, None, None] * b
+        like = np.exp(-0.5 * (left**2).sum(axis=0) + 0.5 * (r**2).sum())
+        total.append(integrate.simpson(integrate.simpson(prior * like, x=grids[1]), x=grids[0]))
+    found = pairs(design, np.array(one_sided), np.array([[0, 1]]))[0]
+    assert found == pytest.approx(np.log(np.mean(total)), abs=1e-3)
+
+
+def test_bivariate_normal_is_that_of_scipy():
+    rng = np.random.default_rng(4)
+    for h, k, c in zip(*rng.uniform(-2, 2, (2, 12)), rng.uniform(-0.95, 0.95, 12), strict=True):
+        exact = stats.multivariate_normal([0, 0], [[1, c], [c, 1]]).cdf([h, k])
+        assert bivariate_normal(np.array([h]), np.array([k]), np.array([c]))[0] == pytest.approx(
+            exact, abs=1e-5
+        )
+
+
+def test_evidence_of_a_smooth_gap_is_that_of_the_normal_distribution():
+    factor = np.random.default_rng(5).standard_normal((6, 3))
+    residual = small_design().residual
+    null = stats.multivariate_normal(np.zeros(6), np.eye(6)).logpdf(residual)
+
+    terms = [
+        stats.multivariate_normal(np.zeros(6), np.eye(6) + a**2 * factor @ factor.T).logpdf(
+            residual
+        )
+        - null
+        for a in AMPLITUDES
+    ]
+    exact = np.logaddexp.reduce(terms) - np.log(len(terms))
+    assert log_bayes_factor(spectrum([factor], residual)) == pytest.approx(exact, abs=1e-8)
+
+
+# ------------------------------------------------------------------ classes, refit, opinion, sets
+
+
+def test_classes_join_what_is_alike_and_respect_signs():
+    c = np.array([[1, 0.99, -0.99], [0.99, 1, -0.98], [-0.99, -0.98, 1]])
+    visible = np.ones(3)
+    signed = classes(("a", "b", "c"), c, np.array([True, True, True]), visible)
+    assert signed.alike() == [["a", "b"]]
+    free = classes(("a", "b", "c"), c, np.array([True, True, False]), visible)
+    assert free.alike() == [["a", "b", "c"]]
+    assert separation(c, np.array([True, True, True]))[0, 2] == 1.0
+    assert separable(6.0, 0.8) and not separable(6.0, 0.9)
+
+
+def test_strengths_at_the_bound():
+    gram, pull = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([2.0, -1.0])
+    np.testing.assert_allclose(best_strengths(gram, pull, np.array([True, True])), [1.0, 0.0])
+    free = best_strengths(gram, pull, np.array([False, False]))
+    np.testing.assert_allclose(free, np.linalg.solve(gram, pull))
+
+
+def facts(singles_, unknown=0.0, p_before=0.5) -> Facts:
+    found = Evidence(np.array(singles_), np.zeros(1), np.array([[0, 1]]), unknown)
+    return Facts(("a", "b"), found, p_before, 0.5)
+
+
+def test_probabilities_sum_to_one_and_follow_evidence():
+    p = np.exp(log_probabilities(facts([4.0, 1.0]), Opinion()))
+    assert p.sum() == pytest.approx(1.0)
+    assert p[1] > p[2] and p[1] / p[2] == pytest.approx(np.exp(3.0))
+
+
+def test_overconfident_evidence_is_tempered():
+    """Evidence three times too strong is found to be so."""
+    rng = np.random.default_rng(6)
+    cases, truths = [], []
+    for _ in range(400):
+        gain = rng.normal(0, 1.5, 2)
+        odds = np.exp(np.array([-20.0, *gain]))
+        truth = rng.choice(3, p=odds / odds.sum())
+        cases.append(facts(3 * gain, unknown=-60.0))
+        truths.append(np.arange(5) == truth)
+    opinion = fitted(cases, truths)
+    assert np.exp(opinion.log_temperature) == pytest.approx(3.0, rel=0.35)
+
+
+def test_sets_cover_as_stated():
+    rng = np.random.default_rng(7)
+    p = rng.dirichlet(np.ones(4) * 0.7, 4000)
+    truth = np.array([rng.choice(4, p=row) for row in p])
+    of_truth = p[np.arange(4000), truth]
+    least = threshold(of_truth[:300], 0.9)
+    covered = [
+        str(t) in explanations({str(i): v for i, v in enumerate(row)}, least)
+        for row, t in zip(p[300:], truth[300:], strict=True)
+    ]
+    assert 0.85 < np.mean(covered) < 0.95
+    assert threshold(of_truth[:300], 0.9, confidence=0.95) <= least
+
+
+def test_the_generated_world_has_the_covariance_that_the_noise_states():
+    generated = World(KNOWN, world.PLAN, packing_covariance(KNOWN))
+    rng = np.random.default_rng(8)
+    drawn = np.array([generated.measured(rng).mean for _ in range(400)]) - KNOWN.mean
+    prior = np.diag(KNOWN.prior_sd**2)
+    expected = np.diag(generated.mean_covariance + KNOWN.base_slopes @ prior @ KNOWN.base_slopes.T)
+    ratio = drawn.var(axis=0) / expected
+    assert ratio.min() > 0.7 and ratio.max() < 1.35

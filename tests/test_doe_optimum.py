@@ -1,0 +1,180 @@
+"""The optimum by desirability against published ones and brute force; the figures of it all.
+
+The published optima are those of Kuhn's manual of R's desirability package (2016) for the
+response equations of Myers and Montgomery's chemical process.
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from calibrate import plotting
+from calibrate.doe import designs, terms
+from calibrate.doe.factors import Factor
+from calibrate.doe.optimum import Region, maximise, minimise, optimise, target
+from calibrate.doe.screening import screen
+from calibrate.doe.surface import Surface, fit_surface
+from calibrate.errors import BadValue
+from calibrate.plotting import doe
+
+FACTORS = (Factor("time", 80, 90, "min"), Factor("temperature", 80, 90), Factor("catalyst", 2, 3))
+CONVERSION = [81.09, 1.0284, 4.043, 6.2037, 2.2150, 11.375, -3.875, -1.8366, 2.9382, -5.1915]
+ACTIVITY = [59.85, 3.583, 0.2546, 2.2298, -0.3875, -0.375, 0.3125, 0.83479, 0.07484, 0.05716]
+GOALS = (maximise(80, 97), target(55, 57.5, 60))
+
+
+def exact_surface(coefficients: list[float]) -> Surface:
+    """The quadratic in three factors with these coefficients, "fitted" without noise."""
+    X = designs.central_composite(FACTORS).coded
+    y = terms.matrix(terms.quadratic(3), X) @ coefficients
+    return fit_surface(X, y, terms.quadratic(3), [factor.name for factor in FACTORS])
+
+
+def noisy_pair() -> tuple[Surface, Surface]:
+    X = designs.central_composite(FACTORS[:2]).coded
+    a, b = X.T
+    noise = np.random.default_rng(0).normal(size=(2, len(a)))
+    first = fit_surface(X, 20 + 3 * a + b - a**2 + 0.3 * noise[0], terms.quadratic(2))
+    second = fit_surface(X, 5 + a - 2 * b + b**2 + 0.1 * noise[1], terms.quadratic(2))
+    return first, second
+
+
+@pytest.mark.parametrize(
+    ("region", "desirability", "x"),
+    [
+        (Region(-1.682, 1.682), 0.9425094, [-0.5117132, 1.6820000, -0.5863863]),
+        (Region(-1.682, 1.682, radius=1.682), 0.8581525, [-0.5094851, 1.5034146, -0.5561415]),
+    ],
+)
+def test_optimum_is_the_published_one(region: Region, desirability: float, x: list[float]):
+    found = optimise([exact_surface(CONVERSION), exact_surface(ACTIVITY)], GOALS, region, starts=8)
+    assert found.desirability == pytest.approx(desirability, abs=1e-7)
+    assert found.x == pytest.approx(x, abs=1e-4)  # theirs is a simplex search's
+
+
+@pytest.mark.parametrize(
+    "goals",
+    [
+        (maximise(15, 25), minimise(3, 8)),
+        (target(18, 21, 23, weight=0.5), minimise(3, 8, weight=3, importance=5)),
+        (minimise(17, 24, importance=2), target(4, 7.5, 9, weight=2)),
+    ],
+)
+def test_no_point_of_a_grid_is_better(goals):
+    surfaces = noisy_pair()
+    found = optimise(surfaces, goals, starts=16)
+    line = np.linspace(-1, 1, 61)
+    grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    powers = np.array([goal.importance for goal in goals])
+    single = np.array([[g(v) for v in s(grid)] for g, s in zip(goals, surfaces, strict=True)])
+    overall = np.prod(single ** (powers / powers.sum())[:, None], axis=0)
+    assert 0 < overall.max() < 0.9999
+    assert overall.max() <= found.desirability + 1e-9
+    assert found.desirability == pytest.approx(overall.max(), abs=0.02)
+    assert np.abs(found.x).max() <= 1
+
+
+def test_desirability_of_each_goal():
+    aim = target(10, 20, 40, weight=2)
+    assert [aim(y) for y in (5, 10, 15, 20, 30, 40, 50)] == [0, 0, 0.25, 1, 0.25, 0, 0]
+    large, small = maximise(10, 20), minimise(10, 20, weight=0.5)
+    assert [large(y) for y in (10, 12.5, 20, 99)] == [0, 0.25, 1, 1]
+    assert [small(y) for y in (-99, 10, 17.5, 20)] == [1, 1, 0.5, 0]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: target(3, 2, 4),
+        lambda: maximise(2, 2),
+        lambda: minimise(3, 1),
+        lambda: maximise(1, 2, weight=0),
+        lambda: minimise(1, 2, importance=-1),
+        lambda: optimise(noisy_pair(), [maximise(1, 2)]),
+    ],
+)
+def test_senseless_goals_are_refused(wrong):
+    with pytest.raises(BadValue):
+        wrong()
+
+
+def test_predictions_at_the_optimum_carry_intervals():
+    surfaces = noisy_pair()
+    found = optimise(surfaces, (maximise(15, 25), minimise(3, 8)), starts=8, level=0.9, runs=3)
+    for surface, prediction in zip(surfaces, found.predictions, strict=True):
+        again = surface.predict(found.x[None], 0.9, 3)
+        assert prediction.mean == pytest.approx(again.mean)
+        assert prediction.run_interval == pytest.approx(again.run_interval)
+        low, high = prediction.run_interval[0]
+        assert low < prediction.mean[0] < high
+        assert (prediction.df, prediction.level, prediction.runs) == (7, 0.9, 3)
+
+
+def test_among_equal_points_the_best_predicted_is_chosen():
+    """One target in two factors is met along a line; the point of least variance is on it."""
+    surface = noisy_pair()[0]
+    found = optimise([surface], [target(17, 21, 25)], starts=32)
+    assert found.desirability == pytest.approx(1, abs=1e-6)
+    assert surface(found.x[None])[0] == pytest.approx(21, abs=1e-5)
+    assert len(found.alternatives) > 3
+    others = [surface.leverage(x) for x in found.alternatives]
+    assert surface.leverage(found.x) < min(others)
+
+
+def test_what_cannot_be_reached_has_no_desirability():
+    found = optimise([noisy_pair()[0]], [maximise(100, 200)], starts=4)
+    assert found.desirability == 0
+
+
+# ---------------------------------------------------------------- figures
+
+
+def test_plotting_keeps_its_names():
+    for name in ("simulation_figure", "fit_figure", "audit_figure", "contact_figure", "MARKS"):
+        assert hasattr(plotting, name)
+
+
+def test_figures_are_written(tmp_path: Path):
+    design = designs.plackett_burman(FACTORS)
+    y = 50 + design.coded @ [4.0, -2.0, 0.1] + np.random.default_rng(1).normal(size=12)
+    doe.screening_figure(screen(design, y), tmp_path / "screening.png", "force (N)")
+    surface = exact_surface(CONVERSION)
+    rng = np.random.default_rng(2)
+    noisy = fit_surface(surface.X, surface.y + rng.normal(size=len(surface.y)), surface.terms)
+    doe.surface_figure(noisy, FACTORS, tmp_path / "surface.png", "conversion (%)", [(0, 2)])
+    doe.residual_figure(noisy, tmp_path / "residuals.png", "conversion (%)")
+    centred = fit_surface(noisy.X, noisy.y - noisy.y.mean(), noisy.terms)
+    doe.residual_figure(centred, tmp_path / "centred.png", "conversion (%)")
+    for name in ("screening", "surface", "residuals", "centred"):
+        image = plt.imread(tmp_path / f"{name}.png")
+        assert image.shape[0] > 400
+        assert len(np.unique(image[..., 0])) > 50
+
+
+def test_pareto_draws_every_effect_and_hatches_dummies():
+    design = designs.plackett_burman(FACTORS)
+    found = screen(design, design.coded @ [4.0, -2.0, 0.5] + design.dummies[:, 0])
+    _, axis = plt.subplots()
+    doe.pareto(axis, found, "force (N)")
+    bars = [bar for bar in axis.patches if bar.get_height() < 0.75]
+    assert [bar.get_width() for bar in bars] == sorted(abs(e.effect) for e in found.effects)
+    assert sum(bool(bar.get_hatch()) for bar in bars) == 8
+    assert axis.get_yticklabels()[-1].get_text() == "time"
+    assert axis.get_xlabel() == "|effect| on force (N)"
+    plt.close()
+
+
+def test_contours_are_drawn_in_natural_units():
+    log = (Factor("energy", 4, 25, "J/m^2", log=True), FACTORS[1])
+    surface = noisy_pair()[0]
+    _, axis = plt.subplots()
+    doe.contour(axis, doe.View(surface, log, "force (N)"))  # as far as the design's stars
+    assert axis.get_xlabel() == "energy (J/m²)"
+    labels = [label.get_text() for label in axis.get_xticklabels()]
+    assert labels[2] == "10"  # the geometric centre
+    star = 5 * 2**0.5
+    assert axis.get_ylim() == pytest.approx((85 - star, 85 + star))
+    assert axis.get_title() == "force (N)"
+    plt.close()
