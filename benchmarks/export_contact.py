@@ -2,8 +2,8 @@
 
     python benchmarks/export_contact.py [--folder FOLDER]
 
-Needs the Debian packages `liggghts` and `yade`; takes a minute on an idle core.  Writes
-benchmarks/results/export.json and .md, docs/images/export.png, and into
+Needs the Debian packages `liggghts` and `yade`; takes a minute or two.  Writes
+benchmarks/results/export_contact.json and .md, docs/images/export.png, and into
 tests/data/export_contact the exported texts with the loops that the programs made of them,
 to which tests compare where the programs are absent.
 """
@@ -11,6 +11,7 @@ to which tests compare where the programs are absent.
 import argparse
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -41,6 +42,8 @@ import two_spheres
 DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "export.png"
 PATH = (0.02, 0.004, 0.03, -0.01)  # turning points of the overlap, radii
+TWICE = (0.5, -0.01, 1.0, -0.01)  # turning points in YADE, matched overlaps
+ONCE = (1.0, -0.01)
 HELD = 0.02  # overlap at which slip and roll are measured, radii
 TURN = 0.2  # rad; enough to reach the limits of sliding and rolling
 SPEED = 0.05  # m/s of each sphere in a collision
@@ -67,16 +70,26 @@ CASES: dict[str, dict[str, float]] = {
 def main() -> None:
     reporting.configure()
     folder = _arguments().folder or Path(tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
     loops = {name: _loop(name, changes, folder) for name, changes in CASES.items()}
-    in_yade = _yade_loop(folder)
+    found = soil({})
+    radius = found.diameter / 2
+    equal = _yade_loop(found, (radius, radius), folder / "yade")
+    unequal = _yade_loop(found, (0.7 * radius, 1.3 * radius), folder / "yade")
+    alike = _yade_loop(soil(CASES["exponent_1"]), (radius, radius), folder / "yade", ONCE)
+    _keep_yade(found, equal)
     measured = {
         "loops": {name: _errors(*loop) for name, loop in loops.items()},
         "liggghts": _liggghts_rows(folder),
-        "yade": _yade_rows(*in_yade),
+        "yade_exponent_1": _errors(*alike),
+        "yade": [
+            *_yade_rows("equal spheres", *equal),
+            *_yade_rows("radii 0.7 and 1.3 of the mean", *unequal),
+        ],
     }
-    _figure(loops["linear"], in_yade)
+    _figure(loops["linear"], equal)
     origin = reporting.provenance()
-    reporting.write("export", {**origin, **measured}, _markdown(measured, origin))
+    reporting.write("export_contact", {**origin, **measured}, _markdown(measured, origin))
 
 
 def soil(changes: dict[str, float]) -> Found:
@@ -115,19 +128,25 @@ def _loop(name: str, changes: dict[str, float], folder: Path):
     return overlap, force, np.asarray(ours)
 
 
-def _yade_loop(folder: Path):
-    """Overlaps (m), YADE's forces and ours (N) up to the overlap at which laws are matched."""
-    found = soil({})
-    material = yade.text(found)
-    radius = found.diameter / 2
-    matched = overlap_under(PRESSURE, found)
-    path = [share * matched for share in (0.5, -0.01, 1.0, -0.01)]
-    (folder / "yade").mkdir(parents=True, exist_ok=True)
-    overlap, force = two_spheres.yade_loop(material, radius, path, folder / "yade")
-    write_text(DATA / "linear_yade.txt", material)
-    _keep(DATA / "yade_linear.csv", overlap, force)
-    ours = eqx.filter_jit(drive_overlap)(law_of(found), _pair(found), jnp.asarray(overlap))
+def _yade_loop(found: Found, radii: tuple[float, float], folder: Path, turns=TWICE):
+    """Overlaps (m), YADE's forces and ours (N) through turning points, in units of the overlap
+    at which laws are matched.
+
+    Ours know the effective radius only, which two equal spheres of the harmonic mean have.
+    """
+    alike = 2 * radii[0] * radii[1] / sum(radii)
+    matched = overlap_under(PRESSURE, replace(found, diameter=2 * alike))
+    path = [share * matched for share in turns]
+    folder.mkdir(parents=True, exist_ok=True)
+    overlap, force = two_spheres.yade_loop(yade.text(found), radii, path, folder)
+    pair = SpherePair(jnp.asarray(alike), two_spheres.DENSITY)
+    ours = eqx.filter_jit(drive_overlap)(law_of(found), pair, jnp.asarray(overlap))
     return overlap, force, np.asarray(ours)
+
+
+def _keep_yade(found: Found, loop) -> None:
+    write_text(DATA / "linear_yade.txt", yade.text(found))
+    _keep(DATA / "yade_linear.csv", *loop[:2])
 
 
 def _keep(path: Path, overlap: np.ndarray, force: np.ndarray) -> None:
@@ -137,7 +156,7 @@ def _keep(path: Path, overlap: np.ndarray, force: np.ndarray) -> None:
 
 def _errors(overlap, force, ours) -> list[float]:
     """Largest deviation on each leg over the largest force."""
-    legs = np.abs(force - ours).reshape(4, -1).max(axis=1)
+    legs = np.abs(force - ours).reshape(-1, two_spheres.POINTS).max(axis=1)
     return (legs / np.abs(force).max()).tolist()
 
 
@@ -207,7 +226,7 @@ def _our_roll(found: Found, held: float) -> float:
     return float(force.rolling_limit * (found.diameter / 2 - held / 2))
 
 
-def _yade_rows(overlap, force, ours) -> list[dict]:
+def _yade_rows(pair: str, overlap, force, ours) -> list[dict]:
     """Corners of the two loops: to half of the matched overlap, then to all of it."""
     legs = [part.reshape(4, -1) for part in (overlap, force, ours)]
     rows = []
@@ -217,9 +236,9 @@ def _yade_rows(overlap, force, ours) -> list[dict]:
         ends = [float(np.interp(0.0, part[leg][::-1], travel[::-1])) for part in legs[1:]]
         pulls = [-part[leg].min() for part in legs[1:]]
         rows += [
-            _row(f"largest force (N), loaded to {name}", tops[1], tops[0]),
-            _row(f"overlap left at zero force (um), loaded to {name}", *_um(ends)),
-            _row(f"largest tension (N), loaded to {name}", pulls[1], pulls[0]),
+            _row(f"{pair}: largest force (N), loaded to {name}", tops[1], tops[0]),
+            _row(f"{pair}: overlap left at zero force (um), loaded to {name}", *_um(ends)),
+            _row(f"{pair}: largest tension (N), loaded to {name}", pulls[1], pulls[0]),
         ]
     return rows
 
@@ -250,6 +269,9 @@ def _markdown(measured: dict, origin: dict) -> str:
     text += "LIGGGHTS, normal force along a loop: largest deviation of a leg over the largest "
     text += "force.\n\n"
     text += reporting.table(("soil", "load", "unload", "reload", "separate"), loops)
+    text += "\nYADE, tensile exponent 1, loaded once to the matched overlap and separated: "
+    errors = [f"{error:.1e}" for error in measured["yade_exponent_1"]]
+    text += f"largest deviation over the largest force {' and '.join(errors)}.\n"
     for program in ("liggghts", "yade"):
         name = {"liggghts": "LIGGGHTS", "yade": "YADE"}[program]
         rows = [

@@ -11,6 +11,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace as Namespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -200,6 +201,60 @@ def test_names_from_files_cannot_leave_their_comment(tmp_path):
         assert not any(line.startswith(("shell", "import os")) for line in text.splitlines())
 
 
+HOSTILE = "../../evil/../%s\\..\\C:\\evil; $(touch evil) `touch evil` \x00"
+
+
+def everything_below(folder):
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("to", ["liggghts", "edem", "yade", "json"])
+def test_names_in_files_choose_no_path(calibrate, tmp_path, to):
+    """Soil and preset are named like paths and commands; only the folder that was asked for is
+    written to."""
+    (tmp_path / "fit").mkdir()
+    result = json.loads((FIT / RESULT).read_text())
+    result |= {"soil": HOSTILE, "preset": HOSTILE}
+    (tmp_path / "fit" / RESULT).write_text(json.dumps(result))
+    status, _, _ = calibrate("export", "fit", "--to", to, "--diameter", "4 mm", "--out", "out/soil")
+    assert status == 0
+    assert everything_below(tmp_path) == {"fit", f"fit/{RESULT}", "out", "out/soil"}
+    assert not (tmp_path.parent / "evil").exists()
+
+
+def test_the_script_for_yade_computes_at_the_ends_of_the_ranges():
+    """No division by zero, no negative root; YADE itself is replaced by what it is given."""
+    ends = {
+        "plasticity_ratio": (0.01, 0.99),
+        "restitution": (1e-3, 0.999),
+        "surface_energy": (0.0, 1e4),
+        "static_friction": (0.0, 5.0),
+    }
+    for name, values in ends.items():
+        for value in values:
+            made = run_for_yade(yade.text(bundled(**{name: value})))
+            assert made["kp"] > made["k1"] > 0  # otherwise YADE refuses
+            assert all(np.isfinite(x) and x >= 0 for x in made.values()), (name, value)
+
+
+def test_a_pair_of_unequal_spheres_in_yade_has_the_stiffness_of_the_law():
+    """YADE's k1 of a pair is the harmonic mean of its materials'; EEPA's 2 E* R*."""
+    found = bundled()
+    text = yade.text(found)
+    one, two = (run_for_yade(text, radius)["k1"] for radius in (3e-3, 7e-3))
+    modulus = found["shear_modulus"] / (1 - found["poisson_ratio"])
+    effective = 3e-3 * 7e-3 / (3e-3 + 7e-3)
+    assert 2 * one * two / (one + two) == pytest.approx(2 * modulus * effective)
+
+
+def run_for_yade(text, radius=None):
+    """The numbers of `soil_of` at a radius, the script's own by default."""
+    world = {"LudingMat": lambda **given: given, "O": Namespace(materials=[])}
+    exec(text.replace("from yade import *", ""), world)
+    made = world["soil_of"](radius or world["RADIUS"], "soil")
+    return {name: value for name, value in made.items() if name != "label"}
+
+
 # ------------------------------------------------------------------ one contact in each program
 
 
@@ -254,6 +309,18 @@ def test_liggghts_accepts_soils_at_the_ends_of_the_ranges(tmp_path):
         assert len(overlap) == two_spheres.POINTS
 
 
+@pytest.mark.skipif(not two_spheres.has("liggghts"), reason="LIGGGHTS is not installed")
+def test_liggghts_takes_hostile_names_for_comments(tmp_path):
+    result = json.loads((FIT / RESULT).read_text()) | {
+        "soil": f'"""{HOSTILE}${{x}} "',
+        "preset": "&",
+    }
+    (tmp_path / RESULT).write_text(json.dumps(result))
+    found = find(tmp_path, {}, 4e-3)
+    two_spheres.liggghts_loop(liggghts.text(found), 2e-3, [1e-5], tmp_path / "run")
+    assert not list(tmp_path.rglob("evil"))
+
+
 def test_the_committed_loop_of_yade_meets_ours_where_it_was_matched():
     """At the matched overlap: loading, what is left of the overlap, and the largest tension."""
     found = bundled()
@@ -274,7 +341,8 @@ def test_yade_runs_the_export_and_gives_the_committed_loop(tmp_path):
     force = committed("yade_linear")[1]
     matched = overlap_under(PRESSURE, found)
     path = [share * matched for share in (0.5, -0.01, 1.0, -0.01)]
-    _, again = two_spheres.yade_loop(yade.text(found), found.diameter / 2, path, tmp_path)
+    radii = (found.diameter / 2, found.diameter / 2)
+    _, again = two_spheres.yade_loop(yade.text(found), radii, path, tmp_path)
     np.testing.assert_allclose(again, force, atol=1e-6 * np.abs(force).max())
 
 

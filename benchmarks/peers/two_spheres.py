@@ -1,4 +1,4 @@
-"""Two equal spheres in LIGGGHTS and in YADE, driven through a path with an exported soil.
+"""Two spheres in LIGGGHTS and in YADE, driven through a path with an exported soil.
 
 Quasi-static: spheres are moved, not accelerated, so slowly that dashpots do not matter.  The
 programs are found on the search path (Debian packages `liggghts` and `yade`) and are run in a
@@ -97,14 +97,15 @@ def liggghts_rebound(section: str, radius: float, speed: float, step: float, fol
     return float(rates[-1] / speed)
 
 
-def yade_loop(material: str, radius: float, turning_points: list[float], folder: Path):
-    """Overlaps (m) and normal forces (N) of YADE's law along the path of overlaps."""
+def yade_loop(material: str, radii: tuple[float, float], turning_points: list[float], folder: Path):
+    """Overlaps (m) and normal forces (N) of YADE's law between spheres of two radii (m), each of
+    its own `soil_of`, along the path of overlaps."""
     (folder / "soil_yade.py").write_text(material, encoding="utf-8")
     drive = _YADE.format(
-        radius=radius, points=POINTS, speed=SPEED, path=list(turning_points), apart=APART
+        radii=radii, points=POINTS, speed=SPEED, path=list(turning_points), apart=APART
     )
     (folder / "pair.py").write_text(drive, encoding="utf-8")
-    _run(["yade", "-x", "-n", "pair.py"], folder)
+    run_program(["yade", "-x", "-n", "pair.py"], folder)
     rows = np.loadtxt(folder / "rows.txt")
     return rows[:, 0], rows[:, 1]
 
@@ -112,12 +113,15 @@ def yade_loop(material: str, radius: float, turning_points: list[float], folder:
 _YADE = """\
 import os
 exec(open("soil_yade.py").read())
-left = O.bodies.append(sphere((0, 0, 0), {radius}, material="soil", fixed=True))
-place = (2 * {radius} + {apart}, 0, 0)
-right = O.bodies.append(sphere(place, {radius}, material="soil", fixed=True))
+radii = {radii}
+for radius, label in zip(radii, ("left", "right")):
+    O.materials.append(soil_of(radius, label))
+left = O.bodies.append(sphere((0, 0, 0), radii[0], material="left", fixed=True))
+place = (sum(radii) + {apart}, 0, 0)
+right = O.bodies.append(sphere(place, radii[1], material="right", fixed=True))
 O.engines = [
     ForceResetter(),
-    InsertionSortCollider([Bo1_Sphere_Aabb()], verletDist={radius} / 10),
+    InsertionSortCollider([Bo1_Sphere_Aabb()], verletDist=radii[0] / 10),
     InteractionLoop(
         [Ig2_Sphere_Sphere_ScGeom()],
         [Ip2_LudingMat_LudingMat_LudingPhys()],
@@ -131,7 +135,7 @@ for target in {path}:
     O.bodies[right].state.vel = (-{speed} if leg > 0 else {speed}, 0, 0)
     O.dt = abs(leg) / {speed} / {points}
     for _ in range({points}):
-        here = 2 * {radius} - O.bodies[right].state.pos[0]  # forces come first in a step
+        here = sum(radii) - O.bodies[right].state.pos[0]  # forces come first in a step
         O.step()
         rows.append((here, O.forces.f(right)[0]))
     overlap = target
@@ -153,7 +157,7 @@ def _liggghts(section: str, radius: float, legs: str, folder: Path) -> np.ndarra
         diameter=2 * radius,
     )
     (folder / "in.pair").write_text(head + "run 0\n" + _PRINT + legs, encoding="utf-8")
-    _run(["liggghts", "-in", "in.pair", "-log", "log.pair"], folder)
+    run_program(["liggghts", "-in", "in.pair", "-log", "log.pair"], folder)
     return np.loadtxt(folder / "rows.txt", comments="#")
 
 
@@ -177,7 +181,7 @@ def _turn(place: float, angle: float) -> str:
     return _LEG.format(step=SLOW * angle, how=how, count=POINTS)
 
 
-def _run(command: list[str], folder: Path) -> None:
+def run_program(command: list[str], folder: Path) -> None:
     """Runs a program in the folder; RuntimeError with its last words if it fails."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=3600)
     if done.returncode != 0:

@@ -26,7 +26,7 @@ _ROWS = (  # section, EDEM's name, ours, unit
     (_MODEL, "Tensile Exp", "tensile_exponent", ""),
     (_MODEL, "Tangential Stiff Multiplier", "tangential_multiplier", ""),
     ("Interaction soil - mould", "Coefficient of Static Friction", "wall_friction", ""),
-    ("Interaction soil - platen", "Coefficient of Static Friction", "platen_friction", ""),
+    ("Interaction soil - platen, base", "Coefficient of Static Friction", "platen_friction", ""),
 )
 _CAUTIONS = (
     "Slope Exp 1: k1 = {factor:.4g} E* R* was calibrated; compare one contact in EDEM with "

@@ -1,6 +1,6 @@
 """LIGGGHTS 3.8: an input section for `model edinburgh`, its own EEPA.
 
-Types: 1 soil, 2 mould and base, 3 platen.  Include it after `create_box` (three types) or
+Types: 1 soil, 2 mould, 3 platen and base.  Include it after `create_box` (three types) or
 `read_data`, before particles move; give walls the same models and their type.
 
 The normal force is that of the calibrated law.  Friction is not: `tangential history` limits
@@ -142,5 +142,7 @@ def _differences(found: Found) -> list[str]:
         *lines,
         *(_HERTZ if found["slope_exponent"] == 1.5 else ()),
         *_EVERY,
-        f"Walls: fix w all wall/gran model {chosen} primitive type 2 zplane 0.0",
+        "Types: 1 soil, 2 mould, 3 platen and base. Walls, for example:",
+        f"  fix base all wall/gran model {chosen} primitive type 3 zplane 0.0",
+        f"  fix mould all wall/gran model {chosen} primitive type 2 zcylinder 0.025 0. 0.",
     ]

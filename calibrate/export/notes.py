@@ -11,6 +11,7 @@ from calibrate.export.source import UNITS, Found, in_order
 
 PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ
 _NOT_EXPORTED = ("wall_adhesion", "stiffness_factor", "reference_diameter")
+_HARMLESS = str.maketrans({"&": "and", "\\": "/", '"': "'"})
 _OTHER_SIZES = (0.5, 1.0, 2.0)  # times the exported diameter
 
 
@@ -78,6 +79,7 @@ def comment(lines: list[str], mark: str = "# ") -> str:
 
 
 def _one_line(text: str) -> str:
-    """Text from a file as part of a comment: one line, printable, no sign of continuation."""
-    line = " ".join(text.replace("&", "and").replace("\\", "/").split())
+    """Text from a file as part of a comment: one line, printable, without quotation marks or
+    signs of continuation."""
+    line = " ".join(text.translate(_HARMLESS).split())
     return "".join(c if c.isprintable() else "?" for c in line)[:200]

@@ -6,6 +6,10 @@ d_p and is constant beyond, where loading becomes elastic; EEPA has one k2 for a
 The two are therefore matched at one overlap, that of a contact under `PRESSURE`:
 
     kp = k1/(1 - lambda_p)      d_p = OVERLAP      kc = f_min/d_min at OVERLAP
+
+YADE's stiffness of a pair is the harmonic mean of both materials' (k1 = 2 a b/(a + b)), whatever
+the radii.  With k1 in proportion to the radius that mean is EEPA's 2 E* R*, so spheres of each
+radius get a material of their own.
 """
 
 from calibrate.errors import InputError
@@ -21,6 +25,7 @@ _LOST = (
     "- adhesion is -kc d: tensile exponent 1 instead of {exponent:.4g}, and f_min grows in",
     "  proportion to the overlap instead of its square root",
     "- friction is limited by mu |F_n|, without the adhesive share",
+    "- a material belongs to one radius: give spheres of another size soil_of(their radius)",
     "- no rolling resistance (rolling_friction {rolling:.4g} is not used), no constant pull-off",
     "- walls: a Wall felt no force when tried with YADE 2023.02, because the law divides by the",
     "  radius that it has not (Facet and Box neither): build mould and platens of fixed spheres",
@@ -31,7 +36,7 @@ from math import atan, log, pi, sqrt
 
 from yade import *
 
-RADIUS = {radius:.7g}  # m, of the particles
+RADIUS = {radius:.7g}  # m, mean of the particles
 DENSITY = {density:.7g}  # kg/m^3, of the particles: SET IT so that the bed has your bulk density
 PRESSURE = {pressure:.7g}  # Pa; contacts are matched at the overlap that this load gives them
 
@@ -42,31 +47,34 @@ STATIC_FRICTION = {friction:.7g}
 TANGENTIAL_MULTIPLIER = {multiplier:.7g}
 CONTACT_MODULUS = {modulus:.7g}  # Pa, E* = G/(1 - nu)
 
-K1 = {factor:.7g} * CONTACT_MODULUS * RADIUS / 2  # N/m
-K2 = K1 / (1 - PLASTICITY_RATIO)
-OVERLAP = PRESSURE * (2 * RADIUS) ** 2 / K1  # m
-PLASTIC = PLASTICITY_RATIO * OVERLAP
-LENS = sqrt(RADIUS * PLASTIC - PLASTIC**2 / 4)  # radius of the contact's circle
-STRENGTH = min(1.5 * pi * SURFACE_ENERGY * LENS, K2 * PLASTIC / 2)  # N, largest tension
-MASS = DENSITY * 4 / 3 * pi * RADIUS**3 / 2  # effective
 
-soil = LudingMat(
-    k1=K1,
-    kp=K2,
-    kc=STRENGTH / (PLASTIC - STRENGTH / K2),
-    ks=TANGENTIAL_MULTIPLIER * K1,
-    PhiF=PLASTIC / RADIUS,
-    G0=sqrt(4 * MASS * K1 / (1 + (pi / log(RESTITUTION)) ** 2)),
-    frictionAngle=atan(STATIC_FRICTION),
-    density=DENSITY,
-    label="soil",
-)
-O.materials.append(soil)
+def soil_of(radius, label):
+    # the material of spheres of this radius (m)
+    k1 = {factor:.7g} * CONTACT_MODULUS * radius / 2  # N/m
+    k2 = k1 / (1 - PLASTICITY_RATIO)
+    plastic = PLASTICITY_RATIO * PRESSURE * (2 * radius) ** 2 / k1  # m, of the matched overlap
+    lens = sqrt(radius * plastic - plastic**2 / 4)  # m, radius of the contact's circle
+    strength = min(1.5 * pi * SURFACE_ENERGY * lens, k2 * plastic / 2)  # N, largest tension
+    mass = DENSITY * 4 / 3 * pi * radius**3 / 2  # effective
+    return LudingMat(
+        k1=k1,
+        kp=k2,
+        kc=strength / (plastic - strength / k2),
+        ks=TANGENTIAL_MULTIPLIER * k1,
+        PhiF=plastic / radius,
+        G0=sqrt(4 * mass * k1 / (1 + (pi / log(RESTITUTION)) ** 2)),
+        frictionAngle=atan(STATIC_FRICTION),
+        density=DENSITY,
+        label=label,
+    )
+
+
+O.materials.append(soil_of(RADIUS, "soil"))
 
 # In O.engines:
 #   InteractionLoop([Ig2_Sphere_Sphere_ScGeom()], [Ip2_LudingMat_LudingMat_LudingPhys()],
 #                   [Law2_ScGeom_LudingPhys_Basic()])
-# and a step well below sqrt(MASS / K2).
+# and a step well below sqrt(mass / k2).
 """
 
 
