@@ -3,9 +3,10 @@
     python benchmarks/export_bed.py [--packings N] [--folder FOLDER]
 
 The same settled beds of the quick preset are pressed at the same rate by both programs, from the
-same positions.  In the first soil only normal contacts act, where the laws agree; then friction
-and rolling come in, where they do not.  Needs the Debian package `liggghts`; a few minutes on an
-idle core.  Writes benchmarks/results/export_bed.json and .md, and docs/images/export_bed.png.
+same positions.  In the first soil only normal contacts act, where the laws agree, but such a bed
+flows; then friction and rolling come in, where they do not quite.  Needs the Debian package
+`liggghts`; some minutes on an idle core.  Writes benchmarks/results/export_bed.json and .md, and
+docs/images/export_bed.png.
 """
 
 import argparse
@@ -36,6 +37,7 @@ import pressed_bed
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "export_bed.png"
 LEVELS = (50.0, 200.0, 400.0)  # N; displacements are compared at these
+WHAT = (*(f"{level:.0f} N" for level in LEVELS), "H")
 SEATING = 2.0  # N; displacement counts from here
 SMOOTH = {
     "static_friction": 0.0,
@@ -160,9 +162,9 @@ def _figure(curves) -> None:
 def _markdown(rows: dict[str, list[dict]], origin: dict) -> str:
     text = "# A bed in confined compression with exported soils, ours and LIGGGHTS\n\n"
     text += "The same beds (quick preset), the same rate; displacement (mm) from "
-    text += f"{SEATING:.0f} N to each force.\n\n"
+    text += f"{SEATING:.0f} N to each force, and H between the last two.\n\n"
     head = ["soil", "packing"]
-    head += [f"{level:.0f} N, {who}" for level in LEVELS for who in ("ours", "LIGGGHTS")]
+    head += [f"{what}, {who}" for what in WHAT for who in ("ours", "LIGGGHTS")]
     lines = [
         [name, str(number), *(f"{x:.3f}" for pair in _pairs(row) for x in pair)]
         for name, found in rows.items()
@@ -172,7 +174,9 @@ def _markdown(rows: dict[str, list[dict]], origin: dict) -> str:
 
 
 def _pairs(row: dict[str, list[float]]):
-    return zip(row["ours_mm"], row["theirs_mm"], strict=True)
+    """Ours and theirs, at each level, then between the last two."""
+    both = [[*row[who], row[who][-1] - row[who][-2]] for who in ("ours_mm", "theirs_mm")]
+    return zip(*both, strict=True)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,35 @@
-"""Settings that every test shares: float64, the CPU, and one cache of compiled programs."""
+"""What every test shares: float64, the CPU, one cache of compiled programs, a command line."""
 
 import os
+import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")  # read when jax is imported
 
 import jax
+import pytest
+
+from calibrate import cli
 
 jax.config.update("jax_enable_x64", True)
 # Test workers share what any of them, now or in an earlier run, has compiled.
 jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".jax_cache"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+@pytest.fixture
+def calibrate(monkeypatch, tmp_path, capfd):
+    """Runs a command line in tmp_path; returns exit status, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        return status, *capfd.readouterr()
+
+    return call

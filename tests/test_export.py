@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibrate import cli
 from calibrate.errors import InputError
 from calibrate.export import asjson, edem, liggghts, yade
 from calibrate.export.notes import PRESSURE, overlap_under
@@ -26,8 +25,11 @@ from calibrate.export.source import RESULT, find
 from calibrate.measurements import bundled_lab
 from calibrate.parameters import with_values
 from jdem.experiments.pair import SpherePair, drive_overlap
+from jdem.packing import Packing, save
+from jdem.particles import Spheres
 from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters, particle_law
+from jdem.vector import Vector
 
 TESTS = Path(__file__).parent
 DATA = TESTS / "data" / "export_contact"
@@ -42,24 +44,6 @@ PATH = (0.02, 0.004, 0.03, -0.01)  # radii
 
 sys.path.insert(0, str(TESTS.parent / "benchmarks" / "peers"))
 import two_spheres  # noqa: E402
-
-
-@pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
-    """Runs a command line in tmp_path; returns exit status, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
 
 
 def bundled(**changes):
@@ -96,6 +80,18 @@ def test_a_lab_file_gives_its_start_for_the_spheres_of_the_quick_preset():
     assert found.intervals == {}
     # README's table of presets has 10.8 mm, the mean of one packing's 150 spheres of +-15 %.
     assert 1e3 * found.diameter == pytest.approx(10.8, rel=3 * 0.15 / np.sqrt(3 * 150))
+
+
+def test_the_size_of_the_spheres_is_the_mean_of_the_packings_that_can_be_read(tmp_path):
+    shutil.copy(FIT / RESULT, tmp_path / RESULT)
+    (tmp_path / "packings").mkdir()
+    for number, radius in enumerate((2e-3, 3e-3)):
+        bed = Packing(
+            Vector(*jnp.zeros((3, 2))), Spheres(jnp.full(2, radius), jnp.ones(2)), 0.1, 0.025
+        )
+        save(bed, tmp_path / "packings" / f"{number}.npz")
+    (tmp_path / "packings" / "broken.npz").write_bytes(b"PK broken")
+    assert find(tmp_path, {}, None).diameter == pytest.approx(5e-3)
 
 
 def test_values_set_by_hand_lose_their_interval():

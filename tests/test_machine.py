@@ -8,7 +8,6 @@ with one line.
 import importlib.util
 import io
 import json
-import sys
 import zipfile
 from pathlib import Path
 
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from calibrate import cli
 from calibrate.errors import InputError
 from calibrate.machine import labtext
 from calibrate.machine.cells import number
@@ -38,24 +36,6 @@ _spec.loader.exec_module(curves)
 def depth(at_400, exponent=2.2):
     """Travel (mm) from 200 to 400 N of the synthetic confined curve 400 (x/at_400)^exponent."""
     return at_400 * (1 - 0.5 ** (1 / exponent))
-
-
-@pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
-    """Runs a command line in tmp_path; returns exit status, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
 
 
 # ------------------------------------------------------------------ three exports, no option

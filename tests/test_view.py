@@ -1,7 +1,12 @@
 """The bed at many moments: its frames, the forces in its contacts, files for ParaView.
 
 One bed of 60 spheres goes once through short tests; everything is checked on its frames.
+ParaView reads them where it is installed.
 """
+
+import json
+import shutil
+import subprocess
 
 import meshio
 import numpy as np
@@ -113,3 +118,86 @@ def test_pictures_are_drawn(seen, tmp_path):
     bed.bed_animation(states[-3:], contacts[-3:], tmp_path / "bed.gif")
     assert (tmp_path / "bed.png").stat().st_size > 10_000
     assert (tmp_path / "bed.gif").read_bytes().startswith(b"GIF")
+
+
+# ------------------------------------------------------------------ as a user would
+
+PARAVIEW = """
+from paraview.simple import OpenDataFile, UpdatePipeline
+for name, point_data in (("particles", True), ("contacts", False)):
+    reader = OpenDataFile(f"{name}.pvd")
+    times = list(reader.TimestepValues)
+    UpdatePipeline(time=times[-1], proxy=reader)
+    data = reader.GetDataInformation()
+    arrays = reader.PointData if point_data else reader.CellData
+    ranges = {array.GetName(): array.GetRange(-1) for array in arrays}
+    print(name, len(times), data.GetNumberOfPoints(), data.GetNumberOfCells(), repr(ranges))
+"""
+
+
+@pytest.mark.skipif(shutil.which("pvpython") is None, reason="ParaView is not installed")
+def test_paraview_reads_the_series(seen, tmp_path):
+    _, _, states, contacts = seen
+    write_series(states, contacts, tmp_path)
+    (tmp_path / "read.py").write_text(PARAVIEW)
+    done = subprocess.run(
+        ["pvpython", "read.py"], cwd=tmp_path, capture_output=True, text=True, timeout=600
+    )
+    particles, lines = (line.split(maxsplit=4) for line in done.stdout.splitlines())
+    count = len(contacts[-1].first)
+    assert particles[:4] == ["particles", str(len(states)), str(SMALL.count), str(SMALL.count)]
+    assert lines[:4] == ["contacts", str(len(states)), str(2 * count), str(count)]
+    assert f"{contacts[-1].normal_force.max():.6g}"[:5] in lines[4]
+
+
+def test_an_earlier_series_does_not_stay(seen, tmp_path):
+    _, _, states, contacts = seen
+    write_series(states, contacts, tmp_path)
+    write_series(states[:2], contacts[:2], tmp_path)
+    assert len(list((tmp_path / "vtk").iterdir())) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["nowhere.toml"], "nowhere.toml"),
+        (["--preset", "huge"], "--preset"),
+        (["--set", "bounce=1"], "bounce"),
+        (["--set", "restitution=2"], "restitution"),
+        (["--frames", "1"], "frames"),
+        (["--frames", "many"], "frames"),
+        (["--out", "file"], "file"),
+        (["--out", "taken"], "vtk"),
+        (["--json", "."], "--json"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(calibrate, tmp_path, options, words):
+    (tmp_path / "file").touch()
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "vtk").touch()
+    status, _, error = calibrate("view", *options)
+    assert status == 2 and words in error and len(error.splitlines()) == 1
+
+
+def test_the_verb_writes_into_its_folder_and_nowhere_else(seen, calibrate, tmp_path, monkeypatch):
+    """The soil is named like a path; the simulation is the one that the other tests look at."""
+    packing, _, states, _ = seen
+    monkeypatch.setattr("calibrate.campaign.Campaign.packings", lambda self, seeds: [packing])
+    monkeypatch.setattr("calibrate.view.frames.frames", lambda *given: states[-3:])
+    name = "../../evil \\\\ $(touch evil)"
+    (tmp_path / "lab.toml").write_text(
+        f'[soil]\nname = "{name}"\n[specimen]\ndiameter = "50 mm"\nheight = "60 mm"\n'
+        '[targets.crushing_force]\nmean = "140 N"\nscatter = "12 N"\nrepeats = 5\n'
+    )
+    status, said, error = calibrate("view", "lab.toml", "--out", "out/seen", "--json", "seen.json")
+    assert (status, error) == (0, "")
+    assert "3 moments" in said
+    top = {path.name for path in tmp_path.iterdir()}
+    assert top == {"lab.toml", "out", "seen.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"seen"}
+    written = {path.name for path in (tmp_path / "out/seen").iterdir()}
+    assert {"bed.png", "bed.gif", "particles.pvd", "contacts.pvd", "view.json"} <= written
+    content = json.loads((tmp_path / "seen.json").read_text())
+    assert [frame["platen_force_n"] for frame in content["frames"]] == [
+        pytest.approx(state.platen_force) for state in states[-3:]
+    ]

@@ -116,12 +116,13 @@ def _of_result(path: Path) -> Found:
 
 def _packing_diameter(folder: Path) -> float | None:
     """Mean diameter (m) of the spheres of the fit's packings, None if there are none."""
+    diameters = []
     for file in sorted((folder / "packings").glob("*.npz")):
         try:
-            return float(packing.load(file).mean_diameter())
+            diameters.append(float(packing.load(file).mean_diameter()))
         except (OSError, ValueError):
             continue
-    return None
+    return sum(diameters) / len(diameters) if diameters else None
 
 
 def _json(path: Path) -> dict:

@@ -38,6 +38,7 @@ def view_command(
 
     output.check_writable(json)
     session = output.Session.open(lab, preset, out)
+    output.make_folder(out / "vtk")
     soil = with_values(base_soil(session.lab), output.parse_changes(changes or []))
     work = session.campaign(out, None)
     (packing,) = work.packings([seed])

@@ -15,9 +15,13 @@ from calibrate.view.frames import Frame
 
 
 def write_series(frames: list[Frame], contacts: list[Contacts], folder: Path) -> None:
-    """particles.pvd and contacts.pvd in `folder`, and the files that they list in vtk/."""
+    """particles.pvd and contacts.pvd in `folder`, and the files that they list in vtk/; an
+    earlier series there is removed."""
     (folder / "vtk").mkdir(parents=True, exist_ok=True)
     names: dict[str, list[str]] = {"particles": [], "contacts": []}
+    for kind in names:
+        for old in (folder / "vtk").glob(f"{kind}_[0-9]*.vtu"):
+            old.unlink()
     for number, (frame, touching) in enumerate(zip(frames, contacts, strict=True)):
         for kind, mesh in (
             ("particles", particle_mesh(frame, touching)),
