@@ -44,7 +44,7 @@ def bed_animation(frames: list[Frame], contacts: list[Contacts], path: Path) -> 
     figure, axis = plt.subplots(figsize=(4.6, 6.4), layout="constrained")
     top, window = _load_scale(contacts, frames[0]), _window(frames)
     _load_bar(figure, axis, top)
-    figure.supxlabel(CUT.replace("; ", ";\n"), fontsize=6)
+    figure.supxlabel(CUT.replace("; ", ";\n"), fontsize=7)
 
     def draw(number: int):
         axis.clear()
@@ -52,7 +52,7 @@ def bed_animation(frames: list[Frame], contacts: list[Contacts], path: Path) -> 
         return []
 
     moving = FuncAnimation(figure, draw, frames=len(frames))
-    moving.save(path, writer=PillowWriter(fps=6), dpi=80)
+    moving.save(path, writer=PillowWriter(fps=6), dpi=100)
     plt.close(figure)
 
 
@@ -101,10 +101,11 @@ def _load_scale(contacts: list[Contacts], frame: Frame) -> float:
 
 
 def _window(frames: list[Frame]):
-    """Limits of x and z (mm) that hold the bed at all moments."""
+    """Limits of x and z (mm) that hold the bed at all moments, but for spheres that roll away."""
     position = np.concatenate([np.asarray(f.state.motion.position.stack()) for f in frames])
-    reach = 1e3 * float(np.quantile(np.abs(position[:, 0]), 0.995)) + 10
-    return (-reach, reach), (-4, 1e3 * float(position[:, 2].max()) + 12)
+    radius = np.concatenate([np.asarray(f.bed.spheres.radius) for f in frames])
+    reach = 1e3 * float(np.quantile(np.abs(position[:, 0]) + radius, 0.998)) + 3
+    return (-reach, reach), (-4, 1e3 * float((position[:, 2] + radius).max()) + 6)
 
 
 def _load_bar(figure: Figure, axes, top: float) -> None:
