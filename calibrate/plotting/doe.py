@@ -58,7 +58,7 @@ def pareto(axis: Axes, found: Screening, response: str) -> None:
     axis.barh(0, 0, color=DARK, label="raises the response")
     axis.barh(0, 0, color=MIDDLE, label="lowers it")
     axis.set_yticks(range(len(effects)), [_pretty(effect.name) for effect in effects])
-    axis.set(xlabel=f"|effect| on {response}", title="Pareto chart (share of the total variation)")
+    axis.set(xlabel=f"|effect| on {response}", title="Pareto chart, share of variation")
     axis.legend(fontsize=7, loc="lower right")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calibrate.doe.comparison import Ending, SlopePair
-from calibrate.plotting.style import DARK, LIGHT, MIDDLE, pretty
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE, above, pretty
 from calibrate.records.base import Target
 
 LABELS = {
@@ -68,4 +68,4 @@ def endings(axis: Axes, found: Sequence[Ending], target: Target, column: int, la
     axis.set_xticks(range(len(found)), [ending.method for ending in found])
     axis.set_xlim(-0.5, len(found) - 0.5)
     axis.set_ylabel(label)
-    axis.legend(frameon=False, fontsize=8)
+    above(axis)

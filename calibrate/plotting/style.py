@@ -13,6 +13,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
@@ -44,6 +45,13 @@ def svg(figure: Figure) -> str:
         figure.savefig(text, format="svg", metadata={"Date": None}, dpi=150)
     plt.close(figure)
     return text.getvalue()
+
+
+def above(axis: Axes) -> None:
+    """A legend above the axis, where it hides nothing."""
+    if axis.get_legend_handles_labels()[0]:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 3}
+        axis.legend(frameon=False, fontsize=7, columnspacing=1.2, handlelength=1.6, **place)
 
 
 def pretty(name: str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.plotting import panels
-from calibrate.plotting.style import panel_svg
+from calibrate.plotting.style import above, panel_svg
 from calibrate.records.base import OBSERVABLES, Observable, Test, read
 from calibrate.records.fit import FitRecord, Packing, Summary
 from calibrate.report.html import Page, Picture, Table, number, plus_minus, quantity, render, words
@@ -219,20 +219,25 @@ def _history(found: FitRecord) -> Table:
 
 def _checks(found: FitRecord) -> Table:
     """What says whether to believe the simulations: the worst of the fitted packings."""
-    rows = [
-        [words(name), number(float(value), 3)]
-        for name, value in found.quality.items()
-        if not isinstance(value, bool)
-    ]
-    rows += [
-        [words(n), "yes" if v else "no"]
-        for n, v in found.quality.items()
-        if v is True or v is False
-    ]
+    rows = [[_with_unit(name), _checked(value)] for name, value in found.quality.items()]
     for test, rate in found.rates.items():
         speeds = f"{number(rate.simulated_mm_s, 3)} for {number(rate.nominal_mm_s, 3)} mm/s"
         rows.append([f"{test} platen speed, simulated for nominal", speeds])
     return Table(["check", "worst of the fitted packings"], rows)
+
+
+def _with_unit(name: str) -> str:
+    """A check's name, its unit in brackets where the name ends in one."""
+    for ending, unit in (("_j", "J"), ("_s", "s")):
+        if name.endswith(ending):
+            return f"{words(name.removesuffix(ending))} ({unit})"
+    return words(name)
+
+
+def _checked(value: float | bool) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return number(value, 3)
 
 
 def _settings(found: FitRecord) -> dict[str, str]:
@@ -241,7 +246,7 @@ def _settings(found: FitRecord) -> dict[str, str]:
         "packings of the fit": ", ".join(map(str, found.seeds)),
         "fresh packings": ", ".join(map(str, found.fresh_seeds)),
         "slopes": found.strategy,
-        "simulations": f"{found.simulations} in the start that ended the fit",
+        "simulations": f"{found.simulations} in the last start; finished ones are never repeated",
     }
 
 
@@ -251,13 +256,14 @@ def _settings(found: FitRecord) -> dict[str, str]:
 def _curves(found: FitRecord, test: Test) -> Picture:
     def draw(axis):
         panels.compression(axis, test, panels.fit_groups(found, test), found.measured)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=8, frameon=False)
+        axis.set_title("")
+        above(axis)
 
     packings = (*found.packings.fitted, *found.packings.fresh)
     alt = f"Force against displacement, {test} compression: {_reach(packings, test)}"
     caption = (
-        "Solid: packings of the fit. Dashed: fresh packings. Dotted: measured. "
+        "Solid: packings of the fit. Dashed: fresh packings. "
+        + ("Dotted: measured. " if any(c.test == test for c in found.measured.curves) else "")
         + ("Grey lines: the forces between which depression depth counts." if test == "confined"
            else "Band: measured crushing force ± scatter of one repeat.")
     )  # fmt: skip
@@ -282,7 +288,8 @@ def _pictures(found: FitRecord) -> Iterator[Picture]:
 
         def draw(axis):
             panels.observables(axis, found)
-            axis.legend(fontsize=8, frameon=False)
+            axis.set_title("")
+            above(axis)
 
         spread = "; ".join(f"{words(name)}: {_ratios(found, name)}" for name in _targeted(found))
         alt = f"Simulated over measured, packing by packing. {spread}."
