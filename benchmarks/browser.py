@@ -10,10 +10,11 @@ Chromium is driven through its own pipe (Chrome DevTools Protocol), so nothing h
 
 import argparse
 import base64
+import fcntl
 import json
 import os
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 from dataclasses import dataclass, field
@@ -21,7 +22,6 @@ from pathlib import Path
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 WIDTHS = (1280, 390)
-SETTLE = 60  # s; until a page must be loaded
 TALLEST = 16000  # pixels of a picture of a page
 
 LOOK = """(() => {
@@ -77,11 +77,7 @@ class Browser:
             "--no-first-run", "--disable-extensions", "--disable-component-update",
             f"--user-data-dir={self._profile.name}", "about:blank",
         ]  # fmt: skip
-        # The browser expects its ends of the pipes at 3 and 4, wherever they are here.
-        shell = ["sh", "-c", f'exec "$@" 3<&{to_read} 4>&{to_write}', "sh", *command]
-        self._process = subprocess.Popen(
-            shell, pass_fds=(to_read, to_write), stderr=subprocess.DEVNULL
-        )
+        self._process = _started(command, to_read, to_write)
         os.close(to_read)
         os.close(to_write)
         self._buffer, self._number, self._session = b"", 0, ""
@@ -97,8 +93,8 @@ class Browser:
         return self
 
     def __exit__(self, *_) -> None:
-        self._process.terminate()
-        self._process.wait(timeout=20)
+        os.kill(self._process, signal.SIGTERM)
+        os.waitpid(self._process, 0)
         os.close(self._write)
         os.close(self._read)
         self._profile.cleanup()
@@ -136,6 +132,17 @@ class Browser:
             self._buffer += part
         message, _, self._buffer = self._buffer.partition(b"\0")
         return json.loads(message)
+
+
+def _started(command: list[str], to_read: int, to_write: int) -> int:
+    """The process of a command that reads at descriptor 3 and writes at 4, otherwise silent."""
+    high = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (to_read, to_write)]
+    actions = [(os.POSIX_SPAWN_OPEN, out, os.devnull, os.O_WRONLY, 0) for out in (1, 2)]
+    moves = [(os.POSIX_SPAWN_DUP2, end, place) for end, place in zip(high, (3, 4), strict=True)]
+    process = os.posix_spawn(command[0], command, os.environ, file_actions=[*actions, *moves])
+    for end in high:
+        os.close(end)
+    return process
 
 
 def look(browser: Browser, page: Path, width: int, shot: Path | None = None) -> Seen:

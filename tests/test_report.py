@@ -82,6 +82,11 @@ def folders(tmp_path_factory) -> dict[str, Path]:
     return {kind: write(tmp_path_factory.mktemp(kind)) for kind, write in WRITERS.items()}
 
 
+@pytest.fixture(scope="module")
+def pages(folders) -> dict[str, str]:
+    return {kind: page_of(folder) for kind, folder in folders.items()}
+
+
 @pytest.fixture
 def report(monkeypatch, tmp_path, capfd):
     """Runs `calibrate report` in tmp_path; returns exit status, standard output and error."""
@@ -113,8 +118,8 @@ def text_of(page: str) -> str:
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_page_stands_alone(folders, kind):
-    page = page_of(folders[kind])
+def test_a_page_stands_alone(pages, kind):
+    page = pages[kind]
     for word in ("<script", "<link", "@import", "url(", 'src="http', 'href="http', "srcset"):
         assert word not in page
     pictures = re.findall(r"<img ([^>]*)>", page)
@@ -126,8 +131,8 @@ def test_a_page_stands_alone(folders, kind):
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_page_says_what_made_it(folders, kind):
-    text = text_of(page_of(folders[kind]))
+def test_a_page_says_what_made_it(folders, pages, kind):
+    text = text_of(pages[kind])
     _, file = kinds.find(folders[kind])
     origin = json.loads(file.read_text())
     for words in (origin["command"], origin["soil"], origin["preset"], origin["engine"]):
@@ -137,18 +142,17 @@ def test_a_page_says_what_made_it(folders, kind):
     assert ", ".join(map(str, origin["seeds"])) in text
 
 
-@pytest.mark.parametrize("kind", WRITERS)
-def test_a_page_is_the_same_every_time(folders, kind):
-    assert page_of(folders[kind]) == page_of(folders[kind])
+def test_a_page_is_the_same_every_time(folders, pages):
+    assert page_of(folders["fit"]) == pages["fit"]
 
 
-def test_the_page_of_a_study_is_that_of_its_command(folders):
-    assert page_of(folders["doe"]) == (folders["doe"] / study.PAGE).read_text(encoding="utf-8")
+def test_the_page_of_a_study_is_that_of_its_command(folders, pages):
+    assert pages["doe"] == (folders["doe"] / study.PAGE).read_text(encoding="utf-8")
 
 
-def test_a_fit_shows_its_numbers(folders):
+def test_a_fit_shows_its_numbers(folders, pages):
     """Fitted value and interval of every free parameter, targets, every packing in a picture."""
-    text = text_of(page_of(folders["fit"]))
+    text = text_of(pages["fit"])
     result = json.loads((folders["fit"] / "result.json").read_text())
     modulus = result["parameters"]["shear_modulus"]
     low, high = result["identifiability"]["interval_95"]["shear_modulus"]
@@ -157,7 +161,7 @@ def test_a_fit_shows_its_numbers(folders):
     assert f"{result['observables']['depression_depth_mm']:.4g} ± " in text
     assert "2.5 ± 0.1 (4 repeats)" in text
     packings = result["packings"]["fitted"] + result["packings"]["fresh"]
-    alt = re.findall(r'alt="(Simulated over measured[^"]*)"', page_of(folders["fit"]))[0]
+    alt = re.findall(r'alt="(Simulated over measured[^"]*)"', pages["fit"])[0]
     for packing in packings:
         assert f"{packing['crushing_force_n'] / 185:.3g}" in alt
 
@@ -171,8 +175,8 @@ def test_drawn_curves_keep_ends_and_shape(folders):
     assert (len(long["force_n"]), long["force_n"][-1]) == (workflow.DRAWN, 3.0)
 
 
-def test_an_audit_shows_its_verdicts(folders):
-    text = text_of(page_of(folders["audit"]))
+def test_an_audit_shows_its_verdicts(folders, pages):
+    text = text_of(pages["audit"])
     rows = json.loads((folders["audit"] / "audit.json").read_text())["rows"]
     judged = [row for row in rows if row["judged"]]
     assert 0 < len(judged) < len(rows)
@@ -299,16 +303,14 @@ def test_two_results_in_a_folder_are_asked_about(report, folders, tmp_path):
 
 
 @pytest.mark.skipif(browser.program() is None, reason="no Chromium is installed")
-def test_pages_in_a_browser(folders, tmp_path):
+def test_pages_in_a_browser(pages, tmp_path):
     """No word on the console, no request, nothing wider than the screen, at both widths."""
-    pages = []
-    for kind, folder in folders.items():
-        pages.append(tmp_path / f"{kind}.html")
-        pages[-1].write_text(page_of(folder), encoding="utf-8")
+    for kind, text in pages.items():
+        (tmp_path / f"{kind}.html").write_text(text, encoding="utf-8")
     found = browser.program()
     assert found is not None
     with browser.Browser(found) as opened:
-        for page in pages:
+        for page in sorted(tmp_path.glob("*.html")):
             for width in browser.WIDTHS:
                 seen = browser.look(opened, page, width)
                 assert seen.problems() == [], (page.name, width)

@@ -59,7 +59,8 @@ def _estimates(axis: Axes, rows: Sequence[Slope], strategy: str) -> None:
             label=label if number == 0 else None,
         )
         if row.judged:
-            axis.annotate(pretty(row.parameter), (row.reference, row.estimate))
+            at, shift = (row.reference, row.estimate), (6, -4)
+            axis.annotate(pretty(row.parameter), at, shift, textcoords="offset points", fontsize=8)
 
 
 def _band(axis: Axes, within: float) -> None:

@@ -119,11 +119,14 @@ def parameters(axis: Axes, found: FitRecord) -> None:
 def profile(axis: Axes, found: FitRecord, name: str) -> None:
     """The objective along one parameter: simulated points, and what the covariance implies."""
     points = found.profiles[name]
-    values = np.array([point.value for point in points])
-    best = found.parameters[name]
-    axis.plot(values / best, [p.simulated for p in points], "o", color=MIDDLE, label="simulated")
-    linearised = [p.linearised for p in points]
-    axis.plot(values / best, linearised, "-", color=DARK, lw=1.2, label="from the covariance")
+    ratio = np.array([point.value for point in points]) / found.parameters[name]
+    axis.plot(ratio, [p.simulated for p in points], "o", color=MIDDLE, label="simulated")
+    implied = np.array([p.linearised for p in points])
+    if len(np.unique(ratio)) > 2:  # a parabola in ln p
+        parabola = np.polynomial.Polynomial.fit(np.log(ratio), implied, 2)
+        ratio = np.geomspace(ratio.min(), ratio.max(), 61)
+        implied = parabola(np.log(ratio))
+    axis.plot(ratio, implied, "-", color=DARK, lw=1.2, label="from the covariance")
     axis.set(xlabel=f"{pretty(name)} / fitted value", ylabel="objective (half of chi²)")
     axis.set_title(f"profile of {pretty(name)}")
 

@@ -190,14 +190,8 @@ def _screening(found: FitRecord) -> Table | None:
 
 def _held(found: FitRecord) -> Table:
     held = {name: value for name, value in found.parameters.items() if name not in found.free}
-    rows = [[words(name), _value(name, value)] for name, value in held.items()]
+    rows = [[words(name), quantity(name, value)] for name, value in held.items()]
     return Table(["parameter", "value"], rows)
-
-
-def _value(name: str, value: float) -> str:
-    if name == "reference_diameter":
-        return f"{number(1e6 * value, 4)} µm"
-    return quantity(name, value)
 
 
 def _history(found: FitRecord) -> Table:

@@ -84,10 +84,12 @@ def words(name: str) -> str:
 
 
 def quantity(name: str, value: float | None, digits: int = 4) -> str:
-    """A parameter's value for reading, with its unit; moduli in MPa."""
+    """A parameter's value for reading, with its unit; moduli in MPa, diameters in µm."""
     unit = PARAMETER_UNITS.get(name, "")
     if unit == "Pa" and value is not None:
         value, unit = value / 1e6, "MPa"
+    elif name == "reference_diameter" and value is not None:
+        value, unit = 1e6 * value, "µm"
     return f"{number(value, digits)} {unit}".strip().replace("J/m^2", "J/m²")
 
 
