@@ -184,6 +184,14 @@ def test_an_audit_shows_its_verdicts(folders, pages):
     assert text.count("not judged") >= len(rows) - len(judged)
 
 
+def test_a_simulation_keeps_its_figure(tmp_path):
+    opened = session(tmp_path, curves=(MEASURED,))
+    runs = Soil().runs([BASE], range(3), "simulating")[0]
+    output.write_simulation(opened, workflow.simulation_json(runs), runs, None)
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "result.json").read_text())["engine"]
+
+
 # ------------------------------------------------------------------ hostile and odd contents
 
 
@@ -236,6 +244,24 @@ BROKEN = {
     "no evaluation": lambda r: json.dumps({**r, "history": []}),
     "no correlation": lambda r: json.dumps(
         {**r, "identifiability": {**r["identifiability"], "correlation": []}}
+    ),
+    "an interval below zero": lambda r: json.dumps(
+        {
+            **r,
+            "identifiability": {
+                **r["identifiability"],
+                "interval_95": {key: [-1, 0] for key in r["free"]},
+            },
+        }
+    ),
+    "a target of zero": lambda r: json.dumps(
+        {
+            **r,
+            "measured": {
+                **r["measured"],
+                "targets": {"crushing_force_n": {"mean": 0, "scatter": 0, "repeats": 0}},
+            },
+        }
     ),
     "not UTF-8": lambda r: b"\xff\xfe\x00{",
 }

@@ -83,7 +83,8 @@ def observables(axis: Axes, found: FitRecord) -> None:
             first = look.label if place == 0 else None
             axis.plot(at, values, look.marker, color=look.colour, ms=5, label=first)
             ends = (place + shift - 0.08, place + shift + 0.08)
-            axis.hlines(np.mean(values), *ends, look.colour, lw=2)
+            if np.any(np.isfinite(values)):
+                axis.hlines(np.nanmean(values), *ends, look.colour, lw=2)
     axis.axhline(1, color="0.6", lw=0.8)
     axis.set_xticks(range(len(targets)), [pretty(name) for name in targets])
     axis.set_xlim(-0.6, len(targets) - 0.4)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from calibrate.errors import BadValue, InputError
 from calibrate.labfile import read_text
+from calibrate.records.base import RUN_AGAIN
 from calibrate.report import audit, fit, study_page
 from calibrate.report.html import Page
 
@@ -46,6 +47,15 @@ def find(place: Path) -> tuple[Kind, Path]:
         names = ", ".join(file.name for _, file in found)
         raise InputError(str(place), "", f"several results ({names})", "give the path of one file")
     return found[0]
+
+
+def page_of(kind: Kind, file: Path) -> Page:
+    """The page of a result's file; `InputError` also where its numbers make no picture."""
+    try:
+        return kind.page(file)
+    except (ArithmeticError, LookupError, ValueError) as error:
+        problem = f"what it holds cannot be shown ({error})"
+        raise InputError(str(file), "", problem, RUN_AGAIN) from error
 
 
 def _kinds_of(file: Path) -> list[Kind]:

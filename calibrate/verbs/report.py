@@ -30,7 +30,7 @@ def report_command(
     kind, file = kinds.find(place)
     folder = file.parent if out is None else out
     output.make_folder(folder)
-    page = kind.page(file)
+    page = kinds.page_of(kind, file)
     output.write_text(folder / PAGE, page.html)
     if json is not None:
         summary = {"kind": kind.name, "summary": page.sentence, "report": str(folder / PAGE)}
