@@ -5,12 +5,17 @@ Results are those of a soil of formulas; what a page shows is held against the r
 
 import html
 import json
+import random
 import re
 import shutil
 import sys
+from collections import Counter
 from dataclasses import replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas
@@ -18,6 +23,7 @@ from formulas import BASE, LAB, Formulas
 from calibrate import cli, output, workflow
 from calibrate.audit import audit, audit_json
 from calibrate.designed import design
+from calibrate.errors import InputError
 from calibrate.measurements import Curve, Target
 from calibrate.output import Session, origin_of
 from calibrate.parameters import FACTORS, space
@@ -288,6 +294,52 @@ def test_a_broken_study_is_refused(report, folders, tmp_path):
         status, _, error = report(tmp_path)
         assert (status, error.count("\n")) == (2, 1)
         assert "designs.force" in error
+
+
+NASTY = [None, -1, 0, 1e308, -1e308, "x", "<b>", [], {}, True, 1e-320, [1, 2], {"a": 1}]
+
+
+def places(content, path=()):
+    """Paths to every entry of a JSON document, three of each list."""
+    pairs = content.items() if isinstance(content, dict) else enumerate(content[:3])
+    for key, value in pairs:
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*path, key))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["fit", "audit"])
+def test_a_damaged_result_is_shown_or_refused(folders, tmp_path, monkeypatch, kind):
+    """One entry replaced or taken away, 60 times: a page, or one sentence; no other end."""
+    found, file = kinds.find(folders[kind])
+    monkeypatch.setattr("calibrate.plotting.style.svg", drawn_only)
+    monkeypatch.setattr("calibrate.report.audit.svg", drawn_only)
+    rng, text = random.Random(kind), file.read_text()
+    every, ends = list(places(json.loads(text))), Counter()
+    for _ in range(60):
+        content = json.loads(text)
+        *path, last = rng.choice(every)
+        part = reduce(getitem, path, content)
+        if rng.random() < 0.2:
+            del part[last]
+        else:
+            part[last] = rng.choice(NASTY)
+        (tmp_path / file.name).write_text(json.dumps(content))
+        try:
+            assert kinds.page_of(found, tmp_path / file.name).html
+            ends["shown"] += 1
+        except InputError as error:
+            assert str(tmp_path) in str(error) and "\n" not in str(error)
+            ends["refused"] += 1
+    assert min(ends["shown"], ends["refused"]) > 5
+
+
+def drawn_only(figure) -> str:
+    """Lays a figure out without writing it, which takes most of the time."""
+    figure.draw_without_rendering()
+    plt.close(figure)
+    return "<svg/>"
 
 
 # ------------------------------------------------------------------ the command

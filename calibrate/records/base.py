@@ -8,13 +8,21 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+)
 from pydantic import model_validator as check
 from pydantic_core import ErrorDetails
 
 from calibrate.errors import BadValue, InputError, shown
 from calibrate.labfile import PARAMETER_UNITS, read_text
 
+LARGEST = 1e150  # larger numbers count as not known; squares of these are finite
 RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
 
 
@@ -28,7 +36,11 @@ def _known_parameter(name: str) -> str:
     return name
 
 
-Number = Annotated[float, BeforeValidator(_nan_for_null)]
+def _of_this_world(value: float) -> float:
+    return value if abs(value) <= LARGEST else float("nan")
+
+
+Number = Annotated[float, BeforeValidator(_nan_for_null), AfterValidator(_of_this_world)]
 Parameter = Annotated[str, AfterValidator(_known_parameter)]
 Observable = Literal["depression_depth_mm", "crushing_force_n"]
 Test = Literal["confined", "unconfined"]
@@ -75,8 +87,8 @@ class MeasuredCurve(Curve):
 class Target(Record):
     """A measured observable: mean of `repeats` tests, standard deviation of one (mm or N)."""
 
-    mean: Number
-    scatter: Number
+    mean: Annotated[float, Field(gt=0)]
+    scatter: Annotated[float, Field(ge=0)]
     repeats: int
 
 

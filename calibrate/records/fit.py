@@ -1,5 +1,6 @@
 """The result of `calibrate fit` as a record."""
 
+import math
 from typing import Literal
 
 from pydantic import Field
@@ -132,15 +133,14 @@ class FitRecord(Origin, Summary):
         if not self.history:
             raise ValueError("history has no evaluation")
         for name in self.free:
-            if not all(
-                name in names
-                for names in (
-                    self.parameters,
-                    self.identifiability.interval_95,
-                    self.history[0].parameters,
-                )
-            ):
-                raise ValueError(f"{name} is free, but its value, interval or start is missing")
+            found = [
+                self.parameters.get(name, 0.0),
+                self.history[0].parameters.get(name, 0.0),
+                *self.identifiability.interval_95.get(name, (0.0,)),
+            ]
+            if not all(0 < number < math.inf for number in found):
+                problem = "its value, start or interval is missing or not positive"
+                raise ValueError(f"{name} is free, but {problem}")
         size = len(self.free)
         if [len(row) for row in self.identifiability.correlation] != [size] * size:
             raise ValueError("identifiability.correlation has not one row for each free parameter")

@@ -5,6 +5,7 @@ A new kind is one function, from the path of a result's JSON file to a `Page`, a
 """
 
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,9 +51,14 @@ def find(place: Path) -> tuple[Kind, Path]:
 
 
 def page_of(kind: Kind, file: Path) -> Page:
-    """The page of a result's file; `InputError` also where its numbers make no picture."""
+    """The page of a result's file; `InputError` also where its numbers make no picture.
+
+    Numbers that are not known leave gaps in pictures, which no warning has to tell.
+    """
     try:
-        return kind.page(file)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return kind.page(file)
     except (ArithmeticError, LookupError, ValueError) as error:
         problem = f"what it holds cannot be shown ({error})"
         raise InputError(str(file), "", problem, RUN_AGAIN) from error
