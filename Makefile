@@ -8,7 +8,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test lint clean help
+.PHONY: calibrate test lint docs clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
 	$(BIN)/calibrate fit --preset quick --out results/calibrate
@@ -20,6 +20,9 @@ lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+docs: $(STAMP)  ## reference of all modules from their docstrings, in build/docs/index.html
+	$(BIN)/pdoc --docformat markdown --output-directory build/docs jdem calibrate
 
 clean:  ## remove the environment, caches and build products; results/ stays
 	rm -rf $(VENV) build dist *.egg-info .jax_cache .pytest_cache .ruff_cache .hypothesis

@@ -23,6 +23,8 @@ from calibrate.measurements import bundled_lab, load_lab
 from calibrate.parameters import FACTORS, space
 from calibrate.presets import PRESETS, specimen, virtual_lab
 from calibrate.progress import for_terminal
+from calibrate.records.audit import AuditSlopes
+from calibrate.records.base import record
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 STRATEGY = "ensemble"
@@ -111,8 +113,9 @@ def main() -> None:
         found = audited(chosen.spheres, seeds, chosen.folder)
         audits[str(seed)] = audit_json(found)
         if seed == chosen.seeds[0]:
-            plotting.audit_figure(found, IMAGES / "audit.png")
-            plotting.curve_slopes_figure(found, IMAGES / "audit_curves.png")
+            drawn = record(AuditSlopes, audits[str(seed)])
+            plotting.audit_figure(drawn, IMAGES / "audit.png")
+            plotting.curve_slopes_figure(drawn, IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
         reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)

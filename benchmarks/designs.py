@@ -32,7 +32,7 @@ def markdown(found: Designed, origin: dict) -> str:
         for name, screen in done.screens.items()
     )
     return (
-        f"# Designed experiments and gradients\n\n{sentence(done, compared)} One gradient of eight "
+        f"# Designed experiments and gradients\n\n{sentence(compared)} One gradient of eight "
         f"parameters costs {compared.gradient_runs:.0f} forward runs a packing here.\n\n"
         f"Largest contributions in the screening. {largest}.\n\n"
         "Where each method ended, mean ± one packing:\n\n"

@@ -216,6 +216,8 @@ def audit_json(found: Audit) -> dict:
         "strategy": first,
         "passed": each[first]["passed"],
         "packings": found.packings,
+        "within": WITHIN,
+        "judged_from": JUDGED_FROM,
         "rows": each[first]["rows"],
         "strategies": each,
         "curves": {test: _curve_json(found, test) for test in found.points.slices()},

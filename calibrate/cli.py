@@ -155,7 +155,7 @@ def doe_command(
     done = design(session.lab, session.preset, values, seed, work)
     report.write(session, done, json)
     report.show(done, Console())
-    print(f"result.json, {report.PAGE}, figures and run sheets are in {out}")
+    print(f"result.json, {report.PAGE} and run sheets are in {out}")
 
 
 @app.command("reproduce")

@@ -5,8 +5,8 @@ with the option's name as the field.
 """
 
 import csv
-import json
 import os
+import platform
 import shlex
 import sys
 from collections.abc import Sequence
@@ -20,13 +20,16 @@ from rich.table import Table
 
 from calibrate import plotting, workflow
 from calibrate.audit import STRATEGIES, Audit, audit, audit_json
-from calibrate.campaign import Campaign, Run
+from calibrate.campaign import Campaign, Run, engine_hash
 from calibrate.errors import InputError, suggestion
 from calibrate.labfile import PARAMETER_UNITS, check_parameter
 from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.parameters import FACTORS, RANGES, base_soil, space, with_values
 from calibrate.presets import PRESETS, Preset
 from calibrate.progress import AbstractProgress, for_terminal
+from calibrate.records.audit import AuditRecord
+from calibrate.records.base import Measured, as_json, record
+from calibrate.records.fit import FitRecord
 from calibrate.single_contact import Spheres
 from calibrate.workflow import Calibrated, fit_json
 
@@ -155,13 +158,14 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: dict) -> None:
     """Strict JSON: NaN and infinities become null."""
-    write_text(path, json.dumps(_finite(content), indent=1, allow_nan=False) + "\n")
+    write_text(path, as_json(content))
 
 
 def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
     """result.json (and `--json`), a figure, and a table on the terminal."""
     _write_result(session.out, {**origin_of(session), **result}, path)
-    plotting.simulation_figure(runs, session.lab, session.out / "curves.png")
+    measured = record(Measured, workflow.measured_json(session.lab))
+    plotting.simulation_figure(runs, measured, session.out / "curves.png")
     console = Console()
     console.print(_observables_table(session.lab, {"simulated": result}))
     for failure in result["failures"]:
@@ -177,10 +181,10 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
 
 def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     """result.json (and `--json`), history.csv, a figure, and what was found on the terminal."""
-    result = {**origin_of(session), **fit_json(done)}
+    result = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
     _write_result(session.out, result, path)
     _write_history(session.out / "history.csv", result["history"])
-    plotting.fit_figure(done, session.out / "fit.png")
+    plotting.fit_figure(record(FitRecord, result), session.out / "fit.png")
     console = Console()
     groups = {
         **{f"set '{name}'": group for name, group in result["named_sets"].items()},
@@ -208,13 +212,18 @@ def run_audit(
     seeds = range(100 * seed, 100 * seed + packings)
     work = session.campaign(session.out, None)
     found = audit(audited, work, seeds, strategies)
-    spheres = {"spheres": session.preset.spheres, "seeds": list(seeds)}
-    result = {**origin_of(session), **spheres, **audit_json(found)}
+    settings = {
+        "spheres": session.preset.spheres,
+        "seeds": list(seeds),
+        "parameters": workflow.soil_json(base),
+    }
+    result = {**origin_of(session), **settings, **audit_json(found)}
     write_json(session.out / "audit.json", result)
     if path is not None:
         write_json(path, result)
-    plotting.audit_figure(found, session.out / "audit.png")
-    plotting.curve_slopes_figure(found, session.out / "audit_curves.png")
+    drawn = record(AuditRecord, result)
+    plotting.audit_figure(drawn, session.out / "audit.png")
+    plotting.curve_slopes_figure(drawn, session.out / "audit_curves.png")
     console = Console()
     for name in strategies:
         console.print(_audit_table(found, name))
@@ -264,13 +273,17 @@ def _write_result(out: Path, result: dict, path: Path | None) -> None:
 
 
 def origin_of(session: Session) -> dict:
-    """What made a result: command, soil, preset, versions."""
-    packages = ("jax", "equinox", "optimistix", "numpy")
+    """What made a result: command, soil, preset, versions, hash of the simulator's source."""
+    packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
     return {
         "command": shlex.join(["calibrate", *sys.argv[1:]]),
         "soil": session.lab.name,
         "preset": session.preset.name,
-        "versions": {name: metadata.version(name) for name in packages},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in packages},
+        },
+        "engine": engine_hash(),
     }
 
 
@@ -333,16 +346,3 @@ def _conclusions(done: Calibrated, result: dict) -> list[str]:
     for name in result["at_bound"]:
         lines.append(f"warning: {name} ended at its bound")
     return lines
-
-
-def _finite(value):
-    """The value with NaN and infinities replaced by None."""
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, np.integer | np.bool_):
-        return value.item()
-    return value

@@ -7,7 +7,7 @@ command line only reads options and writes files.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -78,21 +78,26 @@ def simulation_json(runs: Sequence[Run]) -> dict:
     """Means and scatter over packings, the first packing's curves, quality and speed."""
     seconds = sum(run.quality["runtime_s"] for run in runs)
     work = sum(run.quality["steps"] * run.quality["spheres"] for run in runs)
-    quality = {
-        name: float(np.max([run.quality[name] for run in runs]))
-        for name in runs[0].quality
-        if name not in ("runtime_s", "steps", "overflow")
-    }
     return {
         "observables": mean_observables(runs),
         "spread": spread_observables(runs),
         "curves": curves_json(runs[0]),
         "packings": [{**run.observables(), "failure": run.failure} for run in runs],
-        "quality": {**quality, "overflow": any(run.quality["overflow"] > 0 for run in runs)},
+        "quality": quality_json(runs),
         "failures": [run.failure for run in runs if run.failure],
         "runtime_s": seconds,
         "particle_steps_per_s": work / seconds,
     }
+
+
+def quality_json(runs: Sequence[Run]) -> dict:
+    """The worst of each check over packings, and whether any list stayed too small."""
+    worst = {
+        name: float(np.max([run.quality[name] for run in runs]))
+        for name in runs[0].quality
+        if name not in ("runtime_s", "steps", "overflow")
+    }
+    return {**worst, "overflow": any(run.quality["overflow"] > 0 for run in runs)}
 
 
 def rates_json(work: Campaign) -> dict:
@@ -113,6 +118,44 @@ def curves_json(run: Run) -> dict:
     return {
         name: {"displacement_mm": curve[:, 0].tolist(), "force_n": curve[:, 1].tolist()}
         for name, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+    }
+
+
+DRAWN = 300  # points of a curve in a fit's result; all of them are in the campaign's cache
+
+
+def drawn(displacement_mm: np.ndarray, force_n: np.ndarray) -> dict[str, list[float]]:
+    """At most `DRAWN` points of a curve, first and last among them, to six digits."""
+    count = len(force_n)
+    rows = np.unique(np.linspace(0, count - 1, min(count, DRAWN)).round().astype(int))
+    columns = {"displacement_mm": displacement_mm[rows], "force_n": force_n[rows]}
+    return {name: [float(f"{x:.6g}") for x in column] for name, column in columns.items()}
+
+
+def packing_json(seed: int, run: Run) -> dict:
+    """One simulated specimen with its curves as drawn."""
+    curves = {"confined": run.confined, "unconfined": run.unconfined}
+    return {
+        "seed": seed,
+        **run.observables(),
+        "failure": run.failure,
+        "curves": {name: drawn(*curve.T) for name, curve in curves.items()},
+    }
+
+
+def measured_json(lab: Lab) -> dict:
+    """What the laboratory measured: targets with their scatter, curves as drawn."""
+    return {
+        "targets": {name: asdict(target) for name, target in lab.targets.items()},
+        "curves": [
+            {
+                "test": curve.test,
+                "file": curve.file,
+                **drawn(curve.displacement_mm, curve.force_n),
+            }
+            for curve in lab.curves
+        ],
+        "depth_between_n": [lab.confined.force_low, lab.confined.force_high],
     }
 
 
@@ -146,6 +189,8 @@ class Calibrated:
     simulations: int
     named: dict[str, dict]
     strategy: str
+    seeds: Seeds
+    rates: dict
 
 
 def calibrate(
@@ -190,6 +235,8 @@ def calibrate(
         simulations=work.simulated,
         named=named,
         strategy=calibration.strategy.describe(),
+        seeds=seeds,
+        rates=rates_json(work),
     )
 
 
@@ -232,6 +279,15 @@ def fit_json(done: Calibrated) -> dict:
             "spread": spread_observables(done.fresh_runs),
         },
         "targets": {name: target.mean for name, target in done.lab.targets.items()},
+        "measured": measured_json(done.lab),
+        "seeds": list(done.seeds.fitted),
+        "fresh_seeds": list(done.seeds.fresh),
+        "packings": {
+            "fitted": _packings_json(done.seeds.fitted, done.fitted_runs),
+            "fresh": _packings_json(done.seeds.fresh, done.fresh_runs),
+        },
+        "quality": quality_json(done.fitted_runs),
+        "rates": done.rates,
         "features": {
             name: {"measured": float(m), "simulated": float(s), "sd": float(sd)}
             for name, m, s, sd in zip(
@@ -255,6 +311,10 @@ def fit_json(done: Calibrated) -> dict:
         "named_sets": done.named,
         "at_bound": done.space.at_bound(best.values),
     }
+
+
+def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
+    return [packing_json(seed, run) for seed, run in zip(seeds, runs, strict=True)]
 
 
 def _named_sets(lab: Lab, base: SoilParameters, seeds, work: Campaign) -> dict[str, dict]:

@@ -32,6 +32,7 @@ from calibrate.doe.selection import select_backward
 from calibrate.doe.surface import Surface, fit_surface
 from calibrate.doe.terms import cubic, quadratic
 from calibrate.errors import CalibrationError
+from calibrate.labfile import PARAMETER_UNITS
 from calibrate.measurements import Target
 from calibrate.parameters import Space, probing_steps, with_values
 from jdem.soil import SoilParameters
@@ -102,7 +103,8 @@ class Bench:
         value = held.get(name, float(getattr(self.space.base, name)))
         room = min(np.log(bounds.high / value), np.log(value / bounds.low)) / _STAR
         half = min(reach, max(float(room), _LEAST))
-        return Factor(name, value * np.exp(-half), value * np.exp(half), log=True)
+        low, high = value * np.exp(-half), value * np.exp(half)
+        return Factor(name, low, high, PARAMETER_UNITS[name], log=True)
 
     def run(self, title: str, design: Design, held: dict[str, float]) -> Experiment:
         """Every point on every packing; a failed run ends the study with its reason."""

@@ -1,19 +1,12 @@
 """Every figure that this package draws; the only place, with reports, that knows matplotlib.
 
-One file for each kind of work, such as `fit` (simulations, calibrations, audits, contacts), `doe`
-(designed experiments) and `bed` (a look inside); all share `style`.
+`panels` fills one axis from a record; `fit`, `audit`, `study` and `doe` lay panels out in a file;
+`bed` looks inside a specimen; all share `style`.
 """
 
-from calibrate.plotting.fit import (
-    MARKS,
-    RATIOS,
-    UNITS,
-    audit_figure,
-    contact_figure,
-    curve_slopes_figure,
-    fit_figure,
-    simulation_figure,
-)
+from calibrate.plotting.audit import MARKS, UNITS, audit_figure, curve_slopes_figure
+from calibrate.plotting.fit import contact_figure, fit_figure, simulation_figure
+from calibrate.plotting.panels import RATIOS
 from calibrate.plotting.style import DARK, LIGHT, MIDDLE
 
 __all__ = [

@@ -3,18 +3,14 @@
 Each returns one drawing as SVG text, sized for a column that a phone can show.
 """
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from calibrate.plotting.style import DARK, LIGHT, MIDDLE
-
-SIZE = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE, PANEL, svg
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +32,7 @@ class Agreement:
 
 def agreement_svg(picture: Agreement) -> str:
     """Points with their reach and the line on which both are equal."""
-    figure, axis = plt.subplots(figsize=SIZE, layout="constrained")
+    figure, axis = plt.subplots(figsize=PANEL, layout="constrained")
     both = np.concatenate([picture.x, picture.y, picture.repeats.ravel()])
     room = 0.05 * np.ptp(both)
     ends = [both.min() - room, both.max() + room]
@@ -60,14 +56,14 @@ def agreement_svg(picture: Agreement) -> str:
     axis.xaxis.set_major_locator(MaxNLocator(6))
     axis.yaxis.set_major_locator(MaxNLocator(6))
     axis.legend(frameon=False, loc="upper left")
-    return _svg(figure)
+    return svg(figure)
 
 
 def bars_svg(
     names: Sequence[str], series: Mapping[str, np.ndarray], xlabel: str, line: float | None = None
 ) -> str:
     """Horizontal bars: for each name one of each series (at most two); `line` is a threshold."""
-    figure, axis = plt.subplots(figsize=SIZE, layout="constrained")
+    figure, axis = plt.subplots(figsize=PANEL, layout="constrained")
     rows = np.arange(len(names))[::-1]
     styles = ((0.2, DARK, ""), (-0.2, LIGHT, "////"))
     for (label, values), (shift, colour, hatch) in zip(series.items(), styles, strict=False):
@@ -81,13 +77,4 @@ def bars_svg(
     axis.spines[["top", "right"]].set_visible(False)
     axis.set_xlabel(xlabel)
     figure.legend(frameon=False, loc="outside upper center", ncols=len(series))
-    return _svg(figure)
-
-
-def _svg(figure: Figure) -> str:
-    """The drawing as text, the same bytes every time; the figure is closed."""
-    text = io.StringIO()
-    with plt.rc_context({"svg.hashsalt": "calibrate"}):
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    plt.close(figure)
-    return text.getvalue()
+    return svg(figure)

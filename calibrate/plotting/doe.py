@@ -58,7 +58,7 @@ def pareto(axis: Axes, found: Screening, response: str) -> None:
     axis.barh(0, 0, color=DARK, label="raises the response")
     axis.barh(0, 0, color=MIDDLE, label="lowers it")
     axis.set_yticks(range(len(effects)), [_pretty(effect.name) for effect in effects])
-    axis.set(xlabel=f"|effect| on {response}", title="Pareto chart (share of the total variation)")
+    axis.set(xlabel=f"|effect| on {response}", title="Pareto chart, share of variation")
     axis.legend(fontsize=7, loc="lower right")
 
 
@@ -172,6 +172,7 @@ def contour(axis: Axes, view: View) -> None:
     """Contours over two factors; dots are points of the design, the others at any level."""
     across, up, height = view.grid()
     filled = axis.contourf(across, up, height, 14, cmap=MAP, alpha=0.75)
+    filled.set_rasterized(True)
     lines = axis.contour(across, up, height, filled.levels, colors="black", linewidths=0.5)
     axis.clabel(lines, fontsize=7)
     axis.plot(*view.points(), "o", mfc="white", mec="black", ms=4, clip_on=False)
@@ -184,7 +185,8 @@ def contour(axis: Axes, view: View) -> None:
 def relief(axis: Any, view: View) -> None:
     """The surface in three dimensions, on an axis with `projection="3d"`."""
     across, up, height = view.grid()
-    axis.plot_surface(across, up, height, cmap=MAP, rstride=2, cstride=2, lw=0.1, edgecolor="0.2")
+    thin = {"rstride": 2, "cstride": 2, "lw": 0.1, "edgecolor": "0.2", "rasterized": True}
+    axis.plot_surface(across, up, height, cmap=MAP, **thin)
     axis.view_init(elev=26, azim=-128)
     view.label(axis)
     axis.set_zlabel(view.response)

@@ -1,16 +1,13 @@
-"""Figures of a study by designed experiments beside gradients."""
+"""Panels of a study by designed experiments beside gradients: each function fills one axis."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from calibrate.doe.comparison import Comparison, Ending, SlopePair
-from calibrate.doe.study import OBSERVABLES
-from calibrate.measurements import Target
-from calibrate.plotting.style import DARK, LIGHT, MIDDLE, save
+from calibrate.doe.comparison import Ending, SlopePair
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE, above, pretty
+from calibrate.records.base import Target
 
 LABELS = {
     "depression_depth_mm": "depression depth (mm)",
@@ -20,73 +17,55 @@ NAMED = 0.15  # of the largest slope: smaller ones lie too close together to be 
 MARKERS = {"screening": "s", "depth": "D", "force": "o"}
 
 
-def slopes_figure(found: Comparison, path: Path) -> None:
-    """Slopes of surfaces against gradients with 95 % intervals, one panel a response."""
-    figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-    for axis, observable in zip(axes, OBSERVABLES, strict=True):
-        _slopes(axis, [pair for pair in found.slopes if pair.observable == observable])
-        axis.set(
-            xlabel=f"gradient: d {LABELS[observable]} / d ln p",
-            ylabel="slope of the design's surface",
-        )
-    save(figure, path)
+def slopes(axis: Axes, pairs: Sequence[SlopePair], label: str) -> None:
+    """Slopes of surfaces against gradients with 95 % intervals; `label` names the response.
 
-
-def _slopes(axis: Axes, pairs: Sequence[SlopePair]) -> None:
-    designs, named = set(), set()
+    Filled: matters at 5 %.  Where the joint intervals disagree a point is orange and crossed.
+    """
+    drawn, named = set(), set()
     largest = max(abs(pair.gradient) for pair in pairs)
     for pair in pairs:
-        first = pair.design not in designs
-        designs.add(pair.design)
         axis.errorbar(
             pair.gradient,
             pair.surface,
             xerr=1.96 * pair.gradient_se,
             yerr=1.96 * pair.surface_se,
-            fmt=MARKERS[pair.design],
+            fmt=MARKERS.get(pair.design, "o"),
             color=DARK if pair.agree else MIDDLE,
-            mfc="white" if not pair.matters else None,
+            mfc=None if pair.matters else "white",
             lw=0.8,
-            label=pair.design if first else None,
+            label=None if pair.design in drawn else pair.design,
         )
+        drawn.add(pair.design)
+        if not pair.agree:
+            axis.plot(pair.gradient, pair.surface, "x", color="black", ms=9)
         if pair.factor not in named and abs(pair.gradient) > NAMED * largest:
             named.add(pair.factor)
-            words = pair.factor.replace("_", " ")
-            axis.annotate(
-                words, (pair.gradient, pair.surface), (5, 4), textcoords="offset points", fontsize=8
-            )
+            at = (pair.gradient, pair.surface)
+            axis.annotate(pretty(pair.factor), at, (5, 4), textcoords="offset points", fontsize=8)
     low, high = axis.get_xlim()
     axis.plot([low, high], [low, high], color="0.5", lw=0.8, zorder=0)
     axis.axhline(0, color="0.85", lw=0.6, zorder=0)
     axis.axvline(0, color="0.85", lw=0.6, zorder=0)
-    axis.set_title("filled: matters at 5 %; orange: 95 % intervals disagree", fontsize=9)
+    axis.set(xlabel=f"gradient: d {label} / d ln p", ylabel="slope of the design's surface")
     axis.legend(frameon=False, fontsize=8)
 
 
-def endings_figure(endings: Sequence[Ending], targets: dict[str, Target], path: Path) -> None:
-    """Both responses at each method's end, packing by packing, with the targets' scatter."""
-    figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
-    for m, (axis, observable) in enumerate(zip(axes, OBSERVABLES, strict=True)):
-        wanted = targets[observable]
-        low, high = wanted.mean - wanted.scatter, wanted.mean + wanted.scatter
-        axis.axhspan(low, high, color=LIGHT, alpha=0.5, lw=0, label="measured ± scatter")
-        for place, ending in enumerate(endings):
-            for shift, values, colour, mark, label in (
-                (-0.1, ending.fitted[:, m], DARK, "o", "packings of the fit"),
-                (0.1, ending.fresh[:, m], MIDDLE, "D", "fresh packings"),
-            ):
-                first = label if place == 0 else None
-                axis.plot(np.full(len(values), place + shift), values, mark, color=colour, ms=5)
-                axis.hlines(
-                    np.nanmean(values),
-                    place + shift - 0.07,
-                    place + shift + 0.07,
-                    colour,
-                    lw=2,
-                    label=first,
-                )
-        axis.set_xticks(range(len(endings)), [ending.method for ending in endings])
-        axis.set_xlim(-0.5, len(endings) - 0.5)
-        axis.set_ylabel(LABELS[observable])
-    axes[0].legend(frameon=False, fontsize=8)
-    save(figure, path)
+def endings(axis: Axes, found: Sequence[Ending], target: Target, column: int, label: str) -> None:
+    """One response (`column` of the endings) at each method's end, packing by packing."""
+    reach = (target.mean - target.scatter, target.mean + target.scatter)
+    axis.axhspan(*reach, color=LIGHT, alpha=0.5, lw=0, label="measured ± scatter")
+    for place, ending in enumerate(found):
+        for shift, values, colour, mark, name in (
+            (-0.1, ending.fitted[:, column], DARK, "o", "packings of the fit"),
+            (0.1, ending.fresh[:, column], MIDDLE, "D", "fresh packings"),
+        ):
+            first = name if place == 0 else None
+            at = np.full(len(values), place + shift)
+            axis.plot(at, values, mark, color=colour, ms=5, label=first)
+            ends = (place + shift - 0.07, place + shift + 0.07)
+            axis.hlines(np.nanmean(values), *ends, colour, lw=2)
+    axis.set_xticks(range(len(found)), [ending.method for ending in found])
+    axis.set_xlim(-0.5, len(found) - 0.5)
+    axis.set_ylabel(label)
+    above(axis)

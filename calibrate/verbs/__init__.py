@@ -5,9 +5,9 @@ Each file has `register(app)`, which adds its command to the program in `calibra
 
 import typer
 
-from calibrate.verbs import convert, export, view
+from calibrate.verbs import convert, export, report, view
 
-VERBS = (convert, export, view)
+VERBS = (convert, export, report, view)
 
 
 def register(app: typer.Typer) -> None:

@@ -1,0 +1,410 @@
+"""`calibrate report`: pages from folders alone, hostile text, broken files, a real browser.
+
+Results are those of a soil of formulas; what a page shows is held against the result's JSON.
+"""
+
+import html
+import json
+import random
+import re
+import shutil
+import sys
+from collections import Counter
+from dataclasses import replace
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from formulas import BASE, LAB, Formulas
+
+from calibrate import cli, output, workflow
+from calibrate.audit import audit, audit_json
+from calibrate.designed import design
+from calibrate.errors import InputError
+from calibrate.measurements import Curve, Target
+from calibrate.output import Session, origin_of
+from calibrate.parameters import FACTORS, space
+from calibrate.presets import PRESETS
+from calibrate.progress import Silent
+from calibrate.report import kinds, study
+from calibrate.workflow import calibrate as fit
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import browser
+
+HOSTILE = (
+    "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"
+    ' $\\frac$ & "q"'
+)
+TARGETS = {
+    "depression_depth_mm": Target(2.5, 0.1, 4),
+    "crushing_force_n": Target(185.0, 8.0, 4),
+}
+QUALITY = {"inertial_number": 9e-4, "overflow": 0.0, "steps": 1e4, "spheres": 150, "runtime_s": 9}
+MEASURED = Curve("confined", np.linspace(0, 5, 9), np.linspace(0, 410, 9), "a <b>.csv")
+PRESET = PRESETS["quick"]
+
+
+class Soil(Formulas):
+    """Formulas with the checks that a simulation comes with."""
+
+    def _run(self, soil, seed):
+        return replace(super()._run(soil, seed), quality=QUALITY)
+
+
+def session(folder: Path, **changes) -> Session:
+    return Session(replace(LAB, targets=TARGETS, **changes), PRESET, folder, Silent())
+
+
+def written_fit(folder: Path, free=None, **changes) -> Path:
+    opened = session(folder, **changes)
+    output.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Soil()), None)
+    return folder
+
+
+def written_audit(folder: Path) -> Path:
+    opened, seeds = session(folder), range(4)
+    found = audit(space(LAB, (*FACTORS, "shear_modulus")), Soil(), seeds, ["ensemble"])
+    settings = {"spheres": 300, "seeds": list(seeds), "parameters": workflow.soil_json(BASE)}
+    content = {**origin_of(opened), **settings, **audit_json(found)}
+    output.write_json(folder / "audit.json", content)
+    return folder
+
+
+def written_study(folder: Path) -> Path:
+    opened = session(folder)
+    study.write(opened, design(opened.lab, PRESET, {}, 0, Soil()), None)
+    return folder
+
+
+WRITERS = {"fit": written_fit, "audit": written_audit, "doe": written_study}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    return {kind: write(tmp_path_factory.mktemp(kind)) for kind, write in WRITERS.items()}
+
+
+@pytest.fixture(scope="module")
+def pages(folders) -> dict[str, str]:
+    return {kind: page_of(folder) for kind, folder in folders.items()}
+
+
+@pytest.fixture
+def report(monkeypatch, tmp_path, capfd):
+    """Runs `calibrate report` in tmp_path; returns exit status, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["calibrate", "report", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        return status, *capfd.readouterr()
+
+    return call
+
+
+def page_of(folder: Path) -> str:
+    kind, file = kinds.find(folder)
+    return kind.page(file).html
+
+
+def text_of(page: str) -> str:
+    return html.unescape(re.sub(r"<[^>]*>", " ", page))
+
+
+# ------------------------------------------------------------------ what a page shows
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_a_page_stands_alone(pages, kind):
+    page = pages[kind]
+    for word in ("<script", "<link", "@import", "url(", 'src="http', 'href="http', "srcset"):
+        assert word not in page
+    pictures = re.findall(r"<img ([^>]*)>", page)
+    assert len(pictures) >= 7
+    for picture in pictures:
+        assert 'src="data:image/svg+xml;base64,' in picture
+        assert len(re.findall(r'alt="[^"]{20,}"', picture)) == 1
+    assert "default-src 'none'" in page
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_a_page_says_what_made_it(folders, pages, kind):
+    text = text_of(pages[kind])
+    _, file = kinds.find(folders[kind])
+    origin = json.loads(file.read_text())
+    for words in (origin["command"], origin["soil"], origin["preset"], origin["engine"]):
+        assert words in text
+    assert {"python", "differentiable-soil", "jax", "numpy"} <= set(origin["versions"])
+    assert all(f"{name} {version}" in text for name, version in origin["versions"].items())
+    assert ", ".join(map(str, origin["seeds"])) in text
+
+
+def test_a_page_is_the_same_every_time(folders, pages):
+    assert page_of(folders["fit"]) == pages["fit"]
+
+
+def test_the_page_of_a_study_is_that_of_its_command(folders, pages):
+    assert pages["doe"] == (folders["doe"] / study.PAGE).read_text(encoding="utf-8")
+
+
+def test_a_fit_shows_its_numbers(folders, pages):
+    """Fitted value and interval of every free parameter, targets, every packing in a picture."""
+    text = text_of(pages["fit"])
+    result = json.loads((folders["fit"] / "result.json").read_text())
+    modulus = result["parameters"]["shear_modulus"]
+    low, high = result["identifiability"]["interval_95"]["shear_modulus"]
+    assert f"{modulus / 1e6:.4g} MPa" in text
+    assert f"{low / 1e6:.3g} MPa to {high / 1e6:.3g} MPa" in text
+    assert f"{result['observables']['depression_depth_mm']:.4g} ± " in text
+    assert "2.5 ± 0.1 (4 repeats)" in text
+    packings = result["packings"]["fitted"] + result["packings"]["fresh"]
+    alt = re.findall(r'alt="(Simulated over measured[^"]*)"', pages["fit"])[0]
+    for packing in packings:
+        assert f"{packing['crushing_force_n'] / 185:.3g}" in alt
+
+
+def test_drawn_curves_keep_ends_and_shape(folders):
+    result = json.loads((folders["fit"] / "result.json").read_text())
+    curve = result["packings"]["fitted"][0]["curves"]["confined"]
+    assert len(curve["force_n"]) == len(curve["displacement_mm"]) <= workflow.DRAWN
+    assert curve["force_n"][0] == 0 and max(curve["force_n"]) == pytest.approx(400, rel=0.01)
+    long = workflow.drawn(np.linspace(0, 1, 5000), np.linspace(0, 3, 5000))
+    assert (len(long["force_n"]), long["force_n"][-1]) == (workflow.DRAWN, 3.0)
+
+
+def test_an_audit_shows_its_verdicts(folders, pages):
+    text = text_of(pages["audit"])
+    rows = json.loads((folders["audit"] / "audit.json").read_text())["rows"]
+    judged = [row for row in rows if row["judged"]]
+    assert 0 < len(judged) < len(rows)
+    assert text.count("● passed") == sum(row["passed"] for row in judged)
+    assert text.count("not judged") >= len(rows) - len(judged)
+
+
+def test_a_simulation_keeps_its_figure(tmp_path):
+    opened = session(tmp_path, curves=(MEASURED,))
+    runs = Soil().runs([BASE], range(3), "simulating")[0]
+    output.write_simulation(opened, workflow.simulation_json(runs), runs, None)
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "result.json").read_text())["engine"]
+
+
+# ------------------------------------------------------------------ hostile and odd contents
+
+
+def test_hostile_text_is_shown_as_text(tmp_path):
+    """In the soil's name, a named set, a curve's file, and what a result file itself claims."""
+    changes = {"name": HOSTILE, "named_sets": {HOSTILE: {}}, "curves": (MEASURED,)}
+    folder = written_fit(tmp_path, **changes)
+    result = json.loads((folder / "result.json").read_text())
+    for name in ("command", "stopped", "strategy", "preset", "engine"):
+        result[name] = HOSTILE
+    result["versions"] = {HOSTILE: HOSTILE}
+    result["features"][HOSTILE] = {"measured": 1, "simulated": 1, "sd": 1}
+    result["parameters"][HOSTILE] = 1
+    result["quality"][HOSTILE] = 1
+    result["packings"]["fresh"][0]["failure"] = HOSTILE
+    (folder / "result.json").write_text(json.dumps(result))
+    page = page_of(folder)
+    assert "<script" not in page and "<img src=http" not in page
+    assert page.count("<title>") == page.count("</title>") == 1
+    assert text_of(page).count("alert('x')") >= 12
+
+
+def test_a_failed_packing_is_named(tmp_path, folders):
+    result = json.loads((folders["fit"] / "result.json").read_text())
+    failed = result["packings"]["fresh"][1]
+    failed |= {"failure": "the bed exploded", "crushing_force_n": None, "curves": {}}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    assert f"packing {failed['seed']} failed: the bed exploded" in text_of(page_of(tmp_path))
+
+
+def test_curves_without_targets_have_a_page(tmp_path):
+    opened = session(tmp_path, curves=(MEASURED,))
+    opened = replace(opened, lab=replace(opened.lab, targets={}))
+    found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Soil())
+    output.write_fit(opened, found, None)
+    text = text_of(page_of(tmp_path))
+    assert re.search(r"\d of \d numbers read from curves lie within 2 s\.d\.", text)
+    assert "targets are met" not in text
+
+
+BROKEN = {
+    "no JSON": lambda r: "{",
+    "a list": lambda r: "[]",
+    "deep": lambda r: "[" * 100_000,
+    "another file": lambda r: json.dumps({"free": [], "history": []}),
+    "no seeds": lambda r: json.dumps({k: v for k, v in r.items() if k != "seeds"}),
+    "unknown parameter": lambda r: json.dumps({**r, "free": ["$\\bad$"]}),
+    "text for a number": lambda r: json.dumps({**r, "simulations": "many"}),
+    "number for text": lambda r: json.dumps({**r, "soil": 3}),
+    "no evaluation": lambda r: json.dumps({**r, "history": []}),
+    "no correlation": lambda r: json.dumps(
+        {**r, "identifiability": {**r["identifiability"], "correlation": []}}
+    ),
+    "an interval below zero": lambda r: json.dumps(
+        {
+            **r,
+            "identifiability": {
+                **r["identifiability"],
+                "interval_95": {key: [-1, 0] for key in r["free"]},
+            },
+        }
+    ),
+    "a target of zero": lambda r: json.dumps(
+        {
+            **r,
+            "measured": {
+                **r["measured"],
+                "targets": {"crushing_force_n": {"mean": 0, "scatter": 0, "repeats": 0}},
+            },
+        }
+    ),
+    "not UTF-8": lambda r: b"\xff\xfe\x00{",
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_result_is_refused(report, folders, tmp_path, case):
+    content = BROKEN[case](json.loads((folders["fit"] / "result.json").read_text()))
+    data = content if isinstance(content, bytes) else content.encode()
+    (tmp_path / "result.json").write_bytes(data)
+    status, out, error = report(tmp_path)
+    assert (status, out) == (2, "")
+    assert error.count("\n") == 1 and "Traceback" not in error
+    assert str(tmp_path) in error
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_broken_study_is_refused(report, folders, tmp_path):
+    """A design without its responses, and one whose points and responses differ in number."""
+    result = json.loads((folders["doe"] / "result.json").read_text())
+    for change in ({}, {"depression_depth_mm": [[1.0]], "crushing_force_n": [[1.0]]}):
+        result["designs"]["force"]["responses"] = change
+        (tmp_path / "result.json").write_text(json.dumps(result))
+        status, _, error = report(tmp_path)
+        assert (status, error.count("\n")) == (2, 1)
+        assert "designs.force" in error
+
+
+NASTY = [None, -1, 0, 1e308, -1e308, "x", "<b>", [], {}, True, 1e-320, [1, 2], {"a": 1}]
+
+
+def places(content, path=()):
+    """Paths to every entry of a JSON document, three of each list."""
+    pairs = content.items() if isinstance(content, dict) else enumerate(content[:3])
+    for key, value in pairs:
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*path, key))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["fit", "audit"])
+def test_a_damaged_result_is_shown_or_refused(folders, tmp_path, monkeypatch, kind):
+    """One entry replaced or taken away, 60 times: a page, or one sentence; no other end."""
+    found, file = kinds.find(folders[kind])
+    monkeypatch.setattr("calibrate.plotting.style.svg", drawn_only)
+    monkeypatch.setattr("calibrate.report.audit.svg", drawn_only)
+    rng, text = random.Random(kind), file.read_text()
+    every, ends = list(places(json.loads(text))), Counter()
+    for _ in range(60):
+        content = json.loads(text)
+        *path, last = rng.choice(every)
+        part = reduce(getitem, path, content)
+        if rng.random() < 0.2:
+            del part[last]
+        else:
+            part[last] = rng.choice(NASTY)
+        (tmp_path / file.name).write_text(json.dumps(content))
+        try:
+            assert kinds.page_of(found, tmp_path / file.name).html
+            ends["shown"] += 1
+        except InputError as error:
+            assert str(tmp_path) in str(error) and "\n" not in str(error)
+            ends["refused"] += 1
+    assert min(ends["shown"], ends["refused"]) > 5
+
+
+def drawn_only(figure) -> str:
+    """Lays a figure out without writing it, which takes most of the time."""
+    figure.draw_without_rendering()
+    plt.close(figure)
+    return "<svg/>"
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_the_command_writes_a_page_and_a_summary(report, folders, tmp_path):
+    status, out, error = report(folders["fit"], "--out", "here", "--json", "there/s.json")
+    assert (status, error) == (0, "")
+    page = (tmp_path / "here" / "report.html").read_text(encoding="utf-8")
+    summary = json.loads((tmp_path / "there" / "s.json").read_text())
+    assert summary["kind"] == "fit"
+    assert summary["summary"] in text_of(page) and summary["summary"] in out
+    assert not (folders["fit"] / "report.html").exists()
+
+
+def test_a_single_file_will_do(report, folders, tmp_path):
+    shutil.copy(folders["audit"] / "audit.json", tmp_path / "mine.json")
+    assert report("mine.json")[0] == 0
+    assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("place", ["nowhere", "empty"])
+def test_a_folder_without_result_is_refused(report, tmp_path, place):
+    (tmp_path / "empty").mkdir()
+    status, out, error = report(place)
+    assert (status, out, error.count("\n")) == (2, "", 1)
+    assert place in error
+
+
+def test_two_results_in_a_folder_are_asked_about(report, folders, tmp_path):
+    for kind, name in (("fit", "result.json"), ("audit", "audit.json")):
+        shutil.copy(folders[kind] / name, tmp_path / name)
+    status, _, error = report(tmp_path)
+    assert status == 2
+    assert "audit.json, result.json" in error
+
+
+# ------------------------------------------------------------------ a real browser
+
+
+@pytest.mark.skipif(browser.program() is None, reason="no Chromium is installed")
+def test_pages_in_a_browser(pages, tmp_path):
+    """No word on the console, no request, nothing wider than the screen, at both widths."""
+    for kind, text in pages.items():
+        (tmp_path / f"{kind}.html").write_text(text, encoding="utf-8")
+    found = browser.program()
+    assert found is not None
+    with browser.Browser(found) as opened:
+        for page in sorted(tmp_path.glob("*.html")):
+            for width in browser.WIDTHS:
+                seen = browser.look(opened, page, width)
+                assert seen.problems() == [], (page.name, width)
+
+
+@pytest.mark.skipif(browser.program() is None, reason="no Chromium is installed")
+def test_the_browser_check_sees_what_is_wrong(tmp_path):
+    """A page that asks, fails, speaks and is too wide does not pass."""
+    page = tmp_path / "bad.html"
+    page.write_text(
+        "<title>bad</title><p style='width:3000px'>wide</p><img src='http://127.0.0.1:9/x.png'>"
+        "<script>console.error('spoken'); nothing.there()</script>"
+    )
+    found = browser.program()
+    assert found is not None
+    with browser.Browser(found) as opened:
+        problems = "\n".join(browser.look(opened, page, 390).problems())
+    for words in ("spoken", "127.0.0.1", "wide", "broken", "wordless"):
+        assert words in problems
