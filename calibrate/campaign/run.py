@@ -1,0 +1,118 @@
+"""One finished simulation, and why it failed if it did.
+
+A failure is one sentence that names the cause: a contact list that was too small, a time step
+that was too large, a number that is not finite, a soil too soft to test, a machine that gave up.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jdem.experiments.composite import Outcome, VirtualLab
+from jdem.observables import inertial_number
+from jdem.packing import Packing
+from jdem.soil import SoilParameters
+
+QUALITY = (
+    "inertial_number",
+    "overflow",
+    "energy_balance",
+    "kinetic_energy_after_rest_j",
+    "platen_work_j",
+    "time_step_s",
+    "steps",
+    "spheres",
+    "runtime_s",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One finished simulation in the units of the observables.
+
+    Curves are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
+    or one sentence; a failed run keeps its place and its numbers.
+    """
+
+    depression_depth_mm: float
+    crushing_force_n: float
+    confined: np.ndarray
+    unconfined: np.ndarray
+    quality: dict[str, float]
+    failure: str = ""
+
+    def observables(self) -> dict[str, float]:
+        return {
+            "depression_depth_mm": self.depression_depth_mm,
+            "crushing_force_n": self.crushing_force_n,
+        }
+
+
+def not_simulated(failure: str) -> Run:
+    """The row of a run that no machine could finish: no curves, numbers that are NaN."""
+    quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
+    return Run(np.nan, np.nan, np.zeros((0, 2)), np.zeros((0, 2)), quality, failure)
+
+
+def summary(
+    lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome, seconds: float
+) -> Run:
+    """A run's numbers in mm and N, with the checks that say whether to believe them."""
+    record, tests = outcome.record, lab.tests
+    samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
+    steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
+    energy = record.state.energy
+    pressure = float(tests.confined.force_low) / (np.pi * float(packing.mould_radius) ** 2)
+    density = float(packing.bulk_density() / packing.solid_fraction())
+    rest = np.flatnonzero(np.asarray(record.samples.segment) == tests.names.index("resting"))
+    kinetic = np.asarray(record.samples.kinetic_energy)
+    quality = {
+        "inertial_number": float(
+            inertial_number(
+                tests.confined.simulated_rate,
+                packing.height,
+                packing.mean_diameter(),
+                density,
+                pressure,
+            )
+        ),
+        "overflow": float(_overflowed(lab, outcome)),
+        "energy_balance": float(abs(energy.integration) / abs(energy.platen)),
+        "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
+        "platen_work_j": float(energy.platen),
+        "time_step_s": float(lab.time_step(packing, soil)),
+        "steps": float(steps),
+        "spheres": float(packing.spheres.count),
+        "runtime_s": seconds,
+    }
+    return Run(
+        depression_depth_mm=1e3 * float(outcome.depression_depth),
+        crushing_force_n=float(outcome.crushing_force),
+        confined=_points(outcome.confined),
+        unconfined=_points(outcome.unconfined),
+        quality=quality,
+        failure=_failure(lab, outcome),
+    )
+
+
+def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
+    return bool(outcome.record.overflow_of(lab.grid))
+
+
+def _failure(lab: VirtualLab, outcome: Outcome) -> str:
+    if not bool(outcome.failed):
+        return ""
+    if _overflowed(lab, outcome):
+        return "a contact list was too small: " + outcome.record.explain_overflow(lab.grid)
+    if not bool(outcome.record.finished):
+        return "the tests took longer than their capacity of samples"
+    if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
+        return "a number is not finite: the time step is too large or a parameter is extreme"
+    force = float(lab.tests.confined.force_high)
+    return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+
+
+def _points(curve) -> np.ndarray:
+    rows = np.asarray(curve.valid) > 0
+    columns = (1e3 * np.asarray(curve.displacement), np.asarray(curve.force))
+    return np.stack(columns, axis=1)[rows].astype(float)
