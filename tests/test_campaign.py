@@ -159,6 +159,7 @@ PROCESS = """
 import sys
 from pathlib import Path
 sys.path.insert(0, "tests")
+import conftest  # double precision, without which keys differ
 from toy_place import soils, toy_campaign
 work = toy_campaign(Path(sys.argv[1]), seconds=float(sys.argv[2]))
 work.runs(soils(int(sys.argv[3])), (0, 1), "shared")
@@ -166,15 +167,26 @@ print(work.simulated)
 """
 
 
-def another_process(folder, seconds, count):
-    command = [sys.executable, "-c", PROCESS, *map(str, (folder, seconds, count))]
-    return subprocess.Popen(
-        command, cwd=Path(__file__).parents[1], stdout=subprocess.PIPE, text=True
-    )
+@pytest.fixture
+def another_process(tmp_path):
+    """Starts a process on the same cache; it does not outlive the test."""
+    started = []
+
+    def start(seconds, count):
+        command = [sys.executable, "-c", PROCESS, *map(str, (tmp_path, seconds, count))]
+        root = Path(__file__).parents[1]
+        started.append(subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
 def wait_until(condition):
-    deadline = time.monotonic() + 300  # of a busy machine
+    deadline = time.monotonic() + 600  # of a busy machine
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -190,10 +202,10 @@ def nothing_is_left(folder):
     assert not entries(folder, "*/*.part*")
 
 
-def test_two_processes_share_a_cache_and_simulate_nothing_twice(tmp_path):
+def test_two_processes_share_a_cache_and_simulate_nothing_twice(tmp_path, another_process):
     """40 runs of 50 ms: both begin together, each does some, none is done by both."""
     work = toy_campaign(tmp_path, seconds=0.05)
-    other = another_process(tmp_path, 0.05, 20)
+    other = another_process(0.05, 20)
     wait_until(lambda: work.place.noted())
     rows = work.runs(soils(20), SEEDS, "shared")
     assert other.wait() == 0
@@ -206,10 +218,10 @@ def test_two_processes_share_a_cache_and_simulate_nothing_twice(tmp_path):
     nothing_is_left(tmp_path)
 
 
-def test_what_a_killed_process_had_in_hand_is_taken_over(tmp_path):
+def test_what_a_killed_process_had_in_hand_is_taken_over(tmp_path, another_process):
     """The other process dies within two runs that it has claimed; we wait for it until then."""
     work = toy_campaign(tmp_path)
-    other = another_process(tmp_path, 600, 3)
+    other = another_process(600, 3)
     wait_until(lambda: len(work.place.noted()) == 2)
     lines = io.StringIO()
     work.progress = PlainLines(stream=lines)

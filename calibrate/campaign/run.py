@@ -6,6 +6,7 @@ that was too large, a number that is not finite, a soil too soft to test, a mach
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 
 from jdem.experiments.composite import Outcome, VirtualLab
@@ -13,6 +14,7 @@ from jdem.observables import inertial_number
 from jdem.packing import Packing
 from jdem.soil import SoilParameters
 
+UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
 QUALITY = (
     "inertial_number",
     "overflow",
@@ -91,7 +93,7 @@ def summary(
         confined=_points(outcome.confined),
         unconfined=_points(outcome.unconfined),
         quality=quality,
-        failure=_failure(lab, outcome),
+        failure=_failure(lab, packing, soil, outcome),
     )
 
 
@@ -99,17 +101,51 @@ def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
     return bool(outcome.record.overflow_of(lab.grid))
 
 
-def _failure(lab: VirtualLab, outcome: Outcome) -> str:
+def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome) -> str:
+    """Why the outcome is no result; "" if it is one."""
     if not bool(outcome.failed):
         return ""
-    if _overflowed(lab, outcome):
-        return "a contact list was too small: " + outcome.record.explain_overflow(lab.grid)
+    for find in (_bad_input(packing, soil), _bad_numerics(lab, outcome), _bad_course(lab, outcome)):
+        if find:
+            return find
+    force = float(lab.tests.confined.force_high)
+    return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+
+
+def _bad_input(packing: Packing, soil: SoilParameters) -> str:
+    """What was not a number before anything was simulated."""
+    for name in SoilParameters.__dataclass_fields__:
+        if not np.all(np.isfinite(getattr(soil, name))):
+            return f"{name} of the soil is not finite"
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(packing)):
+        return "the packing holds numbers that are not finite"
+    return ""
+
+
+def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
+    """Lists that were too small, and steps that were too large."""
+    record, finds = outcome.record, []
+    if bool(record.demand.exceeds(lab.grid)):
+        finds.append("a contact list was too small: " + record.explain_overflow(lab.grid))
+    error = float(abs(record.state.energy.integration) / abs(record.state.energy.platen))
+    position = record.state.motion.position.stack()
+    if not (error < UNSTABLE and np.all(np.isfinite(position))):
+        finds.append(
+            "the time step is too large or a parameter is extreme: integration errors are "
+            f"{error:.2g} times the platen's work"
+        )
+    if _overflowed(lab, outcome) and not finds:
+        finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
+    return "; ".join(finds)
+
+
+def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
+    """Tests that did not come to their end."""
     if not bool(outcome.record.finished):
         return "the tests took longer than their capacity of samples"
     if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
-        return "a number is not finite: the time step is too large or a parameter is extreme"
-    force = float(lab.tests.confined.force_high)
-    return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+        return "a number of the result is not finite: the tests took an unforeseen course"
+    return ""
 
 
 def _points(curve) -> np.ndarray:
