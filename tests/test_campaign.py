@@ -349,7 +349,7 @@ def test_whatever_the_disk_refuses_is_one_sentence(tmp_path, monkeypatch, code):
 
 
 def test_progress_tells_the_time_left(monkeypatch):
-    clock = iter([0.0, 30.0, 60.0, 61.0, 90.0])
+    clock = iter([0.0, 0.0, 30.0, 60.0, 61.0, 90.0])
     monkeypatch.setattr("calibrate.progress.time.monotonic", lambda: next(clock))
     lines = io.StringIO()
     progress = PlainLines(stream=lines)
