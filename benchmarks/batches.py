@@ -24,7 +24,7 @@ from calibrate.parameters import base_soil, with_values
 from calibrate.presets import Preset, specimen, virtual_lab
 from jdem.experiments.composite import VirtualLab
 
-BATCHES = (1, 2, 4, 8)
+BATCHES = (1, 4)
 
 
 def measured(spheres: int, repeats: int) -> dict[str, float]:

@@ -79,7 +79,7 @@ def summary(
             )
         ),
         "overflow": float(_overflowed(lab, outcome)),
-        "energy_balance": float(abs(energy.integration) / abs(energy.platen)),
+        "energy_balance": _integration_error(outcome),
         "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
         "platen_work_j": float(energy.platen),
         "time_step_s": float(lab.time_step(packing, soil)),
@@ -103,7 +103,7 @@ def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
 
 def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome) -> str:
     """Why the outcome is no result; "" if it is one."""
-    if not bool(outcome.failed):
+    if not bool(outcome.failed) and _integration_error(outcome) < UNSTABLE:
         return ""
     for find in (_bad_input(packing, soil), _bad_numerics(lab, outcome), _bad_course(lab, outcome)):
         if find:
@@ -127,7 +127,7 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
     record, finds = outcome.record, []
     if bool(record.demand.exceeds(lab.grid)):
         finds.append("a contact list was too small: " + record.explain_overflow(lab.grid))
-    error = float(abs(record.state.energy.integration) / abs(record.state.energy.platen))
+    error = _integration_error(outcome)
     position = record.state.motion.position.stack()
     if not (error < UNSTABLE and np.all(np.isfinite(position))):
         finds.append(
@@ -137,6 +137,12 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
     if _overflowed(lab, outcome) and not finds:
         finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
     return "; ".join(finds)
+
+
+def _integration_error(outcome: Outcome) -> float:
+    """Of the whole programme, relative to the platen's work; far below 1 in a sound run."""
+    energy = outcome.record.state.energy
+    return float(abs(energy.integration) / abs(energy.platen))
 
 
 def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
