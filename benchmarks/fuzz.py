@@ -201,12 +201,15 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--refused", type=int, default=300, help="of each kind")
     options.add_argument("--processes", type=int, default=3, help="of each kind")
+    options.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     options.add_argument("--seed", type=int, default=1)
     chosen = options.parse_args()
     reporting.configure()
     shutil.rmtree(STRANGE, ignore_errors=True)
-    rows = {}
+    rows = reporting.earlier("fuzz", "kinds")
     for number, kind in enumerate(KINDS):
+        if kind not in chosen.kinds:
+            continue
         counts, first = fuzzed(kind, chosen.refused, chosen.seed + number)
         real = Counter(as_process(kind, case) for case in first[: chosen.processes])
         rows[kind] = {
