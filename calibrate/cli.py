@@ -30,6 +30,9 @@ PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fi
 Preparation = Annotated[
     bool, typer.Option("--prepare-with-soil", help="Settle beds with the soil under test.")
 ]
+Dask = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Simulate on this Dask cluster.")
+]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
 ]
@@ -43,13 +46,14 @@ def simulate_command(
     seed: Seed = 0,
     prepare_with_soil: Preparation = False,
     out: Out = Path("results/simulate"),
+    dask: Dask = None,
     json: Json = None,
 ) -> None:
     """Run both virtual tests on several packings: curves, observables, scatter."""
     from calibrate import output, workflow
 
     output.check_writable(json)
-    session = output.Session.open(lab, preset, out)
+    session = output.Session.open(lab, preset, out, dask)
     values = output.parse_changes(changes or [])
     work = session.campaign(out, values if prepare_with_soil else None)
     result, runs = workflow.simulate(session.lab, session.preset, values, seed, work)
@@ -67,13 +71,14 @@ def fit_command(
     seed: Seed = 0,
     prepare_with_soil: Preparation = False,
     out: Out = Path("results/fit"),
+    dask: Dask = None,
     json: Json = None,
 ) -> None:
     """Calibrate the parameters that the data can fix; say which those are."""
     from calibrate import output, workflow
 
     output.check_writable(json)
-    session = output.Session.open(lab, preset, out)
+    session = output.Session.open(lab, preset, out, dask)
     values = output.parse_changes(changes or [])
     names = output.parse_free(free)
     work = session.campaign(out, values if prepare_with_soil else None)
@@ -120,13 +125,14 @@ def audit_command(
     preset: PresetName = "quick",
     seed: Seed = 0,
     out: Out = Path("results/audit"),
+    dask: Dask = None,
     json: Json = None,
 ) -> None:
     """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
     from calibrate import output
 
     output.check_writable(json)
-    session = output.Session.open(lab, preset, out).resized(spheres)
+    session = output.Session.open(lab, preset, out, dask).resized(spheres)
     values = output.parse_changes(changes or [])
     names = output.parse_strategies(strategy or ["ensemble"])
     output.run_audit(session, names, values, packings, seed, json)
@@ -139,6 +145,7 @@ def doe_command(
     preset: PresetName = "quick",
     seed: Seed = 0,
     out: Out = Path("results/doe"),
+    dask: Dask = None,
     json: Json = None,
 ) -> None:
     """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
@@ -149,7 +156,7 @@ def doe_command(
     from calibrate.report import study as report
 
     output.check_writable(json)
-    session = output.Session.open(lab, preset, out)
+    session = output.Session.open(lab, preset, out, dask)
     values = output.parse_changes(changes or [])
     work = session.campaign(out, None)
     done = design(session.lab, session.preset, values, seed, work)
@@ -187,6 +194,8 @@ def main() -> None:
         _leave(2, f"error: {error}")
     except CalibrationError as error:
         _leave(1, f"error: {error}")
+    except OSError as error:
+        _leave(1, f"error: {one_line(str(error))}; {STOPPED}")
     except (KeyboardInterrupt, typer.Abort):
         _leave(1, STOPPED)
     except typer.exceptions.TyperException as error:

@@ -5,6 +5,7 @@ with the option's name as the field.
 """
 
 import csv
+import io
 import os
 import platform
 import shlex
@@ -21,6 +22,7 @@ from rich.table import Table
 from calibrate import plotting, workflow
 from calibrate.audit import STRATEGIES, Audit, audit, audit_json
 from calibrate.campaign import Campaign, Run, engine_hash
+from calibrate.campaign.places import HERE, AbstractPlace
 from calibrate.errors import InputError, suggestion
 from calibrate.labfile import PARAMETER_UNITS, check_parameter
 from calibrate.measurements import Lab, bundled_lab, load_lab
@@ -38,21 +40,23 @@ COMMAND_LINE = "command line"
 
 @dataclass(frozen=True)
 class Session:
-    """What a verb works with: the lab, the preset, where results go, who hears of progress."""
+    """What a verb works with: the lab, the preset, where results go, who hears of progress,
+    and where simulations run."""
 
     lab: Lab
     preset: Preset
     out: Path
     progress: AbstractProgress
+    place: AbstractPlace = HERE
 
     @staticmethod
-    def open(lab: Path | None, preset: str, out: Path) -> "Session":
+    def open(lab: Path | None, preset: str, out: Path, dask: str | None = None) -> "Session":
         if preset not in PRESETS:
             known = ", ".join(PRESETS)
             raise InputError(COMMAND_LINE, "--preset", f"no preset '{preset}'", f"give {known}")
         loaded = load_lab(bundled_lab() if lab is None else lab)
         make_folder(out)
-        return Session(loaded, PRESETS[preset], out, for_terminal())
+        return Session(loaded, PRESETS[preset], out, for_terminal(), place_of(dask))
 
     def resized(self, spheres: int) -> "Session":
         """The same session with another number of spheres in the preset."""
@@ -62,7 +66,17 @@ class Session:
         """Simulations of this session; beds settle with the soil under test if its changed
         parameters are given, with a neutral soil if not."""
         soil = None if preparation is None else with_values(base_soil(self.lab), preparation)
-        return workflow.campaign(self.lab, self.preset, out, self.progress, soil)
+        work = workflow.campaign(self.lab, self.preset, out, self.progress, soil)
+        return replace(work, place=self.place)
+
+
+def place_of(dask: str | None) -> AbstractPlace:
+    """The cluster at the address of `--dask`, or the cores of this machine."""
+    if dask is None:
+        return HERE
+    from calibrate.campaign.cluster import DaskCluster  # loads Dask, which takes a second
+
+    return DaskCluster(dask)
 
 
 def make_folder(out: Path, option: str = "--out") -> None:
@@ -152,8 +166,11 @@ def write_text(path: Path, text: str) -> None:
     """Writes a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + f".{os.getpid()}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: dict) -> None:
@@ -294,12 +311,11 @@ def _write_history(path: Path, history: list[dict]) -> None:
         | row["features"]
         for row in history
     ]
-    part = path.with_name(path.name + f".{os.getpid()}.part")
-    with part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    part.replace(path)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:

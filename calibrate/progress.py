@@ -64,11 +64,11 @@ class PlainLines(AbstractProgress):
         if now - self._last >= self._every and self._done < self._total:
             self._last = now
             left = (now - self._begun) / self._done * (self._total - self._done)
-            self.say(f"{self._what}: {self._done}/{self._total}, about {left:.0f} s left")
+            self.say(f"{self._what}: {self._done}/{self._total}, about {duration(left)} left")
 
     def finish(self) -> None:
         seconds = time.monotonic() - self._begun
-        self.say(f"{self._what}: {self._done}/{self._total} in {seconds:.0f} s")
+        self.say(f"{self._what}: {self._done}/{self._total} in {duration(seconds)}")
 
     def say(self, line: str) -> None:
         print(line, file=self._stream, flush=True)
@@ -98,6 +98,19 @@ class Bar(AbstractProgress):
 
     def say(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False)
+
+
+def duration(seconds: float) -> str:
+    """A length of time in the two units that matter: 48 s, 12 min 5 s, 3 h 20 min, 2 d 4 h."""
+    whole = round(seconds)
+    minutes, hours, days = whole // 60, whole // 3600, whole // 86400
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{minutes} min {whole % 60} s"
+    if whole < 86400:
+        return f"{hours} h {minutes % 60} min"
+    return f"{days} d {hours % 24} h"
 
 
 def for_terminal() -> AbstractProgress:

@@ -22,9 +22,14 @@ PANEL = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Writes the figure and forgets it."""
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    """Writes the figure whole or not at all, and forgets it."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+        plt.close(figure)
 
 
 def panel_svg(
