@@ -8,7 +8,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test lint clean help
+.PHONY: calibrate test lint notebooks clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
 	$(BIN)/calibrate fit --preset quick --out results/calibrate
@@ -20,6 +20,9 @@ lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+notebooks: $(STAMP)  ## run all notebooks in place, top to bottom
+	$(BIN)/python notebooks/execute.py
 
 clean:  ## remove the environment, caches and build products; results/ stays
 	rm -rf $(VENV) build dist *.egg-info .jax_cache .pytest_cache .ruff_cache .hypothesis

@@ -4,6 +4,7 @@ Executed in place, all or those named.  Timings, and all metadata that differ fr
 to machine, are left out, so that equal results are equal files.
 """
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -28,6 +29,7 @@ def notebooks() -> list[Path]:
 def executed(path: Path, folder: Path) -> NotebookNode:
     """The notebook at `path` run in `folder` with a kernel of this Python; raises
     `CellExecutionError` where a cell fails."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's alarm about slow compiling
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(
         notebook,
