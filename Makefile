@@ -8,7 +8,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test lint docs clean help
+.PHONY: calibrate test lint docs notebooks clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
 	$(BIN)/calibrate fit --preset quick --out results/calibrate
@@ -23,6 +23,9 @@ lint: $(STAMP)  ## style, format and types
 
 docs: $(STAMP)  ## reference of all modules from their docstrings, in build/docs/index.html
 	$(BIN)/pdoc --docformat markdown --output-directory build/docs jdem calibrate
+
+notebooks: $(STAMP)  ## run all notebooks in place, top to bottom
+	$(BIN)/python notebooks/execute.py
 
 clean:  ## remove the environment, caches and build products; results/ stays
 	rm -rf $(VENV) build dist *.egg-info .jax_cache .pytest_cache .ruff_cache .hypothesis

@@ -4,7 +4,6 @@ Exit status 0 done, 2 the input is wrong (one line on standard error that names 
 field and repair), 1 anything else.
 """
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -214,13 +213,9 @@ def _leave(status: int, line: str) -> NoReturn:
 
 
 def _configure_jax() -> None:
-    """Double precision, and a compilation cache so that the second start is quick."""
-    import jax
+    from calibrate import runtime
 
-    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "differentiable-soil"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    runtime.configure()
 
 
 if __name__ == "__main__":
