@@ -39,6 +39,8 @@ REFERENCE = 0.5  # share of the largest force whose displacement on loading is z
 SEATING = 0.02  # share of the crushing force at which displacement starts to count
 WINDOW = 0.04  # half-width of the averaging window, share of the displacement at the peak
 NEAR_PEAK = 0.95  # share of the peak above which the peak's place is averaged
+CONTACT = 0.012  # share of the range of forces at which the platen surely touches
+FEWEST_BEFORE = 3  # readings before contact that make a mean
 TEST_OF_TARGET = {"depression_depth_mm": CONFINED, "crushing_force_n": UNCONFINED}
 
 Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]  # test -> displacement (mm), force (N)
@@ -49,7 +51,7 @@ class Feature:
     """One number of a specimen: where it is read and in which unit it is.
 
     kind is "loading", "unloading" (abscissa in N), "crushing" (abscissa in mm), "largest
-    force", "travel at the top", "peak force", "peak displacement" or "target".  `scale` is
+    force", "travel at the top", "peak force", "peak displacement", "before contact" or "target".  `scale` is
     the force (N; confined) or displacement (mm; unconfined) that all abscissae are shares of;
     `force` is the seating force (N; unconfined); `position` runs from 0 to 1 along the test.
     """
@@ -113,6 +115,26 @@ def declare_targets(names: Sequence[str]) -> tuple[Feature, ...]:
         Feature(name, TEST_OF_TARGET[name], "target", "target", 0.0, _unit_of(name), 0.5)
         for name in names
     )
+
+
+def declare_before_contact() -> tuple[Feature, ...]:
+    """The force (N) that a machine shows before its platen touches, in both tests."""
+    return tuple(
+        Feature(f"force before contact, {test}", test, "before contact", "before contact",
+                0.0, "N", 0.0)
+        for test in TESTS
+    )  # fmt: skip
+
+
+def force_before_contact(force: np.ndarray) -> float:
+    """Mean of the readings (N) before contact, NaN if there are fewer than `FEWEST_BEFORE`.
+
+    Contact is where force leaves its first readings' median by more than CONTACT of its
+    range, two readings earlier to be safe.
+    """
+    away = force - np.median(force[:FEWEST_BEFORE])
+    contact = int(np.argmax(away > CONTACT * away.max())) - 2
+    return float(force[:contact].mean()) if contact >= FEWEST_BEFORE else np.nan
 
 
 def vector(

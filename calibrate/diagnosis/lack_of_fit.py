@@ -41,11 +41,12 @@ class Table:
 class NullTable:
     """Simulated statistics without any gap (`before`) and after the best effect where one is
     true (`after`); inflation: mean square of the scores without any gap (1 for a known
-    covariance)."""
+    covariance); plan: specimens and features that it was simulated for."""
 
     before: Table
     after: Table
     inflation: float
+    plan: tuple[int, ...]
 
 
 def table(draws: np.ndarray) -> Table:
@@ -93,7 +94,10 @@ def simulate(world: World, seed: int, draws: int = DRAWS) -> NullTable:
             best = int(np.argmax(admissible(z, d.one_sided)))
             after.append(statistics_after(design, [best], d.one_sided, kernel))
     return NullTable(
-        table(np.array(before)), table(np.array(after or before)), float(np.mean(squares))
+        table(np.array(before)),
+        table(np.array(after or before)),
+        float(np.mean(squares)),
+        world.plan.shape,
     )
 
 
