@@ -74,9 +74,10 @@ class Diagnosis:
 
 
 def described(
-    lab: Lab, ready: Ready, seed: int, discrepancy: Discrepancy | None = None
+    lab: Lab, ready: Ready, seed: int, discrepancy: Discrepancy | None = None, baseline: bool = True
 ) -> tuple[LabCurves, Linearised, Measured]:
-    """What was measured, and the simulator about the best base fit to it."""
+    """What was measured, and the simulator about the best base fit to it; baseline: with the
+    forces before contact."""
     found = read(lab, ready.bank)
     soil = base_soil(lab)
     names = ready.bank.design.soil_names
@@ -88,7 +89,7 @@ def described(
     scatter = min(scatter, LARGEST_DENSITY_SD)
     d = describe(ready, point, found.measured.mean, found.chosen, scatter, discrepancy)
     d = with_instruments(d, found, ready.bank, seed)
-    d, measured = with_baseline(d, found)
+    d, measured = with_baseline(d, found) if baseline else (d, found.measured)
     return found, d, measured
 
 

@@ -138,7 +138,7 @@ def describe(
     d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point)
     for _ in range(2):  # scatter depends on the fit, the fit on scatter
         few = d.only_features(chosen)
-        covariance = _first_covariance(few)
+        covariance = first_covariance(few)
         fit = refit(few, measured, covariance)
         d = _local(ready, d, fit.delta, density_sd, point)
     return d.only_features(chosen)
@@ -149,9 +149,7 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
     bank, emulator = ready.bank, ready.at(point)
     names, prior = bank.design.base_names, point.prior_sd
     if discrepancy is not None:
-        emulator = replace(
-            emulator, shift=discrepancy.mean, directions=discrepancy.directions
-        )
+        emulator = replace(emulator, shift=discrepancy.mean, directions=discrepancy.directions)
         extra = discrepancy.directions.shape[1]
         names = (*names, *(f"mismatch {i + 1}" for i in range(extra)))
         prior = np.concatenate([prior, np.ones(extra)])
@@ -195,7 +193,7 @@ def _scatter(d: Linearised, base, effects, density_sd: float, typical) -> np.nda
     return MOISTURE_SD**2 * np.outer(moisture, moisture) + np.outer(density, density)
 
 
-def _first_covariance(d: Linearised) -> np.ndarray:
+def first_covariance(d: Linearised) -> np.ndarray:
     """A covariance good enough for a first fit: that of one simulated specimen, shrunk."""
     residuals = d.packing_residuals
     raw = residuals.T @ residuals / len(residuals) + d.extra

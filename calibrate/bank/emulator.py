@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 import numpy as np
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
-COMPONENTS = 16
-MOST_ROWS = 720  # from which hyperparameters are estimated
-ITERATIONS = 80
+COMPONENTS = 14
+MOST_ROWS = 600  # from which hyperparameters are estimated
+ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 JITTER = 1e-6
 
@@ -52,29 +52,32 @@ class Kernel(NamedTuple):
         )  # fmt: skip
 
 
-def covariance(kernel: Kernel, x, s, x2, s2):
-    """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l)."""
-    square = jnp.exp(jnp.stack([2 * kernel.effect, 2 * kernel.interaction, 2 * kernel.bent]))
+def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
+    """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l); xp: numpy or its
+    traceable twin."""
+    effect, mixed, bent = (
+        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent)
+    )
     scaled, scaled2 = (
-        jnp.hstack([a / jnp.exp(kernel.length), b / jnp.exp(kernel.reach)])
+        xp.hstack([a / xp.exp(kernel.length), b / xp.exp(kernel.reach)])
         for a, b in ((x, s), (x2, s2))
     )
     distance = (scaled**2).sum(1)[:, None] + (scaled2**2).sum(1) - 2 * scaled @ scaled2.T
-    straight = 1.0 + (x * jnp.exp(2 * kernel.linear)) @ x2.T
-    curved = jnp.exp(2 * kernel.curved - 0.5 * jnp.maximum(distance, 0.0))
-    mixed = ((s * square[1]) @ s2.T) * (x @ x2.T) / x.shape[1]
-    return straight + curved + (s * square[0]) @ s2.T + mixed + (s**2 * square[2]) @ (s2**2).T
+    straight = 1.0 + (x * xp.exp(2 * kernel.linear)) @ x2.T
+    curved = xp.exp(2 * kernel.curved - 0.5 * xp.maximum(distance, 0.0))
+    together = ((s * mixed) @ s2.T) * (x @ x2.T) / x.shape[1]
+    return straight + curved + (s * effect) @ s2.T + together + (s**2 * bent) @ (s2**2).T
 
 
-def _total(kernel: Kernel, x, s, same):
-    noise = (jnp.exp(2 * kernel.rest) + JITTER) * jnp.eye(len(x))
-    return covariance(kernel, x, s, x, s) + jnp.exp(2 * kernel.packing) * same + noise
+def _total(kernel: Kernel, x, s, same, xp=np):
+    noise = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(x))
+    return covariance(kernel, x, s, x, s, xp) + xp.exp(2 * kernel.packing) * same + noise
 
 
 @jax.jit
 def _loss(kernel: Kernel, start: Kernel, x, s, same, y):
     """Minus the log marginal likelihood, with a weak pull to the start."""
-    lower = jnp.linalg.cholesky(_total(kernel, x, s, same))
+    lower = jnp.linalg.cholesky(_total(kernel, x, s, same, jnp))
     white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
     pull = sum(jnp.sum((a - b) ** 2) for a, b in zip(kernel, start, strict=True))
     return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull / PULL_SD**2
@@ -179,7 +182,7 @@ def fit_emulator(
         known = None if kernels is None else kernels[c]
         kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
         parts.append(_component(kernel, x, s, packing, y))
-    fitted = [np.asarray(covariance(c.kernel, x, s, x, s)) @ c.weights for c in parts]
+    fitted = [covariance(c.kernel, x, s, x, s) @ c.weights for c in parts]
     loadings = axes * spread
     residuals = warped - mean - np.array(fitted).T @ (loadings * deviation[:, None])
     return FeatureEmulator(x, s, scale, mean, loadings, deviation, tuple(parts), residuals)
@@ -187,7 +190,7 @@ def fit_emulator(
 
 def _component(kernel: Kernel, x, s, packing, y) -> Component:
     same = (packing[:, None] == packing).astype(float)
-    lower = np.linalg.cholesky(np.asarray(_total(kernel, x, s, same)))
+    lower = np.linalg.cholesky(_total(kernel, x, s, same))
     return Component(kernel, cho_solve((lower, True), y), lower)
 
 
@@ -212,9 +215,10 @@ def _point(c: Component, x, s, at, strength):
 
 def _variance(c: Component, x, s, at, strength) -> float:
     point = (at[None], strength[None])
-    cross = np.asarray(covariance(c.kernel, *point, x, s))[0]
+    cross = covariance(c.kernel, *point, x, s)[0]
     own = float(covariance(c.kernel, *point, *point)[0, 0])
-    return max(own - cross @ cho_solve((c.lower, True), cross), 0.0)
+    white = solve_triangular(c.lower, cross, lower=True)
+    return max(own - white @ white, 0.0)
 
 
 def _slope_variance(c: Component, x, s, at) -> np.ndarray:
@@ -225,4 +229,4 @@ def _slope_variance(c: Component, x, s, at) -> np.ndarray:
     curved = np.exp(2 * k.curved - 0.5 * distance)
     cross = s * (effect + mixed * (x @ at / p)[:, None] + curved[:, None] * weak)
     own = effect + mixed * (at @ at) / p + np.exp(2 * k.curved) * weak
-    return np.maximum(own - (cross * cho_solve((c.lower, True), cross)).sum(0), 0.0)
+    return np.maximum(own - (solve_triangular(c.lower, cross, lower=True) ** 2).sum(0), 0.0)

@@ -101,6 +101,13 @@ def run_design(
     return _all(one, len(base), progress, workers or cores())
 
 
+def reference_run(design: Design, simulator: Simulator) -> Run:
+    """The centre's soil on the first packing, without effects."""
+    soil = with_values(base_soil(simulator.lab), dict(design.centre))
+    none = [0.0] * len(simulator.effects)
+    return simulator.run(soil, (0.0, 0.0), none, design.spheres, 1000 * design.seed)
+
+
 def _all(one, count: int, progress: AbstractProgress, workers: int) -> list[Run]:
     runs: dict[int, Run] = {}
     progress.start("simulating the bank", count)

@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,11 @@ def save(bank: Bank, path: Path) -> None:
     packed = {name: {"zlib": True, "complevel": 6} for name in data}
     dataset.to_netcdf(part, engine=NETCDF, encoding=packed)
     part.replace(path)
+
+
+def bundled_bank() -> Path:
+    """The bank that comes with the package: the bundled soil's tests with 150 spheres."""
+    return Path(str(resources.files("calibrate") / "bank" / "data" / "quick.nc"))
 
 
 def load(path: Path) -> Bank:

@@ -5,9 +5,9 @@ Each file has `register(app)`, which adds its command to the program in `calibra
 
 import typer
 
-from calibrate.verbs import convert
+from calibrate.verbs import bank, convert, withheld
 
-VERBS = (convert,)
+VERBS = (bank, convert, withheld)
 
 
 def register(app: typer.Typer) -> None:

@@ -19,7 +19,7 @@ from calibrate.diagnosis.opinion import NONE
 from calibrate.withheld.outside import OUTSIDE
 
 STRATA: dict[str, tuple[float, float]] = {"0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "above 6": (6.0, 15.0)}
-COUNTS = {"none": 100, "0.5-2": 40, "2-6": 55, "above 6": 60, "outside": 45, "two": 30}
+COUNTS = {"none": 100, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
 SPECIMENS = 4
 SPHERES = (130, 190)  # other numbers than the bank's
 PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
