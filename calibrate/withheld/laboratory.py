@@ -32,6 +32,7 @@ from jdem.effects.composite import EFFECTS
 DENSITY_SD = 0.004  # of density, from specimen to specimen
 MOISTURE_SD = 0.03  # of stiffness and surface energy together
 FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
+COSTLY = ("capillary_tension", "cementation", "aggregate_crushing")  # longer lists or memories
 READINGS = 160  # of a curve
 GAP_MM = (0.3, 1.0)  # way through the air
 ZERO_MM = 0.5  # the displacement's zero lies within
@@ -84,10 +85,8 @@ class Laboratory:
 
     def __init__(self, folder: Path, centre: dict[str, float]):
         self.lab: Lab = load_lab(bundled_lab())
-        effects = (*(e(0.0) for e in EFFECTS.values()), *(e(0.0) for e in CARRIED))
-        self.simulator = Simulator(self.lab, folder, effects)
-        self.names = (*EFFECTS, "aggregate_crushing", "height_gradient", "early_turn")
-        self.centre = centre
+        self.folder, self.centre = folder, centre
+        self._simulators: dict[bool, tuple[tuple[str, ...], Simulator]] = {}
 
     def specimens(self, case: Case, numbers: range = range(SPECIMENS)) -> list[Specimen] | None:
         """The case's specimens, measured; None if one fails or they lie out of range."""
@@ -123,8 +122,19 @@ class Laboratory:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         level = PREPARATIONS.index(case.preparation)
         seed = FIRST_SEED + 1000 * (3 * SPHERES.index(case.spheres) + level) + case.packings[number]
-        vector = [strengths.get(name, 0.0) for name in self.names]
-        return self.simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
+        names, simulator = self._simulator(any(strengths.get(name) for name in COSTLY))
+        vector = [strengths.get(name, 0.0) for name in names]
+        return simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
+
+    def _simulator(self, costly: bool) -> tuple[tuple[str, ...], Simulator]:
+        """Effects' names and a simulator that carries them; strength 0 changes no bit, so those
+        that cost time are left out where they are not at work."""
+        if costly not in self._simulators:
+            every = {**EFFECTS, **CARRIED}
+            names = tuple(n for n in every if costly or n not in COSTLY)
+            simulator = Simulator(self.lab, self.folder, tuple(every[n](0.0) for n in names))
+            self._simulators[costly] = (names, simulator)
+        return self._simulators[costly]
 
     def _with_air(self, case: Case, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""

@@ -105,4 +105,8 @@ OUTSIDE: dict[str, tuple[float, float]] = {
     "trapped_air": (0.05, 0.4),
     "height_gradient": (0.06, 0.15),
 }
-CARRIED = (AggregateCrushing, HeightGradient, EarlyTurn)  # realised in the simulated laboratory
+CARRIED: dict[str, type[AbstractEffect]] = {  # by the simulator; trapped air turns early
+    "aggregate_crushing": AggregateCrushing,
+    "height_gradient": HeightGradient,
+    "early_turn": EarlyTurn,
+}
