@@ -39,11 +39,13 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,)
-    and directions (m, q), one standard deviation each, in the features of a bank."""
+    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,),
+    directions (m, q), one standard deviation each, and what neither holds, a standard deviation
+    (m,); all in a bank's features, warped as its emulator warps them."""
 
     mean: np.ndarray
     directions: np.ndarray
+    rest: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,25 +76,32 @@ class Ready:
 @dataclass(frozen=True, eq=False)
 class AtSoil:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
-    typical strength, plus a constant `shift` and further base `directions` (m, q)."""
+    typical strength; with a discrepancy, its directions are further base coordinates."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
     scale: np.ndarray
     strength: np.ndarray
-    shift: np.ndarray | float = 0.0
-    directions: np.ndarray | None = None
+    discrepancy: Discrepancy | None = None
 
     def __call__(self, delta, strengths):
         p = len(self.offset)
         x = (self.offset + delta[:p]) / self.scale
         values, base, effects = self.emulator(x, strengths * self.strength)
         base, effects = base / self.scale, effects * self.strength
-        values = values + self.shift
-        if self.directions is not None:
-            values = values + self.directions @ delta[p:]
-            base = np.hstack([base, self.directions])
-        return values, base, effects
+        if self.discrepancy is None:
+            return values, base, effects
+        return self._shifted(self.discrepancy, delta[p:], values, base, effects)
+
+    def _shifted(self, wrong: Discrepancy, share, values, base, effects):
+        """The same with the discrepancy added to the warped features."""
+        scale = self.emulator.scale
+        before = values / scale
+        warped = np.arcsinh(before) + wrong.mean + wrong.directions @ share
+        steep = np.cosh(warped)
+        turned = (steep / np.sqrt(1 + before**2))[:, None]
+        base = np.hstack([base * turned, (scale * steep)[:, None] * wrong.directions])
+        return scale * np.sinh(warped), base, effects * turned
 
 
 def candidates(bank: Bank) -> tuple[Effect, ...]:
@@ -135,12 +144,12 @@ def describe(
     Sensor terms are left at zero for the caller to add.
     """
     d = _rough(ready, point, discrepancy)
-    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point)
+    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point, discrepancy)
     for _ in range(2):  # scatter depends on the fit, the fit on scatter
         few = d.only_features(chosen)
         covariance = first_covariance(few)
         fit = refit(few, measured, covariance)
-        d = _local(ready, d, fit.delta, density_sd, point)
+        d = _local(ready, d, fit.delta, density_sd, point, discrepancy)
     return d.only_features(chosen)
 
 
@@ -149,7 +158,7 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
     bank, emulator = ready.bank, ready.at(point)
     names, prior = bank.design.base_names, point.prior_sd
     if discrepancy is not None:
-        emulator = replace(emulator, shift=discrepancy.mean, directions=discrepancy.directions)
+        emulator = replace(emulator, discrepancy=discrepancy)
         extra = discrepancy.directions.shape[1]
         names = (*names, *(f"mismatch {i + 1}" for i in range(extra)))
         prior = np.concatenate([prior, np.ones(extra)])
@@ -165,8 +174,9 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
 
 
 def _local(
-    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point
-) -> Linearised:
+    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point,
+    discrepancy: Discrepancy | None,
+) -> Linearised:  # fmt: skip
     """The description linearised at a shift of the base coordinates."""
     none = np.zeros(len(d.effects))
     values, base, effects = d.at(delta, none)
@@ -181,6 +191,7 @@ def _local(
         packing_residuals=ready.specimens * steep, mean_specimens=max(int(np.median(ratio)), 1),
         effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
+        tolerance=np.zeros(len(steep)) if discrepancy is None else steep * discrepancy.rest,
     )  # fmt: skip
 
 

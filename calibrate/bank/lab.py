@@ -20,6 +20,7 @@ from calibrate.diagnosis.features import (
     declare_before_contact,
     declare_targets,
     force_before_contact,
+    readings_before_contact,
     vector,
 )
 from calibrate.diagnosis.linear import Emulator, Linearised
@@ -89,12 +90,13 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     specimens = specimens_of(lab, bank.cylinder)
     if not specimens:
         return _targets(lab, bank)
-    known = measured_features([f for f in every if f.kind != "target"], specimens)
+    from_contact = [_from_contact(curves) for curves in specimens]
+    known = measured_features([f for f in every if f.kind != "target"], from_contact)
     if not known:
         raise InputError(lab.file, "curves", "no feature could be read from them",
                          "give whole curves: loading to the largest force and back, crushing "
                          "past the peak")  # fmt: skip
-    vectors = np.array([vector(known, curves) for curves in specimens])
+    vectors = np.array([vector(known, curves) for curves in from_contact])
     before = np.array([
         [force_before_contact(curves[test][1]) if test in curves else np.nan
          for test in (CONFINED, UNCONFINED)] for curves in specimens
@@ -102,6 +104,15 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     chosen = np.array([every.index(feature) for feature in known])
     channels = {test: _channel(test, specimens) for test in (CONFINED, UNCONFINED)}
     return LabCurves(from_vectors(known, vectors), chosen, before, channels, tuple(specimens))
+
+
+def _from_contact(curves: Curves) -> Curves:
+    """The curves without the platen's way through the air, as a simulation records them."""
+    found = {}
+    for test, (displacement, force) in curves.items():
+        first = max(readings_before_contact(force) - 1, 0)
+        found[test] = (displacement[first:], force[first:])
+    return found
 
 
 def _targets(lab: Lab, bank: Bank) -> LabCurves:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.bank.description import Discrepancy, Ready, first_covariance
+from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import described
+from calibrate.diagnosis.noise import estimate, packing_covariance
 from calibrate.diagnosis.refit import refit
 from calibrate.errors import InputError
 from calibrate.measurements import Lab
@@ -22,55 +23,49 @@ from calibrate.output import write_json
 
 DIRECTIONS = 3
 FEWEST = 6  # reference cases
-LEAST_SHARE = 0.25  # of a direction's variance that counts as mismatch, beside scatter
-ROUNDS = 3  # the shift changes the fits, the fits the shift
 
 
 def learn(labs: Sequence[Lab], ready: Ready, seed: int, directions: int = DIRECTIONS) -> Discrepancy:
     """The mismatch from at least `FEWEST` reference labs that have all of the bank's features."""
-    m = len(ready.bank.features)
-    found = Discrepancy(np.zeros(m), np.zeros((m, 0)))
-    for _ in range(ROUNDS):
-        left, noise = _left(labs, ready, seed, found)
-        if len(left) < FEWEST:
-            raise ValueError(f"{len(left)} reference cases have all features, {FEWEST} are needed")
-        found = Discrepancy(found.mean + left.mean(axis=0), np.zeros((m, 0)))
-    centred = left - left.mean(axis=0)
-    return Discrepancy(found.mean, _directions(centred, noise, directions))
+    rows = [row for lab in labs if (row := left_by_fit(lab, ready, seed)) is not None]
+    if len(rows) < FEWEST:
+        raise ValueError(f"{len(rows)} reference cases have all features, {FEWEST} are needed")
+    return of_rows(np.array(rows), directions)
 
 
-def _left(labs: Sequence[Lab], ready: Ready, seed: int, so_far: Discrepancy):
-    """What base fits leave (cases, m), and the mean covariance (m, m) that scatter explains."""
-    rows, noise = [], []
-    m = len(ready.bank.features)
-    for lab in labs:
-        lab_curves, d, measured = described(lab, ready, seed, so_far, baseline=False)
-        chosen = lab_curves.chosen
-        if len(chosen) < m - 2:  # all but the two targets
-            continue
-        covariance = first_covariance(d) / measured.counts.mean()
-        fit = refit(d, measured.mean, covariance)
-        row, whole = np.zeros(m), np.zeros((m, m))
-        row[chosen] = measured.mean - fit.values
-        whole[np.ix_(chosen, chosen)] = covariance
-        rows.append(row)
-        noise.append(whole)
-    return np.array(rows), np.mean(noise, axis=0) if noise else np.zeros((m, m))
+def left_by_fit(lab: Lab, ready: Ready, seed: int) -> np.ndarray | None:
+    """What a base fit leaves (m,) of a lab's warped features; None if it lacks some.
+
+    Fits are made without any shift: repeating them with the shift would let it run away along
+    what base parameters can do as well.
+    """
+    m, scale = len(ready.bank.features), ready.emulator.scale
+    lab_curves, d, measured = described(lab, ready, seed, baseline=False)
+    chosen = lab_curves.chosen
+    if len(chosen) < m - 2:  # all but the two targets
+        return None
+    noise = estimate(d, measured, packing_covariance(d), d.prior_sd**2)
+    fit = refit(d, measured.mean, noise.mean)
+    row = np.zeros(m)
+    row[chosen] = np.arcsinh(measured.mean / scale[chosen]) - np.arcsinh(fit.values / scale[chosen])
+    return row
 
 
-def _directions(centred: np.ndarray, noise: np.ndarray, count: int) -> np.ndarray:
-    """Leading directions (m, count), one standard deviation each."""
-    scale = np.sqrt(np.maximum(np.diag(noise), 1e-12))
-    _, values, axes = np.linalg.svd(centred / scale, full_matrices=False)
-    variance = values[:count] ** 2 / max(len(centred) - 1, 1)
-    by_scatter = np.einsum("im,mn,in->i", axes[:count] / scale, noise, axes[:count] / scale)
-    beyond = np.maximum(variance - by_scatter, LEAST_SHARE * variance)
-    return (axes[:count] * np.sqrt(beyond)[:, None] * scale).T
+def of_rows(rows: np.ndarray, directions: int = DIRECTIONS) -> Discrepancy:
+    """The mismatch of what fits leave (cases, m): mean, leading directions, and the rest."""
+    centred = rows - rows.mean(axis=0)
+    freedom = len(rows) - 1
+    _, values, axes = np.linalg.svd(centred, full_matrices=False)
+    lead = (axes[:directions] * (values[:directions] / np.sqrt(freedom))[:, None]).T
+    left = centred - centred @ axes[:directions].T @ axes[:directions]
+    rest = np.sqrt((left**2).sum(axis=0) / max(freedom - directions, 1))
+    return Discrepancy(rows.mean(axis=0), lead, rest)
 
 
 def save(found: Discrepancy, path: Path, source: str) -> None:
     """Writes a mismatch as JSON."""
-    content = {"mean": found.mean.tolist(), "directions": found.directions.tolist()}
+    parts = ("mean", "directions", "rest")
+    content = {name: getattr(found, name).tolist() for name in parts}
     write_json(path, {"source": source, **content})
 
 
@@ -78,12 +73,14 @@ def load(path: Path, ready: Ready) -> Discrepancy:
     """Reads a mismatch for a bank; `InputError` for anything else."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        found = Discrepancy(np.array(content["mean"], float), np.array(content["directions"], float))
+        parts = (np.array(content[name], float) for name in ("mean", "directions", "rest"))
+        found = Discrepancy(*parts)
     except (OSError, ValueError, KeyError, TypeError) as error:
         problem = f"no mismatch can be read ({type(error).__name__})"
         raise InputError(str(path), "", problem, "give a file that `calibrate mismatch` wrote") from None
     m = len(ready.bank.features)
-    if found.mean.shape != (m,) or found.directions.ndim != 2 or len(found.directions) != m:
+    shapes = {found.mean.shape, found.rest.shape, found.directions.shape[:1]}
+    if shapes != {(m,)} or found.directions.ndim != 2:
         problem = f"it is for {len(found.mean)} features, the bank has {m}"
         raise InputError(str(path), "mean", problem, "learn it again with this bank")
     return found
