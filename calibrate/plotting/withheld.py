@@ -68,7 +68,7 @@ def reliability_svg(bins: Sequence[Mapping]) -> str:
     shares = [b["right"] for b in bins]
     count = np.array([share["n"] for share in shares])
     band = stats.binom.interval(0.95, count, stated)
-    low, high = (np.asarray(end) / count for end in band)
+    low, high = (np.clip(end, 0, count) / count for end in band)
     axis.bar(stated, high - low, 0.05, low, color="0.85", label="perfect forecaster, 95 %")
     axis.plot([0, 1], [0, 1], color="0.5", lw=1, label="said as it is")
     y, bottom, top = (_values(shares, key) for key in ("value", "low", "high"))

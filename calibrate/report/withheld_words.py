@@ -68,8 +68,8 @@ def sentence(result: dict) -> str:
         right = f"{_counted(result['accuracy'])} single effects of any strength"
     return (
         f"The class of the hidden effect was named first in {right}; something was named in "
-        f"{_counted(alarm)} cases with nothing hidden; {_counted(unknown)} effects that the library "
-        "does not have were called unknown (brackets: 95 % intervals)."
+        f"{_counted(alarm)} cases with nothing hidden; {_counted(unknown)} effects that the "
+        "library does not have were called unknown (brackets: 95 % intervals)."
     )
 
 
