@@ -149,7 +149,7 @@ def alarms_svg(shares: Mapping[str, Share], bound: float) -> str:
     colours = [DARK, *[LIGHT] * (len(shares) - 1)]
     axis.barh(place, y, 0.6, color=colours, edgecolor=DARK, lw=0.6)
     axis.errorbar(y, place, xerr=[y - low, high - y], fmt="none", ecolor="0.2", lw=1, capsize=2.5)
-    axis.axvline(bound, color=MIDDLE, lw=1.2, ls="--", label=f"asked: at most {bound:.0%}")
+    axis.axvline(bound, color=MIDDLE, lw=1.2, ls="--", label=f"asked: at most {100 * bound:.0f} %")
     axis.set_yticks(place, list(shares))
     axis.set(xlim=(0, 1.02), xlabel="false alarms (share of cases with nothing hidden)")
     axis.tick_params(axis="y", length=0)

@@ -19,6 +19,7 @@ SCORES = {
     "outside_taken_for_an_effect": "outside the library, taken for an effect of it",
     "set_coverage": "truth within the stated set of explanations",
 }
+PERCENT = "\u00a0%"  # no line ends before the sign
 RIVAL_COLUMNS = (
     "rival", "right, all cases", "right, signal-to-noise above 2", "ours minus theirs, points",
     "the same above 2", "McNemar p", "false alarms",
@@ -107,12 +108,8 @@ def percent(value: float | None) -> str:
     """A share for reading: "92 %", with a decimal where it would else read 0 or 100."""
     if value is None:
         return "–"
-    rounded = f"{100 * value:.0f}"
-    return (
-        f"{100 * value:.1f} %"
-        if rounded in ("0", "100") and value not in (0, 1)
-        else f"{rounded} %"
-    )
+    digits = 1 if 0 < value < 0.005 or 0.995 <= value < 1 else 0
+    return f"{100 * value:.{digits}f}{PERCENT}"
 
 
 def p_value(value: float) -> str:
@@ -131,7 +128,7 @@ def _counted(found: Mapping) -> str:
     if not found["n"]:
         return "none of 0"
     low, high = (percent(found[key]) for key in ("low", "high"))
-    return f"{percent(found['value'])} ({low.removesuffix(' %')}–{high}) of {found['n']}"
+    return f"{percent(found['value'])} ({low.removesuffix(PERCENT)}–{high}) of {found['n']}"
 
 
 def shown(found: Mapping) -> str:
@@ -157,7 +154,7 @@ def _value(target: Target, value: float | None) -> str:
 def interval(target: Target) -> str:
     if target.low is None or target.high is None or not target.n:
         return ""
-    return f"{percent(target.low).removesuffix(' %')}–{percent(target.high)}"
+    return f"{percent(target.low).removesuffix(PERCENT)}–{percent(target.high)}"
 
 
 def of_cases(target: Target) -> str:
