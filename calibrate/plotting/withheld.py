@@ -7,6 +7,7 @@ Clopper-Pearson intervals.
 
 import io
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,7 +21,7 @@ from calibrate.withheld.named import Named
 
 SIZE = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 OURS = "this diagnosis"
-MARKS = (
+MARKS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "color": DARK, "mfc": DARK, "ls": "-"},
     {"marker": "s", "color": MIDDLE, "mfc": "white", "ls": "--"},
     {"marker": "^", "color": MIDDLE, "mfc": MIDDLE, "ls": ":"},
