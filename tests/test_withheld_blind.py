@@ -108,7 +108,7 @@ def sealed_folders_refused() -> Iterator[None]:
 def judge() -> trial.Judges:
     """Everything that is made before a case is seen, in the world of formulas."""
     known = world.description()
-    prepared = prepare(known, world.PLAN, seed=1, draws=40)
+    prepared = prepare(known, world.PLAN, seed=1, draws=16)
     inputs = np.random.default_rng(0).standard_normal((8, 3))
     return trial.Judges(
         Manner(prepared.opinion, 0.1, prepared.null), ("none of ours",), 3.0, "e1",
