@@ -66,14 +66,15 @@ def row(verdict: dict, label: dict, realised: float | None = None) -> Row:
 
 
 def truth_of(label: dict, classes: Sequence[Sequence[str]]) -> str:
-    """The right answer in a case's own classes."""
+    """The right answer in a case's own classes; an effect in none of them is its own class."""
     if label["kind"] == NONE:
         return NONE
     if label["kind"] == "outside":
         return UNKNOWN
     named = {hidden["name"] for hidden in label["hidden"]}
     joined = {" / ".join(group) for group in classes if named & set(group)}
-    return " + ".join(sorted(joined))
+    alone = named - {name for group in classes for name in group}
+    return " + ".join(sorted(joined | alone))
 
 
 def share(values: Iterable[bool]) -> dict:
@@ -95,7 +96,9 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
     return {
         "cases": len(rows),
         "accuracy": share(_right(r) for r in of["single"]),
-        "accuracy_by_snr": {_name(s): share(_right(r) for r in _in(of["single"], s)) for s in STRATA},
+        "accuracy_by_snr": {
+            _name(s): share(_right(r) for r in _in(of["single"], s)) for s in STRATA
+        },
         "first_two_by_snr": {
             _name(s): share(r.truth in (r.verdict, r.second) for r in _in(of["single"], s))
             for s in STRATA

@@ -8,6 +8,9 @@ import hashlib
 import json
 from pathlib import Path
 
+from calibrate.errors import InputError
+from calibrate.output import write_text
+
 LABELS = "sealed/labels.json"
 HASHES = "labels.sha256"
 
@@ -25,20 +28,27 @@ def digest(label: dict) -> str:
 def write_seal(labels: list[dict], folder: Path) -> None:
     """Labels into `folder`/sealed, their hashes beside the cases, both in the order of case ids."""
     ordered = sorted(labels, key=lambda label: label["case"])
-    (folder / LABELS).parent.mkdir(exist_ok=True)
     rows = ",\n".join(canonical(label) for label in ordered)
-    (folder / LABELS).write_text(f"[\n{rows}\n]\n")
+    write_text(folder / LABELS, f"[\n{rows}\n]\n")
     hashes = "".join(f"{digest(label)}  {label['case']}\n" for label in ordered)
-    (folder / HASHES).write_text(hashes)
+    write_text(folder / HASHES, hashes)
 
 
 def open_seal(folder: Path) -> dict[str, dict]:
-    """The labels by case id, each checked against its published hash; ValueError if one differs.
+    """The labels by case id, each checked against its published hash; `InputError` if one differs
+    or a file is missing.
 
     Only for scoring, after the verdicts are written.
     """
-    published = dict(line.split()[::-1] for line in (folder / HASHES).read_text().splitlines())
-    labels = {label["case"]: label for label in json.loads((folder / LABELS).read_text())}
-    if published != {case: digest(label) for case, label in labels.items()}:
-        raise ValueError(f"{folder}: labels do not match the published hashes")
-    return labels
+    try:
+        lines = (folder / HASHES).read_text(encoding="utf-8").splitlines()
+        labels = json.loads((folder / LABELS).read_text(encoding="utf-8"))
+        published = sorted(tuple(line.split()) for line in lines)
+        sealed = sorted((digest(label), label["case"]) for label in labels)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        problem = f"the seal cannot be read ({type(error).__name__})"
+        raise InputError(str(folder), "", problem, "give a folder of sealed cases") from None
+    if published != sealed:
+        problem = "labels do not match the published hashes"
+        raise InputError(str(folder / LABELS), "", problem, "take the labels that were sealed")
+    return {label["case"]: label for label in labels}
