@@ -5,9 +5,9 @@ Each file has `register(app)`, which adds its command to the program in `calibra
 
 import typer
 
-from calibrate.verbs import convert
+from calibrate.verbs import convert, diagnose
 
-VERBS = (convert,)
+VERBS = (convert, diagnose)
 
 
 def register(app: typer.Typer) -> None:
