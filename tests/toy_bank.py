@@ -3,6 +3,7 @@
 Small enough that a whole diagnosis takes seconds; kernels are those that fitting starts from.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from calibrate.campaign import Run
 from calibrate.diagnosis.features import Curves
 from calibrate.parameters import with_values
 from calibrate.withheld.laboratory import Specimen, recorded, write_case
-from dataclasses import replace
 
 PACKINGS, ROWS = 14, 4
 CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BASE.surface_energy)}

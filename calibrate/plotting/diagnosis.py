@@ -6,16 +6,18 @@ tell them apart where colours do not.
 """
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
-from calibrate.plotting.style import DARK, LIGHT, MIDDLE, above
+from calibrate.plotting.style import DARK, LIGHT, MIDDLE
 from calibrate.records.base import Test
-from calibrate.records.diagnosis import DiagnosisRecord, Effect, FeatureRow
+from calibrate.records.diagnosis import DiagnosisRecord, Effect, FeatureRow, NextTest
 
 SIZE = (4.9, 6.0)  # inches, of the first page's panels
 BARS = (4.9, 3.6)
@@ -26,7 +28,8 @@ AXES: dict[Test, str] = {
     "confined": "displacement, from half the largest force on loading (mm)",
     "unconfined": "displacement, from the seating force (mm)",
 }
-MARKS = {"found": "●", "trivial": "◐", "absent": "○", "inconclusive": "?"}
+PLACES = 8  # of a further test that are drawn
+STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
 Words = Callable[[str], str]
 
 
@@ -35,18 +38,30 @@ def where_figure(found: DiagnosisRecord, test: Test, words: Words) -> Figure:
 
     words turns the name of an explanation into plain words.
     """
-    figure, (top, below) = plt.subplots(
-        2, 1, figsize=SIZE, layout="constrained", height_ratios=(3, 2)
-    )
     rows = [row for row in found.features if row.test == test]
-    label = f"with {' and '.join(words(name) for name in found.best)}" if found.best else ""
     if found.targets_only:
-        _targets(top, rows)
+        figure, axis = plt.subplots(figsize=BARS, layout="constrained")
+        _targets(axis, rows)
     else:
-        _curves(top, found, test, rows, label)
-    _residuals(below, found, test, rows)
-    above(top)
+        figure, axes = plt.subplots(2, figsize=SIZE, layout="constrained", height_ratios=(3, 2))
+        label = f"model with {' and '.join(map(words, found.best))}" if _explained(found) else ""
+        _curves(axes[0], found, test, rows, _wrapped(label, 42))
+        _residuals(axes[1], found, test, rows)
+    _legend(figure)
     return figure
+
+
+def _explained(found: DiagnosisRecord) -> bool:
+    """Whether there is an explanation to be drawn."""
+    return bool(found.best) and found.which.verdict != "none"
+
+
+def _legend(figure: Figure) -> None:
+    """One legend above all axes of a figure, where it hides nothing."""
+    found = [axis.get_legend_handles_labels() for axis in figure.axes]
+    named = {label: handle for pair in found for handle, label in zip(*pair, strict=True)}
+    place = {"loc": "outside upper center", "ncols": 2, "frameon": False, "fontsize": 7}
+    figure.legend(list(named.values()), list(named), **place)
 
 
 def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) -> None:
@@ -61,8 +76,8 @@ def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) ->
         axis.plot(*_places(rows, "base"), **BASE, label="calibrated model")
         if label:
             axis.plot(*_places(rows, "best"), **BEST, label=label)
-    axis.set(xlabel=AXES[test], ylabel="force (N)", title=f"{test} compression")
-    axis.title.set_position((0.5, 1.1))
+    axis.set(xlabel=AXES[test], ylabel="force (N)")
+    axis.set_title(f"{test} compression", fontsize=9)
     ends = [x for row in ("measured", "base") for x in _places(rows, row)[0]]
     if ends:
         room = 0.06 * (max(ends) - min(ends))
@@ -90,21 +105,30 @@ def _flagged(found: DiagnosisRecord, test: Test) -> list[str]:
 
 def _residuals(axis: Axes, found: DiagnosisRecord, test: Test, rows: Sequence[FeatureRow]) -> None:
     """Measured minus simulated over its standard error, feature by feature, with the band."""
-    x = np.arange(len(rows))
+    order = list(dict.fromkeys(row.segment for row in rows))
+    first = {name: -1 if name == "before contact" else place for place, name in enumerate(order)}
+    rows = sorted(rows, key=lambda row: first[row.segment])
     error, band = (np.array([getattr(r, name) for r in rows]) for name in ("error", "band"))
     edge = float(np.median(band / error)) if len(rows) else 1.0
     axis.axhspan(-edge, edge, color="0.9", lw=0, zorder=0, label="95 % band, all places at once")
     axis.axhline(0, color="0.5", lw=0.8)
-    for name, style in (("base", BASE), ("best", BEST)):
+    largest = edge
+    for name, style in (("base", BASE), ("best", BEST))[: 2 if _explained(found) else 1]:
         value = np.array([(r.measured - getattr(r, name)) / r.error for r in rows])
-        if np.isfinite(value).any():
-            axis.plot(x, value, **{**style, "lw": 0.8})
+        axis.plot(value, **{**style, "lw": 0.8})
+        largest = max(largest, float(np.abs(value).max(initial=0.0)))
     _segments(axis, rows, _flagged(found, test))
     axis.set_ylabel("measured − model\n(standard errors)")
-    axis.set_xlim(-0.7, len(rows) - 0.3)
-    axis.legend(frameon=False, fontsize=7, loc="upper right")
-    low, high = axis.get_ylim()
-    axis.set_ylim(low, high + 0.12 * (high - low))
+    axis.set_xlim(-0.5, len(rows) - 0.5)
+    _compressed(axis.yaxis, largest, 2 * edge)
+
+
+def _compressed(axis: XAxis | YAxis, largest: float, linear: float) -> None:
+    """A scale that is linear near zero and logarithmic beyond, where values reach far."""
+    if largest > 3 * linear:
+        scale = axis.axes.set_yscale if axis.axis_name == "y" else axis.axes.set_xscale
+        scale("symlog", linthresh=linear, linscale=2.0)
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) -> None:
@@ -136,38 +160,37 @@ def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) ->
 def _targets(axis: Axes, rows: Sequence[FeatureRow]) -> None:
     """Numbers without curves: measured with the scatter of one specimen, and the model."""
     for place, row in enumerate(rows):
-        first = place == 0
-        axis.errorbar(place - 0.1, row.measured, row.scatter, fmt="D", color="0.35", capsize=4,
-                      label="measured ± one specimen" if first else None)  # fmt: skip
-        axis.plot(
-            place + 0.1, row.base, **{**BASE, "ls": ""}, label="calibrated model" if first else None
+        measured, model = (
+            ("measured ± one specimen", "calibrated model") if not place else (None,) * 2
         )
-    axis.set_xticks(
-        range(len(rows)), [row.name.rsplit("_", 1)[0].replace("_", " ") for row in rows]
-    )
+        bar = {"fmt": "D", "color": "0.35", "capsize": 4}
+        axis.errorbar(place - 0.1, row.measured, row.scatter, **bar, label=measured)
+        axis.plot(place + 0.1, row.base, **{**BASE, "ls": ""}, label=model)
+    names = [row.name.rsplit("_", 1)[0].replace("_", " ") for row in rows]
+    axis.set_xticks(range(len(rows)), names)
     axis.set_xlim(-0.6, len(rows) - 0.4)
     axis.set_ylabel(", ".join(dict.fromkeys(row.unit for row in rows)))
     axis.margins(y=0.3)
 
 
-def probability_figure(found: DiagnosisRecord, words: Words, most: int = 7) -> Figure:
+def probability_figure(found: DiagnosisRecord, words: Words, most: int = 6) -> Figure:
     """Probabilities of classes, likeliest first, none and unknown always among them."""
-    figure, axis = plt.subplots(figsize=BARS, layout="constrained")
-    ends = ("none", "unknown")
     every = found.explanations
-    shown = [e for i, e in enumerate(every) if i < most or e.label in ends]
+    shown = [e for i, e in enumerate(every) if i < most or e.label in ("none", "unknown")]
     rest = sum(e.probability for e in every) - sum(e.probability for e in shown)
-    names = [words(e.label) for e in shown] + ["all others together"]
-    values = [e.probability for e in shown] + [max(rest, 0.0)]
-    named = [e.label == found.which.verdict for e in shown] + [False]
-    in_set = [e.label in found.which.likely_set for e in shown] + [False]
-    rows = np.arange(len(names))[::-1]
-    for row, value, verdict, member in zip(rows, values, named, in_set, strict=True):
-        axis.barh(row, value, 0.65, color=MIDDLE if verdict else DARK if member else LIGHT,
-                  hatch="///" if verdict else "", edgecolor="white")  # fmt: skip
-        axis.text(value + 0.015, row, _percent(value), va="center", fontsize=8)
-    axis.set_yticks(rows, [_wrapped(name) for name in names], fontsize=8)
-    axis.set(xlim=(0, 1.12), xlabel="probability")
+    names = [_wrapped(words(e.label), 38) for e in shown] + ["all others together"]
+    lines = np.array([1.4 + name.count("\n") for name in names])
+    rows = lines.sum() - np.cumsum(lines) + lines / 2
+    figure, axis = plt.subplots(figsize=(BARS[0], 0.9 + 0.17 * lines.sum()), layout="constrained")
+    for row, e in zip(rows, shown, strict=False):
+        verdict, member = e.label == found.which.verdict, e.label in found.which.likely_set
+        colour = MIDDLE if verdict else DARK if member else LIGHT
+        axis.barh(row, e.probability, 1.0, color=colour, hatch="///" * verdict, edgecolor="white")
+        axis.text(e.probability + 0.015, row, _percent(e.probability), va="center", fontsize=8)
+    axis.barh(rows[-1], rest, 1.0, color=LIGHT, edgecolor="white")
+    axis.text(rest + 0.015, rows[-1], _percent(rest), va="center", fontsize=8)
+    axis.set_yticks(rows, names, fontsize=7)
+    axis.set(xlim=(0, 1.17), xticks=np.linspace(0, 1, 6), xlabel="probability")
     axis.set_title("hatched: the verdict; dark: in the 90 % set", fontsize=8)
     axis.tick_params(axis="y", length=0)
     axis.spines[["top", "right"]].set_visible(False)
@@ -182,16 +205,13 @@ def effects_figure(found: DiagnosisRecord, words: Words) -> Figure:
     axis.axvspan(-1.96, 1.96, color="0.9", lw=0, label="not significant at 5 %")
     for row, effect in zip(rows, effects, strict=True):
         axis.plot([0, effect.z], [row, row], color="0.7", lw=1, zorder=1)
-        axis.plot(effect.z, row, **_mark(effect))
-    for status in MARKS:
-        alike = next((e for e in effects if e.status == status), None)
-        if alike is not None:
-            axis.plot([], [], **_mark(alike), label=status)
+        axis.plot(effect.z, row, **_mark(effect), label=effect.status)
     axis.axvline(0, color="0.5", lw=0.8)
     axis.set_yticks(rows, [words(effect.name) for effect in effects], fontsize=8)
     axis.set_xlabel("strength / its standard error")
     axis.tick_params(axis="y", length=0)
-    above(axis)
+    _compressed(axis.xaxis, max((abs(effect.z) for effect in effects), default=0.0), 4.0)
+    _legend(figure)
     return figure
 
 
@@ -206,42 +226,41 @@ def _mark(effect: Effect) -> dict:
     return {"color": colour, "mfc": fill, "marker": shape, "ms": 6, "ls": "", "zorder": 3}
 
 
-def next_figure(found: DiagnosisRecord, words: Words) -> Figure:
-    """What the proposed test would show under each leading explanation, with the deviation of
-    its mean."""
-    assert found.next_test is not None, "draw this where a test is proposed"
-    proposal = found.next_test
-    figure, axis = plt.subplots(figsize=BARS, layout="constrained")
-    labels = proposal.labels
-    x, count = np.arange(len(labels)), len(proposal.predicted)
+def next_figure(proposal: NextTest, units: Mapping[str, str], words: Words) -> Figure:
+    """What the proposed test would show under each leading explanation, less their mean, at
+    the places that tell them apart best; units are those of its labels ("mm" or "N")."""
     values = np.array(list(proposal.predicted.values()))
-    middle = values.mean(axis=0) if len(labels) > MANY else np.zeros(len(labels))
-    styles = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
-    for place, (name, row) in enumerate(zip(proposal.predicted, values, strict=True)):
-        mark, colour = styles[place % len(styles)]
-        shift = 0.12 * (place - (count - 1) / 2)
-        axis.errorbar(x + shift, row - middle, proposal.deviation, fmt=mark, color=colour, ms=5,
-                      capsize=2, elinewidth=1, label=words(name))  # fmt: skip
-    axis.axhline(0, color="0.7", lw=0.8, zorder=0)
-    _ticks(axis, x, labels)
-    what = "difference from their mean" if len(labels) > MANY else "predicted"
-    axis.set_ylabel(f"{what} (mm or N, as named)")
-    above(axis)
-    axis.set_title(proposal.name, fontsize=9, pad=28)
+    away, deviation = values - values.mean(axis=0), np.array(proposal.deviation)
+    places = np.sort(np.argsort(-np.ptp(away, axis=0) / deviation)[:PLACES])
+    groups = [[i for i in places if units[proposal.labels[i]] == unit] for unit in ("mm", "N")]
+    groups = [group for group in groups if group]
+    size = (BARS[0], 1.4 + 0.32 * len(places) + 0.4 * len(groups))
+    figure = plt.figure(figsize=size, layout="constrained")
+    axes = figure.subplots(len(groups), height_ratios=[len(g) + 1 for g in groups], squeeze=False)
+    for axis, group in zip(axes[:, 0], groups, strict=True):
+        _predictions(axis, list(map(words, proposal.predicted)), away[:, group], deviation[group])
+        labels = [proposal.labels[i].removesuffix(", mm").removesuffix(", N") for i in group]
+        axis.set_yticks(-np.arange(len(group)), [_wrapped(x, 32) for x in labels], fontsize=7)
+        unit = units[proposal.labels[group[0]]]
+        axis.set_xlabel(f"difference from the mean of explanations ({unit})")
+    _legend(figure)
     return figure
 
 
-MANY = 6  # places beyond which curves are drawn as differences
-
-
-def _ticks(axis: Axes, x: np.ndarray, labels: Sequence[str]) -> None:
-    step = max(1, len(labels) // 9)
-    axis.set_xticks(x[::step], [_wrapped(label, 18) for label in labels[::step]])
-    axis.tick_params(axis="x", labelsize=7, rotation=30 if len(labels) > 3 else 0)
+def _predictions(axis: Axes, names: Sequence[str], away: np.ndarray, deviation: np.ndarray) -> None:
+    """Predicted values (explanations, places) as one row of points a place."""
+    rows = -np.arange(away.shape[1])
+    for place, name in enumerate(names):
+        mark, colour = STYLES[place % len(STYLES)]
+        style = {"fmt": mark, "color": colour, "ms": 4.5, "capsize": 2, "elinewidth": 1}
+        shift = 0.14 * (place - (len(names) - 1) / 2)
+        label = _wrapped(name, 40)
+        axis.errorbar(away[place], rows - shift, xerr=deviation, label=label, **style)
+    axis.axvline(0, color="0.7", lw=0.8, zorder=0)
 
 
 def _percent(value: float) -> str:
-    return f"{100 * value:.0f} %" if value >= 0.01 else "< 1 %"
+    return "> 99 %" if value > 0.995 else f"{100 * value:.0f} %" if value >= 0.01 else "< 1 %"
 
 
 def _wrapped(text: str, width: int = 30) -> str:

@@ -58,6 +58,7 @@ def of(found: DiagnosisRecord) -> Page:
         "likely": pictures["probability"],
         "each": pictures["effects"],
         "next": pictures.get("next_test"),
+        "predicted": _predicted(found),
         "segments": _segments(found),
         "effects": _effects(found),
         "alike": _alike(found),
@@ -112,12 +113,21 @@ def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
         "standard error.",
     )  # fmt: skip
     if found.next_test is not None:
+        units = {label: _unit(found, label) for label in found.next_test.labels}
         pictures["next_test"] = Picture(
-            svg(plots.next_figure(found, title)), "Predicted outcome of the proposed test",
+            svg(plots.next_figure(found.next_test, units, title)),
+            "Predicted outcome of the proposed test",
             f"{found.next_test.name.capitalize()}: what it would show under each of the leading "
-            "explanations, with the deviation of the mean of two repeats.",
+            "explanations, at the places that tell them apart best. Bars: deviation of the mean of "
+            "two repeats.",
         )  # fmt: skip
     return pictures
+
+
+def _unit(found: DiagnosisRecord, label: str) -> str:
+    """The unit of what a further test shows: that of the feature, or as its label says."""
+    known = {row.name: row.unit for row in found.features}
+    return known.get(label, "mm" if label.endswith(", mm") else "N")
 
 
 # ---------------------------------------------------------------- tables
@@ -230,6 +240,26 @@ def _offers(found: DiagnosisRecord) -> Table | None:
     rows = [[o.name, f"{number(o.cost, 2)} h", number(o.separation, 2)] for o in test.all]
     rows.append(["these data alone", "", number(test.separation_now, 2)])
     return Table(["further test", "cost, a guess", "separation (2.8 settles)"], rows)
+
+
+def _predicted(found: DiagnosisRecord) -> Table | None:
+    """What the proposed test would show under each leading explanation."""
+    test = found.next_test
+    if test is None:
+        return None
+    rows = [
+        [
+            label.removesuffix(", mm").removesuffix(", N"),
+            *(
+                f"{number(values[i], 3)} {_unit(found, label)}"
+                for values in test.predicted.values()
+            ),
+            f"{number(test.deviation[i], 2)} {_unit(found, label)}",
+        ]
+        for i, label in enumerate(test.labels)
+    ]
+    columns = [test.name, *map(title, test.predicted), "deviation, two repeats"]
+    return Table(columns, rows)
 
 
 def _across(found: DiagnosisRecord) -> Table | None:

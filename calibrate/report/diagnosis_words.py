@@ -54,7 +54,7 @@ def verdict(found: DiagnosisRecord) -> str:
 
 
 def _not_in_library(found: DiagnosisRecord, stated: str) -> str:
-    """No effect explains the gap; said with care where the stated probabilities see it otherwise."""
+    """No effect explains the gap; said with care where stated probabilities do not agree."""
     text = (
         "The calibrated model lacks something that is not in the library: there is a gap, and no "
         "effect or pair of effects explains all of it"
@@ -157,6 +157,11 @@ def todo(found: DiagnosisRecord) -> str:
         return _unseen(found)
     if found.next_test is None:
         return ""
+    if found.which.verdict == UNKNOWN:
+        return (
+            f"Next: look at the places above for what acts there; {found.next_test.name} would "
+            "tell the library's nearest effects apart, though the right one may be none of them."
+        )
     return _proposed(found.next_test)
 
 

@@ -119,8 +119,15 @@ def members(label: str) -> list[list[str]]:
 
 def title(label: str) -> str:
     """A class's label in plain words: `or` within a class, `and` between classes."""
-    parts = [" or ".join(plain(name).name for name in group) for group in members(label)]
+    parts = [_one_of([plain(name).name for name in group]) for group in members(label)]
+    if len(parts) > 1:
+        parts = [f"({part})" if " or " in part else part for part in parts]
     return " and ".join(parts)
+
+
+def _one_of(names: list[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def strength(name: str, value: float, error: float | None = None) -> str:
