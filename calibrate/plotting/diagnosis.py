@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
-from matplotlib.ticker import StrMethodFormatter
 
 from calibrate.plotting.style import DARK, LIGHT, MIDDLE
 from calibrate.records.base import Test
@@ -25,9 +24,10 @@ GREY = "0.62"
 BASE = {"color": DARK, "ls": "--", "marker": "s", "mfc": "white", "ms": 4.5, "lw": 1.3}
 BEST = {"color": MIDDLE, "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.3}
 AXES: dict[Test, str] = {
-    "confined": "displacement, from half the largest force on loading (mm)",
-    "unconfined": "displacement, from the seating force (mm)",
+    "confined": "displacement, 0 at half load (mm)",
+    "unconfined": "displacement, 0 at seating (mm)",
 }
+TICKS = (5.0, 20.0, 100.0, 1e3, 1e4)  # of compressed scales
 PLACES = 8  # of a further test that are drawn
 STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
 Words = Callable[[str], str]
@@ -44,7 +44,8 @@ def where_figure(found: DiagnosisRecord, test: Test, words: Words) -> Figure:
         _targets(axis, rows)
     else:
         figure, axes = plt.subplots(2, figsize=SIZE, layout="constrained", height_ratios=(3, 2))
-        label = f"model with {' and '.join(map(words, found.best))}" if _explained(found) else ""
+        names = " and ".join(words(name) for name in found.best)
+        label = f"model with “{names}”" if _explained(found) else ""
         _curves(axes[0], found, test, rows, _wrapped(label, 42))
         _residuals(axes[1], found, test, rows)
     _legend(figure)
@@ -112,23 +113,32 @@ def _residuals(axis: Axes, found: DiagnosisRecord, test: Test, rows: Sequence[Fe
     edge = float(np.median(band / error)) if len(rows) else 1.0
     axis.axhspan(-edge, edge, color="0.9", lw=0, zorder=0, label="95 % band, all places at once")
     axis.axhline(0, color="0.5", lw=0.8)
-    largest = edge
+    drawn: list[float] = []
     for name, style in (("base", BASE), ("best", BEST))[: 2 if _explained(found) else 1]:
         value = np.array([(r.measured - getattr(r, name)) / r.error for r in rows])
         axis.plot(value, **{**style, "lw": 0.8})
-        largest = max(largest, float(np.abs(value).max(initial=0.0)))
+        drawn += value.tolist()
     _segments(axis, rows, _flagged(found, test))
     axis.set_ylabel("measured − model\n(standard errors)")
     axis.set_xlim(-0.5, len(rows) - 0.5)
-    _compressed(axis.yaxis, largest, 2 * edge)
+    _compressed(axis.yaxis, drawn, 2 * edge)
 
 
-def _compressed(axis: XAxis | YAxis, largest: float, linear: float) -> None:
+def _compressed(axis: XAxis | YAxis, values: Sequence[float], linear: float) -> None:
     """A scale that is linear near zero and logarithmic beyond, where values reach far."""
-    if largest > 3 * linear:
-        scale = axis.axes.set_yscale if axis.axis_name == "y" else axis.axes.set_xscale
-        scale("symlog", linthresh=linear, linscale=2.0)
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    low, high = min([*values, 0.0]), max([*values, 0.0])
+    if max(-low, high) <= 3 * linear:
+        return
+    ends = 1.5 * min(low, -linear), 1.5 * max(high, linear)
+    marks = [0.0, *(sign * mark for mark in TICKS for sign in (-1, 1))]
+    marks = sorted(mark for mark in marks if ends[0] <= mark <= ends[1])
+    if axis.axis_name == "y":
+        axis.axes.set_yscale("symlog", linthresh=linear)
+        axis.axes.set_ylim(*ends)
+    else:
+        axis.axes.set_xscale("symlog", linthresh=linear)
+        axis.axes.set_xlim(*ends)
+    axis.set_ticks(marks, [f"{mark:g}" for mark in marks])
 
 
 def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) -> None:
@@ -210,7 +220,7 @@ def effects_figure(found: DiagnosisRecord, words: Words) -> Figure:
     axis.set_yticks(rows, [words(effect.name) for effect in effects], fontsize=8)
     axis.set_xlabel("strength / its standard error")
     axis.tick_params(axis="y", length=0)
-    _compressed(axis.xaxis, max((abs(effect.z) for effect in effects), default=0.0), 4.0)
+    _compressed(axis.xaxis, [effect.z for effect in effects], 4.0)
     _legend(figure)
     return figure
 
@@ -242,7 +252,7 @@ def next_figure(proposal: NextTest, units: Mapping[str, str], words: Words) -> F
         labels = [proposal.labels[i].removesuffix(", mm").removesuffix(", N") for i in group]
         axis.set_yticks(-np.arange(len(group)), [_wrapped(x, 32) for x in labels], fontsize=7)
         unit = units[proposal.labels[group[0]]]
-        axis.set_xlabel(f"difference from the mean of explanations ({unit})")
+        axis.set_xlabel(f"difference from their mean ({unit})")
     _legend(figure)
     return figure
 

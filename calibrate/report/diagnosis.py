@@ -222,7 +222,7 @@ def _far(found: DiagnosisRecord) -> Table | None:
     rows = [
         ["model's distance from a fresh specimen, before", f"{number(far.before, 3)} scatters"],
         ["after", f"{number(far.after, 3)} scatters"],
-        ["floor: two specimens differ by", f"{number(far.floor, 3)} scatter"],
+        ["floor: the mean of all specimens", f"{number(far.floor, 3)} scatter"],
         ["share of the gap removed", f"{percent(far.shrinkage)} ({low} to {high})"],
         ["on specimens left out of the fit", percent(far.shrinkage_left_out)],
         *(
