@@ -45,7 +45,7 @@ def verdict(found: DiagnosisRecord) -> str:
     stated = percent(which.probability_by_class.get(which.verdict, 0.0))
     if which.verdict == UNKNOWN:
         return _not_in_library(found, stated)
-    what = f"{_sureness(found)} {title(which.verdict)} (stated probability {stated})"
+    what = f"{_sureness(found)} “{title(which.verdict)}” (stated probability {stated})"
     groups = members(which.verdict)
     sentences = [plain(group[0]).sentence for group in groups if len(group) == 1]
     alike = any(len(group) > 1 for group in groups)
