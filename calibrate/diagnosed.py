@@ -38,21 +38,17 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Manner:
-    """How probabilities are stated and how large sets are, once rehearsed; null distributions,
-    if they are to be shared by labs with the same features and repeats."""
+    """How probabilities are stated and how large sets are, once rehearsed; null distributions
+    by plan of measurement (specimens, features), to be shared by labs that have the same."""
 
     opinion: Opinion
     smallest: float
-    null: NullTable | None = None
+    nulls: dict[tuple[int, ...], NullTable]
 
     @staticmethod
     def neutral() -> "Manner":
         """Evidences as they are."""
-        return Manner(Opinion(), 0.1)
-
-    def suits(self, plan: np.ndarray) -> bool:
-        """Whether the null distributions are those of this plan (s, m), as far as sizes go."""
-        return self.null is not None and self.null.plan == plan.shape
+        return Manner(Opinion(), 0.1, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +97,16 @@ def ready_to_diagnose(
 ) -> Prepared:
     """Null distributions of the linear description; the emulator is put back for refits."""
     linear, plan = replace(d, emulator=None), plan_of(measured)
-    if manner is not None and manner.null is not None and manner.suits(plan):
+    if manner is not None and plan.shape in manner.nulls:
         world = World(linear, plan, packing_covariance(linear))
-        prepared = Prepared(world, manner.null, design_classes(world), Opinion(), 0.1)
+        null = manner.nulls[plan.shape]
+        prepared = Prepared(world, null, design_classes(world), Opinion(), 0.1)
     else:
         prepared = prepare(linear, plan, seed, draws)
     if manner is None:
         prepared = rehearsed(prepared, seed + 1, REHEARSED)
     else:
+        manner.nulls.setdefault(plan.shape, prepared.null)
         prepared = replace(prepared, opinion=manner.opinion, smallest=manner.smallest)
     return replace(prepared, world=replace(prepared.world, description=d))
 

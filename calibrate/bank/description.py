@@ -65,6 +65,12 @@ class Ready:
         _, first = np.unique(self.bank.packing, return_index=True)
         return self.emulator.residuals[first]
 
+    def tolerance(self, discrepancy: Discrepancy | None) -> np.ndarray:
+        """What a description is wrong by (m,), warped: interpolation, and unexplained mismatch."""
+        known = self.bank.tolerance
+        own = known if len(known) else np.zeros(len(self.bank.features))
+        return own if discrepancy is None else np.hypot(own, discrepancy.rest)
+
     def at(self, point: Point) -> "AtSoil":
         """The emulator in the coordinates of a diagnosis."""
         design = self.bank.design
@@ -191,7 +197,7 @@ def _local(
         packing_residuals=ready.specimens * steep, mean_specimens=max(int(np.median(ratio)), 1),
         effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
-        tolerance=np.zeros(len(steep)) if discrepancy is None else steep * discrepancy.rest,
+        tolerance=steep * ready.tolerance(discrepancy),
     )  # fmt: skip
 
 

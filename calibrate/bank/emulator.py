@@ -137,8 +137,7 @@ class FeatureEmulator:
         """Means over packings (m,), slopes (m, p) and effects' slopes (m, k) per scaled coordinate."""
         parts = [_point(c, self.x, self.s, x, s) for c in self.components]
         carried = self.loadings.T * self.deviation
-        warped = self.mean + carried @ np.array([part[0] for part in parts])
-        lift, steep = self._back(warped)
+        lift, steep = self._back(self.mean + carried @ np.array([part[0] for part in parts]))
         slopes = [carried @ np.array([part[i] for part in parts]) for i in (1, 2)]
         return lift, steep[:, None] * slopes[0], steep[:, None] * slopes[1]
 
@@ -149,8 +148,12 @@ class FeatureEmulator:
 
     def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
+        return self._back(self.warped(x, s))[1]
+
+    def warped(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Warped features (m,) at a point."""
         parts = [_point(c, self.x, self.s, x, s)[0] for c in self.components]
-        return self._back(self.mean + (self.loadings.T * self.deviation) @ np.array(parts))[1]
+        return self.mean + (self.loadings.T * self.deviation) @ np.array(parts)
 
     def uncertainty(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variance (m,) of the warped values' error at a point, from the finite number of runs."""

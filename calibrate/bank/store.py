@@ -7,7 +7,7 @@ engine made it, for which cylinder and forces, and how far its points reach.
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from calibrate.measurements import Lab
 PEAK_MM, PEAK_N = 4.0, 250.0  # usual place of the peak, by which crushing features are declared
 TARGETS = ("depression_depth_mm", "crushing_force_n")
 NETCDF = "h5netcdf"
+FOLDS = 4  # of packings, left out in turn
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Cylinder:
 @dataclass(frozen=True, eq=False)
 class Bank:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves, kernels once fitted."""
+    all features (n, m), a reference specimen's curves; once fitted, kernels and what predictions of
+    left-out packings are wrong by beyond what the emulator says (m,), warped."""
 
     design: Design
     cylinder: Cylinder
@@ -57,6 +59,7 @@ class Bank:
     values: np.ndarray
     reference: Curves
     kernels: tuple[Kernel, ...] = ()
+    tolerance: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -70,12 +73,36 @@ class Bank:
     def emulator(self) -> FeatureEmulator:
         """The emulator of all features."""
         x, s = self.scaled()
-        scale = np.array([_scale(feature) for feature in self.features])
-        return fit_emulator(x, s, self.packing, self.values, scale, self.kernels or None)
+        return fit_emulator(x, s, self.packing, self.values, self.scale(), self.kernels or None)
+
+    def scale(self) -> np.ndarray:
+        """By what the emulator warps features, shape (m,)."""
+        return np.array([_scale(feature) for feature in self.features])
 
     def fitted(self) -> "Bank":
-        """The bank with its kernels; takes minutes."""
-        return replace(self, kernels=tuple(c.kernel for c in self.emulator().components))
+        """The bank with its kernels and tolerance; takes minutes."""
+        known = replace(self, kernels=tuple(c.kernel for c in self.emulator().components))
+        return replace(known, tolerance=known._excess())
+
+    def _excess(self) -> np.ndarray:
+        """Root of the mean square by which left-out packings with at most one effect differ from
+        their prediction, less what scatter and the emulator's own error explain (m,)."""
+        x, s = self.scaled()
+        few, squares = (s != 0).sum(axis=1) <= 1, []
+        for fold in range(FOLDS):
+            out = self.packing % FOLDS == fold
+            if not (out & few).any():
+                continue
+            learned = fit_emulator(
+                x[~out], s[~out], self.packing[~out], self.values[~out], self.scale(), self.kernels
+            )
+            squares += [
+                (learned.warped(at, strength) - np.arcsinh(value / self.scale())) ** 2
+                - learned.residuals.var(axis=0) - learned.uncertainty(at, strength)
+                for at, strength, value in zip(x[out & few], s[out & few], self.values[out & few],
+                                               strict=True)
+            ]  # fmt: skip
+        return np.sqrt(np.maximum(np.mean(squares, axis=0), 0.0))
 
 
 SCALES = {"largest force": 100.0, "peak displacement": 1.0}  # by kind, else by unit
@@ -133,6 +160,8 @@ def save(bank: Bank, path: Path) -> None:
     for name in Kernel._fields if bank.kernels else ():
         rows = np.array([np.atleast_1d(getattr(k, name)) for k in bank.kernels])
         data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
+    if len(bank.tolerance):
+        data["tolerance"] = (("feature",), bank.tolerance)
     names = {
         "coordinate": list(bank.design.base_names),
         "effect": list(bank.design.effect_names),
@@ -182,4 +211,5 @@ def _read(stored: xr.Dataset) -> Bank:
         Design(**design), Cylinder(**json.loads(stored.attrs["cylinder"])), stored.attrs["engine"],
         *numbers, stored["packing"].values, stored["values"].values.astype(float),
         reference, kernels,
+        stored["tolerance"].values if "tolerance" in stored else np.zeros(0),
     )  # fmt: skip

@@ -41,12 +41,11 @@ class Table:
 class NullTable:
     """Simulated statistics without any gap (`before`) and after the best effect where one is
     true (`after`); inflation: mean square of the scores without any gap (1 for a known
-    covariance); plan: specimens and features that it was simulated for."""
+    covariance)."""
 
     before: Table
     after: Table
     inflation: float
-    plan: tuple[int, ...]
 
 
 def table(draws: np.ndarray) -> Table:
@@ -97,7 +96,6 @@ def simulate(world: World, seed: int, draws: int = DRAWS) -> NullTable:
         table(np.array(before)),
         table(np.array(after or before)),
         float(np.mean(squares)),
-        world.plan.shape,
     )
 
 

@@ -1,21 +1,59 @@
 """What all figures share: no display, and colours that differ in lightness as well as in hue.
 
-Figures survive a greyscale printer; colour maps run from dark to light.
+Figures survive a greyscale printer; colour maps run from dark to light.  A figure becomes a
+file (`save`) or, for a page, SVG text of one panel that a phone can show (`panel_svg`).
 """
 
+import io
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 MAP = "cividis"
+PANEL = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 
 
 def save(figure: Figure, path: Path) -> None:
     """Writes the figure and forgets it."""
     figure.savefig(path, dpi=130)
     plt.close(figure)
+
+
+def panel_svg(
+    draw: Callable[[Any], None],
+    size: tuple[float, float] = PANEL,
+    projection: str | None = None,
+) -> str:
+    """What `draw` puts on one axis, as SVG text."""
+    figure = plt.figure(figsize=size, layout="constrained")
+    draw(figure.add_subplot(projection=projection))
+    return svg(figure)
+
+
+def svg(figure: Figure) -> str:
+    """The drawing as text, the same bytes every time; the figure is closed."""
+    text = io.StringIO()
+    with plt.rc_context({"svg.hashsalt": "calibrate"}):
+        figure.savefig(text, format="svg", metadata={"Date": None}, dpi=150)
+    plt.close(figure)
+    return text.getvalue()
+
+
+def above(axis: Axes) -> None:
+    """A legend above the axis, where it hides nothing."""
+    if axis.get_legend_handles_labels()[0]:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 3}
+        axis.legend(frameon=False, fontsize=7, columnspacing=1.2, handlelength=1.6, **place)
+
+
+def pretty(name: str) -> str:
+    """A parameter or observable as words."""
+    return name.removesuffix("_mm").removesuffix("_n").replace("_", " ")

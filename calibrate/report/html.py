@@ -2,14 +2,18 @@
 
 Every text that enters a template is escaped.  Pictures are embedded, styles stand in the page,
 and its content policy forbids any request.  A new kind of report is one more template that
-extends `base.html` and fills its blocks `title`, `lead` and `content`.
+extends `base.html` and fills its blocks `title`, `lead` and `content`; `parts.html` has what
+they share.
 """
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jinja2
 import numpy as np
+
+from calibrate.labfile import PARAMETER_UNITS
 
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("calibrate.report"),
@@ -29,6 +33,27 @@ class Picture:
     caption: str
 
 
+@dataclass(frozen=True)
+class Table:
+    """Cells as text, the first of each row its heading; numbers are set flush right.
+
+    On a phone each row becomes a card in which the names of the columns label the cells.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    text: bool = False  # words rather than numbers
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report, and the sentence that sums it up."""
+
+    sentence: str
+    html: str
+
+
 def render(template: str, **content: object) -> str:
     """The page that `template` makes of `content`."""
     return TEMPLATES.get_template(template).render(**content)
@@ -45,7 +70,7 @@ def number(value: float | None, digits: int = 5) -> str:
 
     Powers of ten stand only below 0.0001 and from ten million.
     """
-    if value is None:
+    if value is None or np.isnan(value):
         return "–"
     text = f"{value:.{digits}g}"
     if 1 <= abs(value) < 1e7:
@@ -53,5 +78,26 @@ def number(value: float | None, digits: int = 5) -> str:
     return text.replace("-", "−")
 
 
+def words(name: str) -> str:
+    """A name of the program as words."""
+    return name.replace("_", " ")
+
+
+def quantity(name: str, value: float | None, digits: int = 4) -> str:
+    """A parameter's value for reading, with its unit; moduli in MPa."""
+    unit = PARAMETER_UNITS.get(name, "")
+    if unit == "Pa" and value is not None:
+        value, unit = value / 1e6, "MPa"
+    return f"{number(value, digits)} {unit}".strip().replace("J/m^2", "J/m²")
+
+
+def plus_minus(value: float, scatter: float) -> str:
+    """A value with its scatter; the value alone where that is not known."""
+    if np.isnan(scatter):
+        return number(value, 4)
+    return f"{number(value, 4)} ± {number(scatter, 2)}"
+
+
+TEMPLATES.filters["words"] = words
 TEMPLATES.filters["number"] = number
 TEMPLATES.filters["embedded"] = embedded

@@ -5,9 +5,9 @@ Each file has `register(app)`, which adds its command to the program in `calibra
 
 import typer
 
-from calibrate.verbs import bank, convert, withheld
+from calibrate.verbs import bank, convert, diagnose, withheld
 
-VERBS = (bank, convert, withheld)
+VERBS = (bank, convert, diagnose, withheld)
 
 
 def register(app: typer.Typer) -> None:

@@ -53,7 +53,9 @@ def withheld_command(
         run.generate(out, ready, counts, None, progress)
     source = out if given is None else given
     run.judge(source, out, ready, seed, progress, discrepancy)
-    result, rows = run.opened(source, out, seed, progress, fresh and given is None)
+    result, rows = run.opened(
+        source, out, ready, seed, progress, fresh and given is None, discrepancy
+    )
     report.write(out, result, rows, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")

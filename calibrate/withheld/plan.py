@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from calibrate.bank.description import Ready, describe, point_of
+from calibrate.bank.description import Discrepancy, Ready, describe, point_of
 from calibrate.bank.design import CENTRE, LIMITS, SOIL_PRIOR_SD
 from calibrate.diagnosis.generated import World
 from calibrate.diagnosis.noise import packing_covariance
@@ -144,14 +144,19 @@ class Planner:
 
 
 class Visibility:
-    """Projected signal-to-noise of effects at one soil, for `SPECIMENS` full specimens."""
+    """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
 
-    def __init__(self, ready: Ready, soil: dict[str, float]):
+    def __init__(
+        self, ready: Ready, soil: dict[str, float], specimens: int = SPECIMENS,
+        discrepancy: Discrepancy | None = None,
+    ):  # fmt: skip
         every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
         point = point_of(ready.bank, soil)
         values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(LIMITS)))[0]
-        self.description = describe(ready, point, values[every], every)
-        plan = np.ones((SPECIMENS, len(every)), bool)
+        self.description = describe(
+            ready, point, values[every], every, discrepancy=discrepancy
+        )
+        plan = np.ones((specimens, len(every)), bool)
         self.world = World(self.description, plan, packing_covariance(self.description))
         self.typical = dict(zip(LIMITS, ready.bank.design.typical(), strict=True))
 

@@ -24,6 +24,7 @@ from calibrate.output import write_json, write_text
 from calibrate.progress import AbstractProgress
 from calibrate.withheld import seal
 from calibrate.withheld.canary import canary
+from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
 from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner
 from calibrate.withheld.scores import Row, row, scored
@@ -112,8 +113,9 @@ def judge(
 
 
 def opened(
-    source: Path, out: Path, seed: int, progress: AbstractProgress, fresh: bool
-) -> tuple[dict, list[Row]]:
+    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress, fresh: bool,
+    discrepancy: Discrepancy | None = None,
+) -> tuple[dict, list[Row]]:  # fmt: skip
     """Opens the seal, checks both lists of hashes, scores; writes withheld.json."""
     said = read_verdicts(out / VERDICTS)
     stated = dict(
@@ -123,12 +125,18 @@ def opened(
         if stated.get(name) != _digest(out / VERDICTS / f"{name}.json"):
             raise InputError(str(out / VERDICTS), name, "the verdict was changed after it was stated",
                              "judge the cases again")  # fmt: skip
-    labels = {name: _in_our_words(label) for name, label in seal.open_seal(source).items()}
+    labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
+    if not set(said) == set(stated) == set(labels):
+        problem = f"{len(labels)} labels, {len(said)} verdicts"
+        raise InputError(str(out), VERDICTS, problem, "judge all cases first")
+    labels = with_visibility(labels, ready, discrepancy)
     realised = _fresh(source, said, labels, progress) if fresh else {}
     rows = [row(said[name], labels[name], realised.get(name)) for name in sorted(said)]
     folders = [source / "cases" / r.case for r in rows]
     result = {
         **scored(rows, seed),
+        "other_code": not (source / PLAN).exists(),
+        "given_up": _given_up(source),
         "canary": canary(folders, [r.kind for r in rows], seed),
         "rows": [asdict(r) for r in rows],
         "hidden": {name: labels[name]["hidden"] for name in sorted(said)},
@@ -137,15 +145,14 @@ def opened(
     return result, rows
 
 
+def _given_up(source: Path) -> int:
+    """How many planned cases were not made, because no attempt was acceptable."""
+    kept = (source / "sealed").glob("*.attempt")
+    return sum(path.read_text().strip() == "-1" for path in kept)
+
+
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _in_our_words(label: dict) -> dict:
-    """A label with the keys that scoring reads, whoever made it."""
-    hidden = label.get("hidden") or label.get("effects", [])
-    kind = {"library": "single"}.get(label["kind"], label["kind"])
-    return {**label, "kind": kind, "hidden": [dict(h) for h in hidden]}
 
 
 def _fresh(source: Path, said: dict, labels: dict, progress: AbstractProgress) -> dict[str, float]:

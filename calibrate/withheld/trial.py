@@ -52,7 +52,7 @@ def judges(prepared: Prepared, seed: int) -> Judges:
         if case.truth == (NONE,):
             null.append(baselines.template_scores(linear, case.measured).max())
     return Judges(
-        Manner(ready.opinion, ready.smallest, prepared.null),
+        Manner(ready.opinion, ready.smallest, {prepared.world.plan.shape: prepared.null}),
         tuple(f.name for f in linear.features),
         float(np.quantile(null, 0.95)),
         baselines.majority([name for name in labels if name not in (NONE, UNKNOWN, "pair")]),

@@ -1,0 +1,136 @@
+"""What all records share: numbers that may be missing, known names, provenance, measurements.
+
+JSON has no NaN: what is not known stands there as null, and here as NaN.
+"""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import model_validator as check
+from pydantic_core import ErrorDetails
+
+from calibrate.errors import BadValue, InputError, shown
+from calibrate.labfile import PARAMETER_UNITS, read_text
+
+RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
+
+
+def _nan_for_null(value: Any) -> Any:
+    return float("nan") if value is None else value
+
+
+def _known_parameter(name: str) -> str:
+    if name not in PARAMETER_UNITS:
+        raise ValueError(f"{shown(name)} is no parameter")
+    return name
+
+
+Number = Annotated[float, BeforeValidator(_nan_for_null)]
+Parameter = Annotated[str, AfterValidator(_known_parameter)]
+Observable = Literal["depression_depth_mm", "crushing_force_n"]
+Test = Literal["confined", "unconfined"]
+OBSERVABLES: tuple[Observable, Observable] = ("depression_depth_mm", "crushing_force_n")
+TESTS: tuple[Test, Test] = ("confined", "unconfined")
+
+
+class Record(BaseModel):
+    """Part of a result; keys that we do not know are left alone."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
+
+
+class Origin(Record):
+    """What made a result."""
+
+    command: str
+    soil: str
+    preset: str
+    versions: dict[str, str]
+    engine: str = ""  # hash of the simulator's source
+
+
+class Curve(Record):
+    """Displacement (mm) and force (N) of one test of one specimen, as drawn."""
+
+    displacement_mm: list[Number]
+    force_n: list[Number]
+
+    @check(mode="after")
+    def _same_length(self) -> "Curve":
+        if len(self.displacement_mm) != len(self.force_n):
+            raise ValueError("displacement_mm and force_n differ in length")
+        return self
+
+
+class MeasuredCurve(Curve):
+    """A curve of the laboratory; `file` is its name in the lab file."""
+
+    test: Test
+    file: str
+
+
+class Target(Record):
+    """A measured observable: mean of `repeats` tests, standard deviation of one (mm or N)."""
+
+    mean: Number
+    scatter: Number
+    repeats: int
+
+
+class Measured(Record):
+    """All that was compared with; depth counts between two forces on loading (N)."""
+
+    targets: dict[Observable, Target]
+    curves: list[MeasuredCurve] = []
+    depth_between_n: tuple[Number, Number]
+
+
+R = TypeVar("R", bound=Record)
+
+
+def as_json(content: dict) -> str:
+    """Strict JSON: NaN and infinities become null."""
+    return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
+
+
+def record(kind: type[R], content: dict) -> R:
+    """The record of plain data as it would be read from its file."""
+    return kind.model_validate_json(as_json(content))
+
+
+def read(path: Path, kind: type[R]) -> R:
+    """The record in a JSON file; `InputError` for the first thing that is wrong."""
+    try:
+        return kind.model_validate_json(read_text(path))
+    except BadValue as bad:
+        raise bad.at(str(path), "") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        raise InputError(str(path), field, _words(first), RUN_AGAIN) from None
+
+
+def _words(error: ErrorDetails) -> str:
+    """What pydantic says, for one who has never heard of it."""
+    if error["type"] == "missing":
+        return "missing: the file is of an earlier version or not of this kind"
+    reason = error.get("ctx", {}).get("error")
+    if isinstance(reason, BadValue):
+        return reason.problem
+    return error["msg"].removeprefix("Value error, ").replace("Input should be", "it should be")
+
+
+def _finite(value):
+    """The value with NaN and infinities replaced by None."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    return value
