@@ -19,8 +19,8 @@ from calibrate.diagnosis.generated import World, plan_of
 from calibrate.diagnosis.how_far import HowFar, how_far
 from calibrate.diagnosis.lack_of_fit import NullTable
 from calibrate.diagnosis.linear import Linearised
-from calibrate.diagnosis.noise import packing_covariance
 from calibrate.diagnosis.next_test import Proposal, next_tests
+from calibrate.diagnosis.noise import packing_covariance
 from calibrate.diagnosis.opinion import NONE, Opinion
 from calibrate.diagnosis.rehearsal import rehearsed
 from calibrate.diagnosis.repeats import Measured

@@ -3,8 +3,8 @@
     delta   base coordinates from the lab's own starting soil, with its prior
     e       strengths in typical ones
 
-The description is linear about the best fit of the base coordinates to the measured means, and keeps
-the emulator for what is not linear.  Simulated scatter is carried to the soil at hand as the
+The description is linear about the best fit of the base coordinates to the measured means, and
+keeps the emulator for what is not linear.  Simulated scatter is carried to the soil at hand as the
 emulator warps features: large forces scatter in proportion.
 """
 
@@ -61,7 +61,7 @@ class Ready:
 
     @cached_property
     def specimens(self) -> np.ndarray:
-        """Warped residuals (packings, m) of independent specimens: the first row of each packing."""
+        """Warped residuals (packings, m) of independent specimens: one row of each packing."""
         _, first = np.unique(self.bank.packing, return_index=True)
         return self.emulator.residuals[first]
 
@@ -132,9 +132,7 @@ def point_of(bank: Bank, soil: dict[str, float], soil_sd: dict[str, float] | Non
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
-    return Point(
-        np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD])
-    )
+    return Point(np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD]))
 
 
 def describe(

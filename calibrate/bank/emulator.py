@@ -6,10 +6,12 @@
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
           + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
 
-x are base coordinates over their prior deviations, s strengths over their limits.  The inverse hyperbolic sine makes factors of force and stiffness add up and
-scatter alike for weak and strong soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
+x are base coordinates over their prior deviations, s strengths over their limits.  The inverse
+hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
+soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
 slopes rest on differences within packings.  Hyperparameters maximise the marginal likelihood
-(Rasmussen and Williams 2006, chapters 2 and 5); derivatives are those of the kernel, in closed form.
+(Rasmussen and Williams 2006, chapters 2 and 5); derivatives are those of the kernel, in closed
+form.
 """
 
 from collections.abc import Sequence
@@ -18,8 +20,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
@@ -131,10 +133,8 @@ class FeatureEmulator:
     components: tuple[Component, ...]
     residuals: np.ndarray
 
-    def __call__(
-        self, x: np.ndarray, s: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Means over packings (m,), slopes (m, p) and effects' slopes (m, k) per scaled coordinate."""
+    def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
         parts = [_point(c, self.x, self.s, x, s) for c in self.components]
         carried = self.loadings.T * self.deviation
         lift, steep = self._back(self.mean + carried @ np.array([part[0] for part in parts]))

@@ -40,7 +40,9 @@ def menu(d: Linearised, noise: Noise) -> list[FurtherTest]:
         _again(d, noise, UNCONFINED, "crushing ten times as fast", 2.0, _faster),
         _again(d, noise, UNCONFINED, "crushing a sealed specimen at once", 3.0, _fresh),
     ]
-    return both + (confined if CONFINED in tests else []) + (unconfined if UNCONFINED in tests else [])
+    return (
+        both + (confined if CONFINED in tests else []) + (unconfined if UNCONFINED in tests else [])
+    )
 
 
 def _machine(d: Linearised, name: str, cost: float, labels, columns, sd) -> FurtherTest:

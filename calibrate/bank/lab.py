@@ -58,12 +58,16 @@ def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
     longer = cylinder.height / lab.specimen.height
     wider = (cylinder.diameter / lab.specimen.diameter) ** 2
     by_test = {
-        test: [(c.displacement_mm * longer, c.force_n * wider) for c in lab.curves if c.test == test]
+        test: [
+            (c.displacement_mm * longer, c.force_n * wider) for c in lab.curves if c.test == test
+        ]
         for test in (CONFINED, UNCONFINED)
     }
     counts = [len(curves) for curves in by_test.values()]
     if counts[0] == counts[1]:
-        return [dict(zip(by_test, pair, strict=True)) for pair in zip(*by_test.values(), strict=True)]
+        return [
+            dict(zip(by_test, pair, strict=True)) for pair in zip(*by_test.values(), strict=True)
+        ]
     return [{test: curve} for test, curves in by_test.items() for curve in curves]
 
 
@@ -151,14 +155,14 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
     return replace(d, mean=d.mean + shift, sensor=d.sensor + sensor, emulator=emulator)
 
 
-def with_baseline(
-    d: Linearised, found: LabCurves
-) -> tuple[Linearised, Measured]:
+def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
     """The description and the sample with the forces before contact, where all specimens have
     them: only an untared load cell moves those."""
     have = np.isfinite(found.before) if len(found.before) else np.zeros((0, 2), bool)
     has_test = np.array([[t in c for t in (CONFINED, UNCONFINED)] for c in found.specimens])
-    keep = [i for i in (0, 1) if len(have) and has_test[:, i].any() and have[has_test[:, i], i].all()]
+    keep = [
+        i for i in (0, 1) if len(have) and has_test[:, i].any() and have[has_test[:, i], i].all()
+    ]
     if not keep:
         return d, found.measured
     before = declare_before_contact()

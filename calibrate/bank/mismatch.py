@@ -25,7 +25,9 @@ DIRECTIONS = 3
 FEWEST = 6  # reference cases
 
 
-def learn(labs: Sequence[Lab], ready: Ready, seed: int, directions: int = DIRECTIONS) -> Discrepancy:
+def learn(
+    labs: Sequence[Lab], ready: Ready, seed: int, directions: int = DIRECTIONS
+) -> Discrepancy:
     """The mismatch from at least `FEWEST` reference labs that have all of the bank's features."""
     rows = [row for lab in labs if (row := left_by_fit(lab, ready, seed)) is not None]
     if len(rows) < FEWEST:
@@ -77,7 +79,9 @@ def load(path: Path, ready: Ready) -> Discrepancy:
         found = Discrepancy(*parts)
     except (OSError, ValueError, KeyError, TypeError) as error:
         problem = f"no mismatch can be read ({type(error).__name__})"
-        raise InputError(str(path), "", problem, "give a file that `calibrate mismatch` wrote") from None
+        raise InputError(
+            str(path), "", problem, "give a file that `calibrate mismatch` wrote"
+        ) from None
     m = len(ready.bank.features)
     shapes = {found.mean.shape, found.rest.shape, found.directions.shape[:1]}
     if shapes != {(m,)} or found.directions.ndim != 2:

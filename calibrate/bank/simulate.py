@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from calibrate.bank.design import Design
 from calibrate.campaign import Campaign, Run, cores

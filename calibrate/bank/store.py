@@ -129,10 +129,8 @@ def curves_of(run: Run) -> Curves:
     return {"confined": tuple(run.confined.T), "unconfined": tuple(run.unconfined.T)}
 
 
-def collect(
-    design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run
-) -> Bank:
-    """The bank of a design's runs (None: not simulated); failed and incomplete ones are left out."""
+def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> Bank:
+    """The bank of a design's runs (None: not simulated), without failed and incomplete ones."""
     base, strengths = design.rows()
     packing = np.repeat(np.arange(design.packings), design.rows_each)
     features = declared(lab.confined.force_high)
@@ -189,7 +187,9 @@ def load(path: Path) -> Bank:
             return _read(stored.load())
     except (OSError, KeyError, ValueError, TypeError) as error:
         problem = f"this is no bank of simulations ({type(error).__name__})"
-        raise InputError(str(path), "", problem, "give a file that `calibrate bank` wrote") from None
+        raise InputError(
+            str(path), "", problem, "give a file that `calibrate bank` wrote"
+        ) from None
 
 
 def _read(stored: xr.Dataset) -> Bank:

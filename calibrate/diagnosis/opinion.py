@@ -7,8 +7,9 @@
 
 T and the a are how evidences and priors have to be bent so that stated probabilities are
 met; g, l, c and d let the two simulated p-values speak, which know of the covariance's own
-uncertainty, and how much it means that a gate is passed or not.  All are fitted to generated cases by their logarithmic score (`fitted`), with
-a weak pull to the neutral values below: temperature scaling (Guo et al. 2017) with priors.
+uncertainty, and how much it means that a gate is passed or not.  All are fitted to generated
+cases by their logarithmic score (`fitted`), with a weak pull to the neutral values below:
+temperature scaling (Guo et al. 2017) with priors.
 """
 
 from collections.abc import Sequence

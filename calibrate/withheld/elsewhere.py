@@ -63,5 +63,7 @@ def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
     if not strengths or label["kind"] == "scatter":
         return 0.0
     soil = {**ready.bank.design.centre}
-    known = {n: v for n, v in label.get("soil", {}).items() if n in soil and n != "rolling_friction"}
+    known = {
+        n: v for n, v in label.get("soil", {}).items() if n in soil and n != "rolling_friction"
+    }
     return Visibility(ready, {**soil, **known}, SPECIMENS, discrepancy).snr(strengths)

@@ -183,7 +183,9 @@ def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> 
     return np.column_stack([np.round(x, 3), np.round(mean, 1)])
 
 
-def write_case(name: str, specimens: list[Specimen], centre: dict[str, float], folder: Path) -> None:
+def write_case(
+    name: str, specimens: list[Specimen], centre: dict[str, float], folder: Path
+) -> None:
     """All files of a case, with the same form whatever it hides."""
     folder.mkdir(parents=True, exist_ok=True)
     for number, specimen in enumerate(specimens, 1):

@@ -48,7 +48,9 @@ class Crushable(AbstractContactLaw):
         beyond = self.weakness * history.max_overlap / (ONSET * contact.radius) - 1.0
         left = 1.0 - LOST * -jnp.expm1(-jnp.maximum(beyond, 0.0))
         normal = NormalForce(
-            force.normal.hysteretic * left, force.normal.viscous, force.normal.frictional_load * left
+            force.normal.hysteretic * left,
+            force.normal.viscous,
+            force.normal.frictional_load * left,
         )
         weaker = ContactForce(
             normal, force.tangential * left, force.tangential_viscous, force.rolling_limit * left

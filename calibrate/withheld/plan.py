@@ -18,7 +18,11 @@ from calibrate.diagnosis.noise import packing_covariance
 from calibrate.diagnosis.opinion import NONE
 from calibrate.withheld.outside import OUTSIDE
 
-STRATA: dict[str, tuple[float, float]] = {"0.5-2": (0.5, 2.0), "2-6": (2.0, 6.0), "above 6": (6.0, 15.0)}
+STRATA: dict[str, tuple[float, float]] = {
+    "0.5-2": (0.5, 2.0),
+    "2-6": (2.0, 6.0),
+    "above 6": (6.0, 15.0),
+}
 COUNTS = {"none": 100, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
 SPECIMENS = 4
 SPHERES = (130, 190)  # other numbers than the bank's
@@ -153,9 +157,7 @@ class Visibility:
         every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
         point = point_of(ready.bank, soil)
         values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(LIMITS)))[0]
-        self.description = describe(
-            ready, point, values[every], every, discrepancy=discrepancy
-        )
+        self.description = describe(ready, point, values[every], every, discrepancy=discrepancy)
         plan = np.ones((specimens, len(every)), bool)
         self.world = World(self.description, plan, packing_covariance(self.description))
         self.typical = dict(zip(LIMITS, ready.bank.design.typical(), strict=True))

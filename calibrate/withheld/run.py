@@ -1,10 +1,10 @@
 """A withheld benchmark from nothing to scores; every step is kept and none is repeated.
 
-    DIR/cases/ID/         what a laboratory would hand over
-    DIR/labels.sha256     stated before the first diagnosis
-    DIR/sealed/           the labels; opened after DIR/verdicts.sha256 is written
-    DIR/verdicts/ID.json  one a case
-    DIR/withheld.json     scores
+DIR/cases/ID/         what a laboratory would hand over
+DIR/labels.sha256     stated before the first diagnosis
+DIR/sealed/           the labels; opened after DIR/verdicts.sha256 is written
+DIR/verdicts/ID.json  one a case
+DIR/withheld.json     scores
 """
 
 import hashlib
@@ -103,7 +103,7 @@ def judge(
     source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress,
     discrepancy: Discrepancy | None = None,
 ) -> None:  # fmt: skip
-    """Verdicts of all cases in `source` into `out`, and the hash of each before the seal is opened."""
+    """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
     cases = case_folders(source)
     progress.say("learning how to state probabilities, training rivals")
     judge: Judges = judges(typical_case(cases[0], ready, seed, discrepancy), seed)
@@ -123,8 +123,8 @@ def opened(
     )
     for name in said:
         if stated.get(name) != _digest(out / VERDICTS / f"{name}.json"):
-            raise InputError(str(out / VERDICTS), name, "the verdict was changed after it was stated",
-                             "judge the cases again")  # fmt: skip
+            problem = "the verdict was changed after it was stated"
+            raise InputError(str(out / VERDICTS), name, problem, "judge the cases again")
     labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
     if not set(said) == set(stated) == set(labels):
         problem = f"{len(labels)} labels, {len(said)} verdicts"

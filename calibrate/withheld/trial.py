@@ -138,7 +138,12 @@ def _relabelled(prepared: Prepared, name: str) -> str:
 
 
 def diagnose_all(
-    cases: list[Path], out: Path, ready: Ready, judge: Judges, seed: int, progress,
+    cases: list[Path],
+    out: Path,
+    ready: Ready,
+    judge: Judges,
+    seed: int,
+    progress,
     discrepancy: Discrepancy | None = None,
 ) -> None:
     """Verdicts of all cases into `out`; those that are there already stay."""
