@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibrate.errors import InputError
 from calibrate.measurements import load_lab
+from calibrate.withheld.seal import digest, open_seal, write_seal
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "reality"
 sys.path.insert(0, str(FOLDER))
@@ -23,7 +25,6 @@ import referee  # noqa: E402
 from cases import plan  # noqa: E402
 from effects import BY_NAME, LIBRARY, OUTSIDE, Setup  # noqa: E402
 from physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force  # noqa: E402
-from seal import digest, open_seal, write_seal  # noqa: E402
 from soil import PLATEN, TYPES, Soil, draw_soil  # noqa: E402
 from specimen import run  # noqa: E402
 
@@ -130,7 +131,7 @@ def test_a_label_cannot_be_guessed_from_its_hash(tmp_path):
     assert open_seal(tmp_path) == {case.name: label}
     sealed = tmp_path / "sealed" / "labels.json"
     sealed.write_text(sealed.read_text().replace('"attempt":0', '"attempt":1'))
-    with pytest.raises(ValueError, match="do not match"):
+    with pytest.raises(InputError, match="do not match"):
         open_seal(tmp_path)
 
 

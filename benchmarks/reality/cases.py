@@ -64,17 +64,18 @@ class Case:
         }  # fmt: skip
 
 
-def plan(count: int, seed: int) -> list[Case]:
-    """`count` cases; every beginning of the list holds the kinds in about their shares."""
+def plan(count: int, seed: int, nothing_hidden: bool = False) -> list[Case]:
+    """`count` cases; every beginning of the list holds the kinds in about their shares, or
+    (for learning what the two codes differ by) nothing is hidden in any."""
     random = np.random.default_rng(seed)
-    kinds = _kinds(count, random)
+    kinds = [("none", ())] * count if nothing_hidden else _kinds(count, random)
     cases = []
     for kind, hidden in kinds:
         numbers = random.integers(2**31, size=3)
         case = Case(f"{int(numbers[0]):08x}", kind, hidden, int(numbers[1]), _nonce(random))
         cases.append(case)
     if len({case.name for case in cases}) < count:
-        return plan(count, seed + 1)
+        return plan(count, seed + 1, nothing_hidden)
     return cases
 
 
@@ -92,7 +93,7 @@ def _kinds(count: int, random: np.random.Generator) -> list[tuple[str, tuple[Hid
         "outside": _single(OUTSIDE, random),
         "two": _double(random),
     }
-    placed = []
+    placed: list[tuple[float, str, tuple[Hidden, ...]]] = []
     for kind, many in number.items():
         for rank in range(many):
             place = (rank + random.uniform()) / many

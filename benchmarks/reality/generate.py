@@ -1,6 +1,6 @@
 """Generate cases whose reality LIGGGHTS computes, with sealed labels.
 
-    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR]
+    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR] [--nothing-hidden]
 
 Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
 repeated, so the command may be stopped and given again.  A case appears in OUT/cases when all its
@@ -19,8 +19,9 @@ import numpy as np
 from cases import ATTEMPTS, SPECIMENS, Case, accepted, plan
 from instrument import TARGET_FORCE
 from labfiles import Specimen, measured, write_case
-from seal import write_seal
 from specimen import Run, run
+
+from calibrate.withheld.seal import write_seal
 
 HERE = Path(__file__).parent
 DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)
@@ -97,9 +98,11 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=HERE)
+    parser.add_argument("--nothing-hidden", action="store_true")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    planned, labels = plan(options.cases, master_seed(options.work, options.seed)), []
+    seed, labels = master_seed(options.work, options.seed), []
+    planned = plan(options.cases, seed, options.nothing_hidden)
     (options.work / "plan.json").write_text(json.dumps([asdict(c) for c in planned], indent=1))
     with ProcessPoolExecutor(options.jobs) as pool:
         results = [pool.submit(make_case, c, options.work, options.out) for c in planned]

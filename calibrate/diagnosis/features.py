@@ -39,6 +39,9 @@ REFERENCE = 0.5  # share of the largest force whose displacement on loading is z
 SEATING = 0.02  # share of the crushing force at which displacement starts to count
 WINDOW = 0.04  # half-width of the averaging window, share of the displacement at the peak
 NEAR_PEAK = 0.95  # share of the peak above which the peak's place is averaged
+LATE = 0.08  # share of the largest force; a loading that begins above it is read from there on
+CONTACT = 0.012  # share of the range of forces at which the platen surely touches
+FEWEST_BEFORE = 3  # readings before contact that make a mean
 TEST_OF_TARGET = {"depression_depth_mm": CONFINED, "crushing_force_n": UNCONFINED}
 
 Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]  # test -> displacement (mm), force (N)
@@ -49,8 +52,8 @@ class Feature:
     """One number of a specimen: where it is read and in which unit it is.
 
     kind is "loading", "unloading" (abscissa in N), "crushing" (abscissa in mm), "largest
-    force", "travel at the top", "peak force", "peak displacement" or "target".  `scale` is
-    the force (N; confined) or displacement (mm; unconfined) that all abscissae are shares of;
+    force", "travel at the top", "peak force", "peak displacement", "before contact" or
+    "target".  `scale` is the force (N; confined) or displacement (mm; unconfined) that all abscissae are shares of;
     `force` is the seating force (N; unconfined); `position` runs from 0 to 1 along the test.
     """
 
@@ -115,6 +118,31 @@ def declare_targets(names: Sequence[str]) -> tuple[Feature, ...]:
     )
 
 
+def declare_before_contact() -> tuple[Feature, ...]:
+    """The force (N) that a machine shows before its platen touches, in both tests."""
+    return tuple(
+        Feature(f"force before contact, {test}", test, "before contact", "before contact",
+                0.0, "N", 0.0)
+        for test in TESTS
+    )  # fmt: skip
+
+
+def force_before_contact(force: np.ndarray) -> float:
+    """Mean of the readings (N) before contact, NaN if there are fewer than `FEWEST_BEFORE`."""
+    readings = readings_before_contact(force)
+    return float(force[:readings].mean()) if readings >= FEWEST_BEFORE else np.nan
+
+
+def readings_before_contact(force: np.ndarray) -> int:
+    """How many readings (N) come surely before contact.
+
+    Contact is where force leaves its first readings' median by more than CONTACT of its
+    range, two readings earlier to be safe.
+    """
+    away = force - np.median(force[:FEWEST_BEFORE])
+    return max(int(np.argmax(away > CONTACT * away.max())) - 2, 0)
+
+
 def vector(
     features: Sequence[Feature], curves: Curves, targets: Mapping[str, float] | None = None
 ) -> np.ndarray:
@@ -169,17 +197,19 @@ def _read_confined(features, displacement, force) -> dict[tuple[str, float], flo
     if not mine:
         return {}
     turn = int(np.argmax(displacement))
+    returns = turn < len(displacement) - 1
     rise = _rising(displacement[: turn + 1], force[: turn + 1])
+    late = rise[1][0] > LATE * mine[0].scale  # a few points that begin under load
     zero = _displacement_at(rise, REFERENCE * mine[0].scale)
     near_top = _displacement_at(rise, 0.99 * mine[0].scale)
     values = {
-        ("largest force", 0.0): float(rise[1][-1]),
-        ("travel at the top", 0.0): float(displacement[turn] - near_top),
+        ("largest force", 0.0): float(rise[1][-1]) if returns else np.nan,
+        ("travel at the top", 0.0): float(displacement[turn] - near_top) if returns else np.nan,
     }
     fall = _falling(displacement[turn:], force[turn:])
     for feature in mine:
         if feature.kind == "loading":
-            value = _displacement_at(rise, feature.abscissa) - zero
+            value = _displacement_at(rise, feature.abscissa, strict=late) - zero
             values[feature.kind, feature.abscissa] = value
         elif feature.kind == "unloading":
             value = _displacement_at(fall, feature.abscissa, strict=True) - zero

@@ -93,7 +93,9 @@ def simulate(world: World, seed: int, draws: int = DRAWS) -> NullTable:
             best = int(np.argmax(admissible(z, d.one_sided)))
             after.append(statistics_after(design, [best], d.one_sided, kernel))
     return NullTable(
-        table(np.array(before)), table(np.array(after or before)), float(np.mean(squares))
+        table(np.array(before)),
+        table(np.array(after or before)),
+        float(np.mean(squares)),
     )
 
 

@@ -1,14 +1,15 @@
 """From evidences to probabilities over no gap, each effect, each pair, and unknown.
 
-    none     g ln p_before
+    none     g ln p_before + c [p_before > ALPHA]
     effect   a1 - ln k + ln B / T
     pair     a2 - ln q + ln B / T
-    unknown  a3 - l ln p_after + ln B / T          probabilities: softmax
+    unknown  a3 - l ln p_after + d [p_after < ALPHA] + ln B / T       probabilities: softmax
 
 T and the a are how evidences and priors have to be bent so that stated probabilities are
-met; g and l let the two simulated p-values speak, which know of the covariance's own
-uncertainty.  All are fitted to generated cases by their logarithmic score (`fitted`), with
-a weak pull to the neutral values below: temperature scaling (Guo et al. 2017) with priors.
+met; g, l, c and d let the two simulated p-values speak, which know of the covariance's own
+uncertainty, and how much it means that a gate is passed or not.  All are fitted to generated
+cases by their logarithmic score (`fitted`), with a weak pull to the neutral values below:
+temperature scaling (Guo et al. 2017) with priors.
 """
 
 from collections.abc import Sequence
@@ -20,14 +21,15 @@ from scipy.optimize import minimize
 from calibrate.diagnosis.evidence import Evidence
 
 NONE, UNKNOWN = "none", "unknown"
-PULL_SD = 1.5  # of each number of an opinion about its neutral value
+ALPHA = 0.05  # of both gates
+PULL_SD = np.array([1.5] * 6 + [5.0, 5.0])  # of an opinion's numbers about their neutral values
 LOG_P_FLOOR = -6.0
 
 
 @dataclass(frozen=True)
 class Opinion:
-    """The six numbers: ln T, log prior odds of effect, pair, unknown against none, weights of
-    the p-values before and after.  Neutral: evidences as they are."""
+    """The eight numbers: ln T, log prior odds of effect, pair, unknown against none, weights of
+    the p-values before and after, and what the two gates add.  Neutral: evidences as they are."""
 
     log_temperature: float = 0.0
     single: float = 0.0
@@ -35,6 +37,8 @@ class Opinion:
     unknown: float = -1.0
     before: float = 0.0
     after: float = 0.0
+    quiet: float = 0.0
+    left_over: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ def fitted(
             total += np.logaddexp.reduce(score) - np.logaddexp.reduce(score[truth])
         return float(total)
 
-    bounds = [(-1.0, 3.0), *[(-8.0, 8.0)] * 3, (0.0, 3.0), (0.0, 3.0)]
+    bounds = [(-1.0, 3.0), *[(-8.0, 8.0)] * 3, *[(0.0, 3.0)] * 2, *[(0.0, 12.0)] * 2]
     found = minimize(loss, neutral, method="L-BFGS-B", bounds=bounds)
     return Opinion(*(float(number) for number in found.x))
 
@@ -97,6 +101,6 @@ def _score(raw, offset, before, after, numbers) -> np.ndarray:
     kind, share = offset
     prior = np.array([0.0, *numbers[1:4]])
     score = raw / np.exp(numbers[0]) + prior[kind] + share
-    score[0] += numbers[4] * before
-    score[-1] -= numbers[5] * after
+    score[0] += numbers[4] * before + numbers[6] * (before > np.log(ALPHA))
+    score[-1] += numbers[7] * (after < np.log(ALPHA)) - numbers[5] * after
     return score

@@ -3,9 +3,9 @@
     noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
-The verdict is "none" unless the gate finds a gap at `ALPHA`; "unknown" where something is
-left after the best effect and after the best pair, or where that is likeliest; else the
-likeliest class of effects.  `prepare` does what depends on the plan of measurement only.
+The verdict is "none" unless the gate finds a gap at `ALPHA`; else whatever is likeliest: a class
+of effects, two of them, or "unknown", for which it speaks that something is left after the best
+effect and after the best pair.  `prepare` does what depends on the plan of measurement only.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ from calibrate.diagnosis.lack_of_fit import (
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, estimate, packing_covariance
 from calibrate.diagnosis.opinion import (
+    ALPHA,
     NONE,
-    UNKNOWN,
     Facts,
     Opinion,
     hypotheses,
@@ -41,7 +41,6 @@ from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import Scores, admissible, lengths, scores
 from calibrate.diagnosis.sets import explanations
 
-ALPHA = 0.05  # of both gates
 REFITTED = 3  # leading effects whose pairs are refitted
 
 
@@ -277,8 +276,8 @@ def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
 
 
 def _verdict(facts: Facts, by_class: dict[str, float]) -> str:
+    """None unless the gate finds a gap; else what is likeliest, so that it agrees with what is
+    stated (a gap left after the best explanation speaks for unknown through the opinion)."""
     if facts.p_before > ALPHA:
         return NONE
-    if facts.p_after < ALPHA:
-        return UNKNOWN
     return max(by_class, key=lambda name: by_class[name])

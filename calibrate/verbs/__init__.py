@@ -5,9 +5,9 @@ Each file has `register(app)`, which adds its command to the program in `calibra
 
 import typer
 
-from calibrate.verbs import convert, export, report, view
+from calibrate.verbs import bank, convert, diagnose, export, report, view, withheld
 
-VERBS = (convert, export, report, view)
+VERBS = (convert, diagnose, withheld, bank, report, export, view)
 
 
 def register(app: typer.Typer) -> None:

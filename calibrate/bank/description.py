@@ -1,0 +1,215 @@
+"""A bank as `calibrate.diagnosis` sees it: mean, slopes and scatter around one laboratory's soil.
+
+    delta   base coordinates from the lab's own starting soil, with its prior
+    e       strengths in typical ones
+
+The description is linear about the best fit of the base coordinates to the measured means, and
+keeps the emulator for what is not linear.  Simulated scatter is carried to the soil at hand as the
+emulator warps features: large forces scatter in proportion.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibrate.bank.design import SETTING_PRIOR_SD
+from calibrate.bank.emulator import FeatureEmulator
+from calibrate.bank.store import Bank, limits
+from calibrate.diagnosis.linear import Effect, Linearised
+from calibrate.diagnosis.refit import refit
+from jdem.effects.composite import EFFECTS
+
+SETTING_PRIOR_MEAN = (-0.5, 0.0, 0.15)  # soil has no roundings and more particles
+MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
+DENSITY_SD = 0.004  # of density, where the lab does not say
+TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
+MEASURING = ("load_frame_compliance", "seating_gap", "load_cell_gain", "load_cell_offset",
+             "load_cell_drift", "acquisition_lag")  # fmt: skip
+SPECIMEN = ("specimen_density", "second_test_factor")
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a lab's soil lies in a bank: offset (p,) of the prior's mean, prior_sd (p,)."""
+
+    offset: np.ndarray
+    prior_sd: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,),
+    directions (m, q), one standard deviation each, and what neither holds, a standard deviation
+    (m,); all in a bank's features, warped as its emulator warps them."""
+
+    mean: np.ndarray
+    directions: np.ndarray
+    rest: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A bank with its emulator, residuals of one row a packing, and how certain values are."""
+
+    bank: Bank
+    emulator: FeatureEmulator
+
+    @staticmethod
+    def of(bank: Bank) -> "Ready":
+        return Ready(bank, bank.emulator())
+
+    @cached_property
+    def specimens(self) -> np.ndarray:
+        """Warped residuals (packings, m) of independent specimens: one row of each packing."""
+        _, first = np.unique(self.bank.packing, return_index=True)
+        return self.emulator.residuals[first]
+
+    def tolerance(self, discrepancy: Discrepancy | None) -> np.ndarray:
+        """What a description is wrong by (m,), warped: interpolation, and unexplained mismatch."""
+        known = self.bank.tolerance
+        own = known if len(known) else np.zeros(len(self.bank.features))
+        return own if discrepancy is None else np.hypot(own, discrepancy.rest)
+
+    def at(self, point: Point) -> "AtSoil":
+        """The emulator in the coordinates of a diagnosis."""
+        design = self.bank.design
+        return AtSoil(
+            self.emulator, point.offset, design.prior_sd(), design.typical() / limits(design)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AtSoil:
+    """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
+    typical strength; with a discrepancy, its directions are further base coordinates."""
+
+    emulator: FeatureEmulator
+    offset: np.ndarray
+    scale: np.ndarray
+    strength: np.ndarray
+    discrepancy: Discrepancy | None = None
+
+    def __call__(self, delta, strengths):
+        p = len(self.offset)
+        x = (self.offset + delta[:p]) / self.scale
+        values, base, effects = self.emulator(x, strengths * self.strength)
+        base, effects = base / self.scale, effects * self.strength
+        if self.discrepancy is None:
+            return values, base, effects
+        return self._shifted(self.discrepancy, delta[p:], values, base, effects)
+
+    def _shifted(self, wrong: Discrepancy, share, values, base, effects):
+        """The same with the discrepancy added to the warped features."""
+        scale = self.emulator.scale
+        before = values / scale
+        warped = np.arcsinh(before) + wrong.mean + wrong.directions @ share
+        steep = np.cosh(warped)
+        turned = (steep / np.sqrt(1 + before**2))[:, None]
+        base = np.hstack([base * turned, (scale * steep)[:, None] * wrong.directions])
+        return scale * np.sinh(warped), base, effects * turned
+
+
+def candidates(bank: Bank) -> tuple[Effect, ...]:
+    """The library of a bank, with typical strengths in SI."""
+    rows = zip(bank.design.effect_names, bank.design.typical(), strict=True)
+    return tuple(
+        Effect(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
+               EFFECTS[n].about.unit, _kind(n))
+        for n, t in rows
+    )  # fmt: skip
+
+
+def _kind(name: str) -> str:
+    if name in MEASURING:
+        return "measuring"
+    return "specimen" if name in SPECIMEN else "contact"
+
+
+def point_of(bank: Bank, soil: dict[str, float], soil_sd: dict[str, float] | None = None) -> Point:
+    """The prior about a soil (SI values by name); soil_sd: deviations of ln p where they differ."""
+    design, given = bank.design, soil_sd or {}
+    names = design.soil_names
+    offset = [np.log(soil[name] / design.centre[name]) for name in names]
+    spread = [given.get(name, design.soil_sd[name]) for name in names]
+    return Point(np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD]))
+
+
+def describe(
+    ready: Ready,
+    point: Point,
+    measured: np.ndarray,
+    chosen: np.ndarray,
+    density_sd: float = DENSITY_SD,
+    discrepancy: Discrepancy | None = None,
+) -> Linearised:
+    """The description for measured means (m_chosen,) of the bank's features `chosen` (indices).
+
+    Sensor terms are left at zero for the caller to add.
+    """
+    d = _rough(ready, point, discrepancy)
+    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point, discrepancy)
+    for _ in range(2):  # scatter depends on the fit, the fit on scatter
+        few = d.only_features(chosen)
+        covariance = first_covariance(few)
+        fit = refit(few, measured, covariance)
+        d = _local(ready, d, fit.delta, density_sd, point, discrepancy)
+    return d.only_features(chosen)
+
+
+def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linearised:
+    """The frame of a description; everything that depends on the point is filled by `_local`."""
+    bank, emulator = ready.bank, ready.at(point)
+    names, prior = bank.design.base_names, point.prior_sd
+    if discrepancy is not None:
+        emulator = replace(emulator, discrepancy=discrepancy)
+        extra = discrepancy.directions.shape[1]
+        names = (*names, *(f"mismatch {i + 1}" for i in range(extra)))
+        prior = np.concatenate([prior, np.ones(extra)])
+    values, base, effects = emulator(np.zeros(len(prior)), np.zeros(len(bank.design.limits)))
+    m = len(values)
+    return Linearised(
+        features=bank.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
+        effects=candidates(bank), effect_slopes=effects,
+        packing_residuals=ready.specimens, mean_specimens=10,
+        base_errors=np.zeros_like(base), effect_errors=np.zeros_like(effects),
+        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), tolerance=np.zeros(m), emulator=emulator,
+    )  # fmt: skip
+
+
+def _local(
+    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point,
+    discrepancy: Discrepancy | None,
+) -> Linearised:  # fmt: skip
+    """The description linearised at a shift of the base coordinates."""
+    none = np.zeros(len(d.effects))
+    values, base, effects = d.at(delta, none)
+    scaled = (point.offset + delta[: len(point.offset)]) / ready.bank.design.prior_sd()
+    steep = ready.emulator.steepness(scaled, none)
+    certain = ready.emulator.uncertainty(scaled, none)
+    ratio = ready.specimens.var(axis=0) / np.maximum(certain, 1e-300)
+    typical = ready.bank.design.typical()
+    steps = ready.at(point).strength
+    return replace(
+        d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
+        packing_residuals=ready.specimens * steep, mean_specimens=max(int(np.median(ratio)), 1),
+        effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
+        extra=_scatter(d, base, effects, density_sd, typical),
+        tolerance=steep * ready.tolerance(discrepancy),
+    )  # fmt: skip
+
+
+def _scatter(d: Linearised, base, effects, density_sd: float, typical) -> np.ndarray:
+    """Covariance (m, m) of density and moisture from specimen to specimen."""
+    names = d.base_names
+    moisture = base[:, names.index("shear_modulus")] + base[:, names.index("surface_energy")]
+    column = d.effect_names.index("specimen_density")
+    density = effects[:, column] * density_sd / typical[column]
+    return MOISTURE_SD**2 * np.outer(moisture, moisture) + np.outer(density, density)
+
+
+def first_covariance(d: Linearised) -> np.ndarray:
+    """A covariance good enough for a first fit: that of one simulated specimen, shrunk."""
+    residuals = d.packing_residuals
+    raw = residuals.T @ residuals / len(residuals) + d.extra
+    return 0.8 * raw + 0.2 * np.diag(np.diag(raw)) + 1e-9 * np.diag(np.diag(raw))

@@ -1,0 +1,155 @@
+"""Which simulations a bank holds: rows of soil, settings and effects, several on each packing.
+
+A row is a point x of
+
+    soil      ln p - ln p_centre                 as far as 2.2 prior deviations, normal
+    settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor)
+    effects   strengths, uniform within their limits where they are at work: each in MANY of the
+              rows of the first CROWDED packings (so that pairs are seen), then in FEW
+
+drawn from a Sobol sequence, so that every beginning of the list is a smaller bank.  Rows of one
+packing differ in all else: what packings have in common drops out of the slopes (common random
+numbers), and what they differ by is seen PACKINGS times.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import norm, qmc
+
+from jdem.effects.composite import EFFECTS
+
+MANY, FEW = 0.3, 0.1  # shares of rows in which an effect is at work
+CROWDED = 96  # packings
+FURTHEST = 2.2  # prior deviations of a soil parameter
+SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1
+PREPARATION_SD = 0.3  # of ln of the settling friction's factor
+LARGER = 4 / 3  # spheres of every fourth packing over those of the others
+SETTINGS = ("smoothing", "preparation", "spheres")
+SETTING_PRIOR_SD = (0.5, 0.2, 0.3)
+
+# Standard deviations of ln p about a lab's own starting soil, and the centre of the bank.
+SOIL_PRIOR_SD: dict[str, float] = {
+    "shear_modulus": 0.35,
+    "surface_energy": 0.45,
+    "plasticity_ratio": 0.08,
+    "static_friction": 0.2,
+    "rolling_friction": 0.3,
+    "restitution": 0.2,
+    "tensile_exponent": 0.3,
+    "tangential_multiplier": 0.2,
+}
+CENTRE: dict[str, float] = {
+    "shear_modulus": 7.7e6,
+    "surface_energy": 17.0,
+    "plasticity_ratio": 0.7,
+    "static_friction": 0.64,
+    "rolling_friction": 0.1,
+    "restitution": 0.31,
+    "tensile_exponent": 1.4,
+    "tangential_multiplier": 0.9,
+}
+HIGHEST = {"plasticity_ratio": 0.82}
+
+# Least and largest strength that is simulated, SI; wider than typical, as reality may be.
+LIMITS: dict[str, tuple[float, float]] = {
+    "load_frame_compliance": (0.0, 2e-6),
+    "seating_gap": (0.0, 1.5e-3),
+    "load_cell_gain": (-0.2, 0.2),
+    "load_cell_offset": (-30.0, 30.0),
+    "load_cell_drift": (-0.05, 0.05),
+    "acquisition_lag": (0.0, 0.25),
+    "wall_friction": (0.0, 0.7),
+    "platen_friction": (-0.25, 1.2),
+    "second_test_factor": (-0.45, 0.8),
+    "capillary_tension": (0.0, 3e4),
+    "cementation": (0.0, 2e5),
+    "rate_dependence": (0.0, 0.25),
+    "specimen_density": (-0.03, 0.03),
+}
+
+
+@dataclass(frozen=True)
+class Design:
+    """The plan of a bank; `base` holds the soil's values that are not varied.
+
+    packings x rows_each simulations of specimens of `spheres` spheres.
+    """
+
+    packings: int = 300
+    rows_each: int = 6
+    spheres: int = 150
+    seed: int = 20
+    centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
+    soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
+
+    @property
+    def soil_names(self) -> tuple[str, ...]:
+        return tuple(self.soil_sd)
+
+    @property
+    def base_names(self) -> tuple[str, ...]:
+        """Coordinates that a calibration may move: soil, then settings."""
+        return (*self.soil_names, *SETTINGS)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        return tuple(self.limits)
+
+    def prior_sd(self) -> np.ndarray:
+        """Prior deviations of the base coordinates, shape (p,)."""
+        return np.array([*self.soil_sd.values(), *SETTING_PRIOR_SD])
+
+    def typical(self) -> np.ndarray:
+        """Typical strengths by which strengths are scaled, SI, shape (k,)."""
+        return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
+
+    def spheres_of(self, packing: int) -> int:
+        """Number of spheres of a packing: every fourth has more."""
+        return round(self.spheres * LARGER) if packing % 4 == 3 else self.spheres
+
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Base coordinates (n, p) and strengths in SI (n, k), packing by packing."""
+        count = self.packings * self.rows_each
+        wide = len(self.soil_names) + 1 + len(self.effect_names)
+        unit = _sobol(wide, count, self.seed)
+        of_packing = np.repeat(np.arange(self.packings), self.rows_each)
+        preparation = _normal(_sobol(1, self.packings, self.seed + 1)) * PREPARATION_SD
+        soil = self._soil(unit[:, : len(self.soil_names)])
+        smoothing = SMOOTHING[0] + (SMOOTHING[1] - SMOOTHING[0]) * unit[:, len(self.soil_names)]
+        number = np.log([self.spheres_of(j) / self.spheres for j in range(self.packings)])
+        settings = [smoothing, preparation[of_packing, 0], number[of_packing]]
+        return np.column_stack([soil, *settings]), self._strengths(unit[:, -len(self.limits) :])
+
+    def _soil(self, unit: np.ndarray) -> np.ndarray:
+        log = _normal(unit) * np.array(list(self.soil_sd.values()))
+        for name, highest in HIGHEST.items():
+            if name in self.soil_names:
+                column = self.soil_names.index(name)
+                log[:, column] = np.minimum(log[:, column], np.log(highest / self.centre[name]))
+        return log
+
+    def _strengths(self, unit: np.ndarray) -> np.ndarray:
+        low, high = np.array(list(self.limits.values())).T
+        crowded = np.arange(len(unit)) < CROWDED * self.rows_each
+        active = np.where(crowded, MANY, FEW)[:, None]
+        share = np.minimum(unit / active, 1.0)
+        return np.where(unit < active, low + (high - low) * share, 0.0)
+
+
+def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
+    power = int(np.ceil(np.log2(max(count, 2))))
+    return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]
+
+
+def _normal(unit: np.ndarray) -> np.ndarray:
+    """Standard normal values cut at `FURTHEST`."""
+    edge = norm.cdf(-FURTHEST)
+    return norm.ppf(edge + (1 - 2 * edge) * unit)
+
+
+def strengths_by_name(design: Design, row: Sequence[float]) -> dict[str, float]:
+    """A row of strengths (k,), SI, by effect."""
+    return dict(zip(design.effect_names, map(float, row), strict=True))

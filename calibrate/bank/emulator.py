@@ -1,0 +1,235 @@
+"""Values and slopes of features between the simulations of a bank: Gaussian processes.
+
+    asinh(feature/scale) = mean + sum_c loading_c y_c             c: principal components
+    y_c(x, s) = f_c(x, s) + packing + rest
+
+    cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
+          + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
+
+x are base coordinates over their prior deviations, s strengths over their limits.  The inverse
+hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
+soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
+slopes rest on differences within packings.  Hyperparameters maximise the marginal likelihood
+(Rasmussen and Williams 2006, chapters 2 and 5); derivatives are those of the kernel, in closed
+form.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.optimize import minimize
+
+COMPONENTS = 14
+MOST_ROWS = 600  # from which hyperparameters are estimated
+ITERATIONS = 60
+PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
+JITTER = 1e-6
+
+
+class Kernel(NamedTuple):
+    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, (), ()."""
+
+    linear: jax.Array
+    length: jax.Array
+    reach: jax.Array
+    curved: jax.Array
+    effect: jax.Array
+    interaction: jax.Array
+    bent: jax.Array
+    packing: jax.Array
+    rest: jax.Array
+
+    @staticmethod
+    def start(p: int, k: int) -> "Kernel":
+        low = np.log(0.1)
+        return Kernel(
+            np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
+            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.3),
+        )  # fmt: skip
+
+
+def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
+    """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l); xp: numpy or its
+    traceable twin."""
+    effect, mixed, bent = (
+        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent)
+    )
+    scaled, scaled2 = (
+        xp.hstack([a / xp.exp(kernel.length), b / xp.exp(kernel.reach)])
+        for a, b in ((x, s), (x2, s2))
+    )
+    distance = (scaled**2).sum(1)[:, None] + (scaled2**2).sum(1) - 2 * scaled @ scaled2.T
+    straight = 1.0 + (x * xp.exp(2 * kernel.linear)) @ x2.T
+    curved = xp.exp(2 * kernel.curved - 0.5 * xp.maximum(distance, 0.0))
+    together = ((s * mixed) @ s2.T) * (x @ x2.T) / x.shape[1]
+    return straight + curved + (s * effect) @ s2.T + together + (s**2 * bent) @ (s2**2).T
+
+
+def _total(kernel: Kernel, x, s, same, xp=np):
+    noise = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(x))
+    return covariance(kernel, x, s, x, s, xp) + xp.exp(2 * kernel.packing) * same + noise
+
+
+@jax.jit
+def _loss(kernel: Kernel, start: Kernel, x, s, same, y):
+    """Minus the log marginal likelihood, with a weak pull to the start."""
+    lower = jnp.linalg.cholesky(_total(kernel, x, s, same, jnp))
+    white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
+    pull = sum(jnp.sum((a - b) ** 2) for a, b in zip(kernel, start, strict=True))
+    return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull / PULL_SD**2
+
+
+_loss_and_slope = jax.jit(jax.value_and_grad(_loss))
+
+
+def fit_kernel(x, s, packing, y, progress=None) -> Kernel:
+    """The kernel with the largest marginal likelihood of standardised values y (n,)."""
+    start = Kernel.start(x.shape[1], s.shape[1])
+    flat, unflatten = ravel_pytree(start)
+    same = (packing[:, None] == packing).astype(float)
+
+    def objective(values):
+        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, same, y)
+        found = float(value)
+        gradient = np.asarray(ravel_pytree(slope)[0], float)
+        return (found, gradient) if np.isfinite(found) else (1e10, np.zeros(len(values)))
+
+    bounds = [(-6.0, 3.0)] * len(flat)
+    options = {"maxiter": ITERATIONS}
+    done = minimize(objective, np.asarray(flat), jac=True, bounds=bounds, options=options)
+    return Kernel(*[np.asarray(part) for part in unflatten(jnp.asarray(done.x))])
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One principal component's process: kernel, weights (n,), lower Cholesky factor (n, n)."""
+
+    kernel: Kernel
+    weights: np.ndarray
+    lower: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureEmulator:
+    """Features (m,) and slopes at any point of a bank.
+
+    x (n, p) and s (n, k) are the simulated points, scaled; warped features are mean +
+    components @ loadings, loadings (c, m) with deviations (c,) of the components; scale (m,) in
+    the features' units; residuals (n, m) are what is left of the warped simulated features.
+    """
+
+    x: np.ndarray
+    s: np.ndarray
+    scale: np.ndarray
+    mean: np.ndarray
+    loadings: np.ndarray
+    deviation: np.ndarray
+    components: tuple[Component, ...]
+    residuals: np.ndarray
+
+    def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
+        parts = [_point(c, self.x, self.s, x, s) for c in self.components]
+        carried = self.loadings.T * self.deviation
+        lift, steep = self._back(self.mean + carried @ np.array([part[0] for part in parts]))
+        slopes = [carried @ np.array([part[i] for part in parts]) for i in (1, 2)]
+        return lift, steep[:, None] * slopes[0], steep[:, None] * slopes[1]
+
+    def _back(self, warped: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean features (m,) whose warped median is given, and their derivative."""
+        spread = np.exp(0.5 * self.residuals.var(axis=0))  # mean over median of sinh of a normal
+        return self.scale * np.sinh(warped) * spread, self.scale * np.cosh(warped) * spread
+
+    def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
+        return self._back(self.warped(x, s))[1]
+
+    def warped(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Warped features (m,) at a point."""
+        parts = [_point(c, self.x, self.s, x, s)[0] for c in self.components]
+        return self.mean + (self.loadings.T * self.deviation) @ np.array(parts)
+
+    def uncertainty(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variance (m,) of the warped values' error at a point, from the finite number of runs."""
+        variance = np.array([_variance(c, self.x, self.s, x, s) for c in self.components])
+        return (self.loadings.T * self.deviation) ** 2 @ variance
+
+    def effect_errors(self, x: np.ndarray) -> np.ndarray:
+        """Standard errors (m, k) of effects' slopes at strength 0, warped."""
+        variance = np.array([_slope_variance(c, self.x, self.s, x) for c in self.components])
+        return np.sqrt((self.loadings.T * self.deviation) ** 2 @ variance)
+
+
+def fit_emulator(
+    x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
+    kernels: Sequence[Kernel] | None = None, count: int = COMPONENTS,
+) -> FeatureEmulator:  # fmt: skip
+    """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels
+    already known are kept."""
+    warped = np.arcsinh(features / scale)
+    mean, spread = warped.mean(axis=0), np.maximum(warped.std(axis=0), 1e-12)
+    _, _, axes = np.linalg.svd((warped - mean) / spread, full_matrices=False)
+    axes = axes[:count]
+    scores = ((warped - mean) / spread) @ axes.T
+    deviation = np.maximum(scores.std(axis=0), 1e-9)
+    few = packing <= np.sort(packing)[min(MOST_ROWS, len(packing)) - 1]
+    parts = []
+    for c in range(len(axes)):
+        y = scores[:, c] / deviation[c]
+        known = None if kernels is None else kernels[c]
+        kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
+        parts.append(_component(kernel, x, s, packing, y))
+    fitted = [covariance(c.kernel, x, s, x, s) @ c.weights for c in parts]
+    loadings = axes * spread
+    residuals = warped - mean - np.array(fitted).T @ (loadings * deviation[:, None])
+    return FeatureEmulator(x, s, scale, mean, loadings, deviation, tuple(parts), residuals)
+
+
+def _component(kernel: Kernel, x, s, packing, y) -> Component:
+    same = (packing[:, None] == packing).astype(float)
+    lower = np.linalg.cholesky(_total(kernel, x, s, same))
+    return Component(kernel, cho_solve((lower, True), y), lower)
+
+
+def _point(c: Component, x, s, at, strength):
+    """Value, slopes (p,) and effects' slopes (k,) of one component at a point."""
+    k, p, w = c.kernel, x.shape[1], c.weights
+    linear, effect, mixed, bent = (
+        np.exp(2 * part) for part in (k.linear, k.effect, k.interaction, k.bent)
+    )
+    near, weak = (at - x) / np.exp(2 * k.length), (strength - s) / np.exp(2 * k.reach)
+    distance = ((at - x) * near).sum(1) + ((strength - s) * weak).sum(1)
+    curved = np.exp(2 * k.curved - 0.5 * distance) * w
+    pulled, squares = w @ s, w @ s**2
+    shared = (w * (x @ at / p)) @ s
+    joint = w * (s @ (mixed * strength))
+    base = linear * (w @ x) - curved @ near + joint @ x / p
+    slopes = effect * pulled + mixed * shared + 2 * bent * strength * squares - curved @ weak
+    value = w.sum() + (linear * (w @ x)) @ at + curved.sum()
+    value += strength @ (effect * pulled + mixed * shared) + strength**2 @ (bent * squares)
+    return value, base, slopes
+
+
+def _variance(c: Component, x, s, at, strength) -> float:
+    point = (at[None], strength[None])
+    cross = covariance(c.kernel, *point, x, s)[0]
+    own = float(covariance(c.kernel, *point, *point)[0, 0])
+    white = solve_triangular(c.lower, cross, lower=True)
+    return max(own - white @ white, 0.0)
+
+
+def _slope_variance(c: Component, x, s, at) -> np.ndarray:
+    """Variance (k,) of the slopes at strength 0."""
+    k, p = c.kernel, x.shape[1]
+    effect, mixed, weak = np.exp(2 * k.effect), np.exp(2 * k.interaction), np.exp(-2 * k.reach)
+    distance = (((at - x) / np.exp(k.length)) ** 2).sum(1) + s**2 @ weak
+    curved = np.exp(2 * k.curved - 0.5 * distance)
+    cross = s * (effect + mixed * (x @ at / p)[:, None] + curved[:, None] * weak)
+    own = effect + mixed * (at @ at) / p + np.exp(2 * k.curved) * weak
+    return np.maximum(own - (solve_triangular(c.lower, cross, lower=True) ** 2).sum(0), 0.0)

@@ -1,0 +1,121 @@
+"""Runs the rows of a design and keeps what their curves say: the simulations of a bank.
+
+Every run lies in a campaign's cache the moment it is finished, so a stopped bank goes on
+where it was.  Simulations are in single precision: means over packings agree with those in
+double (docs/diagnosis.md), at two thirds of the time.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import jax
+
+from calibrate.bank.design import Design
+from calibrate.campaign import Campaign, Run, cores
+from calibrate.measurements import Lab
+from calibrate.parameters import base_soil, with_values
+from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
+from calibrate.progress import AbstractProgress, Silent
+from jdem.effects.base import AbstractEffect
+from jdem.effects.composite import EFFECTS, with_strengths
+from jdem.experiments.composite import VirtualLab
+from jdem.packing import neutral_soil
+from jdem.smooth import Smoothing
+from jdem.soil import SoilParameters
+
+
+@dataclass(eq=False)
+class Simulator:
+    """Runs single specimens of a lab's tests with effects and settings of any strength.
+
+    One compiled program serves all that have the same number of spheres.
+    """
+
+    lab: Lab
+    folder: Path
+    effects: tuple[AbstractEffect, ...] = ()
+    dtype: str = "float32"
+    _campaigns: dict[int, Campaign] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.effects = self.effects or tuple(effect(0.0) for effect in EFFECTS.values())
+
+    def run(
+        self, soil: SoilParameters, setting: Sequence[float], strengths: Sequence[float],
+        spheres: int, seed: int,
+    ) -> Run:  # fmt: skip
+        """One specimen through both tests.
+
+        setting: smoothing factor - 1 and ln of the preparation friction's factor; strengths
+        in SI in the order of `effects`; seed of the packing.
+        """
+        shared = self._campaign(spheres)
+        smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
+        numerics = replace(shared.lab.numerics, smoothing=smoothing)
+        changed = with_strengths(self.effects, [float(s) for s in strengths])
+        lab = replace(shared.lab, numerics=numerics, effects=changed)
+        settling = prepared_with(setting[1])
+        one = replace(shared, lab=lab, preparation=settling, progress=Silent(), workers=1)
+        return one.each([[soil]], [seed], "")[0][0]
+
+    def _campaign(self, spheres: int) -> Campaign:
+        if spheres not in self._campaigns:
+            preset = replace(PRESETS["quick"], spheres=spheres)
+            cylinder = specimen(self.lab, preset)
+            plain = virtual_lab(self.lab, preset, numerics_for(cylinder, dtype=self.dtype))
+            lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, self.effects)
+            self._campaigns[spheres] = Campaign(lab, cylinder, self.folder / str(spheres))
+        return self._campaigns[spheres]
+
+
+def prepared_with(ln_friction: float) -> SoilParameters:
+    """The neutral soil that beds settle with, its friction times exp(ln_friction)."""
+    soil = neutral_soil()
+    friction = float(soil.static_friction) * math.exp(round(float(ln_friction), 6))
+    return with_values(soil, {"static_friction": friction})
+
+
+def run_design(
+    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
+) -> list[Run]:
+    """All runs of a design, in the order of its rows; failed ones keep their place."""
+    base, strengths = design.rows()
+    centre = with_values(base_soil(simulator.lab), dict(design.centre))
+    wide = len(design.soil_names)
+
+    def one(row: int) -> Run:
+        packing = row // design.rows_each
+        values = {
+            name: design.centre[name] * math.exp(base[row, i])
+            for i, name in enumerate(design.soil_names)
+        }
+        return simulator.run(
+            with_values(centre, values), base[row, wide : wide + 2], strengths[row],
+            design.spheres_of(packing), 1000 * design.seed + packing,
+        )  # fmt: skip
+
+    return _all(one, len(base), progress, workers or cores())
+
+
+def reference_run(design: Design, simulator: Simulator) -> Run:
+    """The centre's soil on the first packing, without effects."""
+    soil = with_values(base_soil(simulator.lab), dict(design.centre))
+    none = [0.0] * len(simulator.effects)
+    return simulator.run(soil, (0.0, 0.0), none, design.spheres, 1000 * design.seed)
+
+
+def _all(one, count: int, progress: AbstractProgress, workers: int) -> list[Run]:
+    runs: dict[int, Run] = {}
+    progress.start("simulating the bank", count)
+    try:
+        with ThreadPoolExecutor(workers) as pool:
+            waiting = {pool.submit(one, row): row for row in range(count)}
+            for done in as_completed(waiting):
+                runs[waiting[done]] = done.result()
+                progress.advance()
+    finally:
+        progress.finish()
+    return [runs[row] for row in range(count)]

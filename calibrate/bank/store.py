@@ -1,0 +1,215 @@
+"""What is kept of a bank: the points, the features of their curves, fitted kernels, one curve.
+
+One NetCDF file of about a megabyte, from which an emulator is ready in seconds.  It says which
+engine made it, for which cylinder and forces, and how far its points reach.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from calibrate.bank.design import Design
+from calibrate.bank.emulator import FeatureEmulator, Kernel, fit_emulator
+from calibrate.campaign import Run, engine_hash
+from calibrate.diagnosis.features import Curves, Feature, declare, declare_targets, vector
+from calibrate.errors import InputError
+from calibrate.measurements import Lab
+
+PEAK_MM, PEAK_N = 4.0, 250.0  # usual place of the peak, by which crushing features are declared
+TARGETS = ("depression_depth_mm", "crushing_force_n")
+NETCDF = "h5netcdf"
+FOLDS = 4  # of packings, left out in turn
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Specimen and machine of a bank: m, m, N, N."""
+
+    diameter: float
+    height: float
+    force_low: float
+    force_high: float
+
+    @staticmethod
+    def of(lab: Lab) -> "Cylinder":
+        return Cylinder(
+            lab.specimen.diameter, lab.specimen.height,
+            lab.confined.force_low, lab.confined.force_high,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
+    all features (n, m), a reference specimen's curves; once fitted, kernels and what predictions of
+    left-out packings are wrong by beyond what the emulator says (m,), warped."""
+
+    design: Design
+    cylinder: Cylinder
+    engine: str
+    base: np.ndarray
+    strengths: np.ndarray
+    packing: np.ndarray
+    values: np.ndarray
+    reference: Curves
+    kernels: tuple[Kernel, ...] = ()
+    tolerance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Curve features, then the scalar targets."""
+        return declared(self.cylinder.force_high)
+
+    def scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points as the emulator takes them: over prior deviations, over limits."""
+        return self.base / self.design.prior_sd(), self.strengths / limits(self.design)
+
+    def emulator(self) -> FeatureEmulator:
+        """The emulator of all features."""
+        x, s = self.scaled()
+        return fit_emulator(x, s, self.packing, self.values, self.scale(), self.kernels or None)
+
+    def scale(self) -> np.ndarray:
+        """By what the emulator warps features, shape (m,)."""
+        return np.array([_scale(feature) for feature in self.features])
+
+    def fitted(self) -> "Bank":
+        """The bank with its kernels and tolerance; takes minutes."""
+        known = replace(self, kernels=tuple(c.kernel for c in self.emulator().components))
+        return replace(known, tolerance=known._excess())
+
+    def _excess(self) -> np.ndarray:
+        """Root of the mean square by which left-out packings with at most one effect differ from
+        their prediction, less what scatter and the emulator's own error explain (m,)."""
+        x, s = self.scaled()
+        few, squares = (s != 0).sum(axis=1) <= 1, []
+        for fold in range(FOLDS):
+            out = self.packing % FOLDS == fold
+            if not (out & few).any():
+                continue
+            learned = fit_emulator(
+                x[~out], s[~out], self.packing[~out], self.values[~out], self.scale(), self.kernels
+            )
+            squares += [
+                (learned.warped(at, strength) - np.arcsinh(value / self.scale())) ** 2
+                - learned.residuals.var(axis=0) - learned.uncertainty(at, strength)
+                for at, strength, value in zip(x[out & few], s[out & few], self.values[out & few],
+                                               strict=True)
+            ]  # fmt: skip
+        return np.sqrt(np.maximum(np.mean(squares, axis=0), 0.0))
+
+
+SCALES = {"largest force": 100.0, "peak displacement": 1.0}  # by kind, else by unit
+SCALE_OF_UNIT = {"mm": 0.2, "N": 20.0}
+
+
+def _scale(feature: Feature) -> float:
+    """Size of a feature below which differences count, and above which ratios do."""
+    return SCALES.get(feature.kind, SCALE_OF_UNIT[feature.unit])
+
+
+def declared(force_high: float) -> tuple[Feature, ...]:
+    """The features that a bank keeps."""
+    return (*declare(force_high, PEAK_MM, PEAK_N), *declare_targets(TARGETS))
+
+
+def limits(design: Design) -> np.ndarray:
+    """Largest strength of each effect, SI, shape (k,)."""
+    return np.array([max(abs(low), abs(high)) for low, high in design.limits.values()])
+
+
+def curves_of(run: Run) -> Curves:
+    """A run's curves as features read them."""
+    return {"confined": tuple(run.confined.T), "unconfined": tuple(run.unconfined.T)}
+
+
+def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> Bank:
+    """The bank of a design's runs (None: not simulated), without failed and incomplete ones."""
+    base, strengths = design.rows()
+    packing = np.repeat(np.arange(design.packings), design.rows_each)
+    features = declared(lab.confined.force_high)
+    values = np.full((len(base), len(features)), np.nan)
+    for row, run in enumerate(runs):
+        if run is not None and not run.failure:
+            values[row] = vector(features, curves_of(run), run.observables())
+    good = np.isfinite(values).all(axis=1)
+    return Bank(
+        design, Cylinder.of(lab), engine_hash(),
+        base[good], strengths[good], packing[good], values[good], curves_of(reference),
+    )  # fmt: skip
+
+
+def save(bank: Bank, path: Path) -> None:
+    """Writes the bank whole or not at all."""
+    data = {
+        "base": (("row", "coordinate"), bank.base.astype(np.float32)),
+        "strengths": (("row", "effect"), bank.strengths.astype(np.float32)),
+        "packing": (("row",), bank.packing.astype(np.int32)),
+        "values": (("row", "feature"), bank.values.astype(np.float32)),
+    }
+    for test, curve in bank.reference.items():
+        data[f"reference_{test}"] = ((f"{test}_point", "column"), np.array(curve).T)
+    for name in Kernel._fields if bank.kernels else ():
+        rows = np.array([np.atleast_1d(getattr(k, name)) for k in bank.kernels])
+        data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
+    if len(bank.tolerance):
+        data["tolerance"] = (("feature",), bank.tolerance)
+    names = {
+        "coordinate": list(bank.design.base_names),
+        "effect": list(bank.design.effect_names),
+        "feature": [f.name for f in bank.features],
+    }
+    about = {"design": asdict(bank.design), "cylinder": asdict(bank.cylinder)}
+    attributes = {"engine": bank.engine, **{k: json.dumps(v) for k, v in about.items()}}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    dataset = xr.Dataset(data, coords=names, attrs=attributes)
+    packed = {name: {"zlib": True, "complevel": 6} for name in data}
+    dataset.to_netcdf(part, engine=NETCDF, encoding=packed)
+    part.replace(path)
+
+
+def bundled_bank() -> Path:
+    """The bank that comes with the package: the bundled soil's tests with 150 spheres."""
+    return Path(str(resources.files("calibrate") / "bank" / "data" / "quick.nc"))
+
+
+def load(path: Path) -> Bank:
+    """Reads a bank; `InputError` for anything else."""
+    try:
+        with xr.open_dataset(path, engine=NETCDF) as stored:
+            return _read(stored.load())
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        problem = f"this is no bank of simulations ({type(error).__name__})"
+        raise InputError(
+            str(path), "", problem, "give a file that `calibrate bank` wrote"
+        ) from None
+
+
+def _read(stored: xr.Dataset) -> Bank:
+    design = json.loads(stored.attrs["design"])
+    design["limits"] = {name: tuple(pair) for name, pair in design["limits"].items()}
+    kernels = ()
+    if "kernel_linear" in stored:
+        parts = {name: stored[f"kernel_{name}"].values for name in Kernel._fields}
+        scalars = ("curved", "packing", "rest")
+        kernels = tuple(
+            Kernel(**{n: v[c, 0] if n in scalars else v[c] for n, v in parts.items()})
+            for c in range(len(parts["linear"]))
+        )
+    reference = {
+        test: tuple(stored[f"reference_{test}"].values.T) for test in ("confined", "unconfined")
+    }
+    numbers = [stored[n].values.astype(float) for n in ("base", "strengths")]
+    return Bank(
+        Design(**design), Cylinder(**json.loads(stored.attrs["cylinder"])), stored.attrs["engine"],
+        *numbers, stored["packing"].values, stored["values"].values.astype(float),
+        reference, kernels,
+        stored["tolerance"].values if "tolerance" in stored else np.zeros(0),
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""`calibrate diagnose`: from a lab file and a bank to where, which, how far and the next test.
+
+    curves -> features -> description about the best base fit -> null distributions
+           -> where, which, how far, next test
+
+What a bank's own statistics need once (how probabilities are to be stated) is rehearsed for the
+plan of measurement at hand and may be shared by labs with the same plan.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibrate.bank.description import DENSITY_SD, Discrepancy, Ready, describe, point_of
+from calibrate.bank.further import menu
+from calibrate.bank.lab import LabCurves, read, with_baseline, with_instruments
+from calibrate.diagnosis.generated import World, plan_of
+from calibrate.diagnosis.how_far import HowFar, how_far
+from calibrate.diagnosis.lack_of_fit import NullTable
+from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.next_test import Proposal, next_tests
+from calibrate.diagnosis.noise import packing_covariance
+from calibrate.diagnosis.opinion import NONE, Opinion
+from calibrate.diagnosis.rehearsal import rehearsed
+from calibrate.diagnosis.repeats import Measured
+from calibrate.diagnosis.verdict import as_json
+from calibrate.diagnosis.where import Where, where
+from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose, prepare
+from calibrate.measurements import Lab
+from calibrate.parameters import base_soil
+
+DRAWS = 400  # of null distributions
+REHEARSED = 300  # cases, from which it is learned how to state probabilities
+LEADING = 4  # explanations between which a further test is to decide
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Manner:
+    """How probabilities are stated and how large sets are, once rehearsed; null distributions
+    by plan of measurement (specimens, features), to be shared by labs that have the same."""
+
+    opinion: Opinion
+    smallest: float
+    nulls: dict[tuple[int, ...], NullTable]
+
+    @staticmethod
+    def neutral() -> "Manner":
+        """Evidences as they are."""
+        return Manner(Opinion(), 0.1, {})
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything that a report shows of one lab."""
+
+    lab: Lab
+    found: LabCurves
+    measured: Measured
+    prepared: Prepared
+    where: Where
+    which: Which
+    far: HowFar | None
+    proposals: list[Proposal]
+
+    def as_json(self) -> dict:
+        """The contract's keys."""
+        return as_json(self.prepared, self.where, self.which, self.far, self.proposals)
+
+
+def described(
+    lab: Lab, ready: Ready, seed: int, discrepancy: Discrepancy | None = None, baseline: bool = True
+) -> tuple[LabCurves, Linearised, Measured]:
+    """What was measured, and the simulator about the best base fit to it; baseline: with the
+    forces before contact."""
+    found = read(lab, ready.bank)
+    soil = base_soil(lab)
+    names = ready.bank.design.soil_names
+    stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
+    values = {name: float(getattr(soil, name)) for name in names}
+    point = point_of(ready.bank, values, {n: s for n, s in stated.items() if n in names})
+    density = lab.density_kg_m3
+    scatter = float(np.std(density, ddof=1) / np.mean(density)) if len(density) > 1 else DENSITY_SD
+    scatter = min(scatter, LARGEST_DENSITY_SD)
+    d = describe(ready, point, found.measured.mean, found.chosen, scatter, discrepancy)
+    d = with_instruments(d, found, ready.bank, seed)
+    d, measured = with_baseline(d, found) if baseline else (d, found.measured)
+    return found, d, measured
+
+
+LARGEST_DENSITY_SD = 0.02  # of specimens in one mould; more is the field's scatter
+
+
+def ready_to_diagnose(
+    d: Linearised, measured: Measured, seed: int, manner: Manner | None = None, draws: int = DRAWS
+) -> Prepared:
+    """Null distributions of the linear description; the emulator is put back for refits."""
+    linear, plan = replace(d, emulator=None), plan_of(measured)
+    if manner is not None and plan.shape in manner.nulls:
+        world = World(linear, plan, packing_covariance(linear))
+        null = manner.nulls[plan.shape]
+        prepared = Prepared(world, null, design_classes(world), Opinion(), 0.1)
+    else:
+        prepared = prepare(linear, plan, seed, draws)
+    if manner is None:
+        prepared = rehearsed(prepared, seed + 1, REHEARSED)
+    else:
+        manner.nulls.setdefault(plan.shape, prepared.null)
+        prepared = replace(prepared, opinion=manner.opinion, smallest=manner.smallest)
+    return replace(prepared, world=replace(prepared.world, description=d))
+
+
+def diagnosed(
+    lab: Lab,
+    ready: Ready,
+    seed: int = 0,
+    manner: Manner | None = None,
+    discrepancy: Discrepancy | None = None,
+    say: Say = lambda text: None,
+) -> Diagnosis:
+    """The whole diagnosis of one lab."""
+    say("reading curves, fitting the base model")
+    found, d, measured = described(lab, ready, seed, discrepancy)
+    say("simulating null distributions, rehearsing")
+    prepared = ready_to_diagnose(d, measured, seed, manner)
+    say("comparing explanations")
+    which = diagnose(prepared, measured)
+    place = where(d, measured, which.noise, which.base, seed)
+    far = None
+    if which.best and which.verdict != NONE:
+        say("how far the gap shrinks")
+        far = how_far(d, measured, which.noise, which.base, which.refits[which.best], seed)
+    proposals = _proposals(d, which)
+    return Diagnosis(lab, found, measured, prepared, place, which, far, proposals)
+
+
+def _proposals(d: Linearised, which: Which) -> list[Proposal]:
+    """Further tests between the leading single explanations."""
+    single = {n: p for n, p in which.probability.items() if n in d.effect_names}
+    order = sorted(single, key=lambda n: -single[n])[:LEADING]
+    keys = [d.effect_names.index(n) for n in order]
+    leading = {k: which.refits[(k,)] for k in keys if (k,) in which.refits}
+    leading = {k: fit for k, fit in leading.items() if fit.strengths[k] != 0}
+    if not leading:
+        return []
+    return next_tests(d, which.noise, which.base, leading, menu(d, which.noise))

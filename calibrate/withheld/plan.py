@@ -1,0 +1,182 @@
+"""What the cases are: kind, effects and strengths, soil, packings; all from one secret seed.
+
+Strata are in projected signal-to-noise: what is left of an effect's signature once calibration
+has absorbed what it can, in units of the scatter of four specimens.  An effect that cannot
+reach its stratum within the strengths that the bank holds gives way to another one, and the
+stratum stays; so weakly visible effects are rarer where the signal is large.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from calibrate.bank.description import Discrepancy, Ready, describe, point_of
+from calibrate.bank.design import CENTRE, LIMITS, SOIL_PRIOR_SD
+from calibrate.diagnosis.generated import World
+from calibrate.diagnosis.noise import packing_covariance
+from calibrate.diagnosis.opinion import NONE
+from calibrate.withheld.outside import OUTSIDE
+
+STRATA: dict[str, tuple[float, float]] = {
+    "0.5-2": (0.5, 2.0),
+    "2-6": (2.0, 6.0),
+    "above 6": (6.0, 15.0),
+}
+COUNTS = {"none": 100, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
+SPECIMENS = 4
+SPHERES = (130, 190)  # other numbers than the bank's
+PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
+SMOOTHING = -0.95  # roundings nearly gone
+POOL = 60  # packings of each number and preparation, from which cases draw
+FIRST_SEED = 700_000
+ATTEMPTS = 6
+FURTHEST = 2.0  # prior deviations of a soil
+ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means over specimens
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect at work; strength in SI, or in the unit that `outside` states."""
+
+    name: str
+    strength: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case; `soil` values by name in SI; seeds of its specimens' packings."""
+
+    name: str
+    kind: str
+    stratum: str
+    snr: float
+    hidden: tuple[Hidden, ...]
+    soil: dict[str, float]
+    spheres: int
+    preparation: float
+    packings: tuple[int, ...]
+    seed: int
+    nonce: str
+
+    def label(self) -> dict:
+        """What is sealed."""
+        return {**asdict(self), "case": self.name}
+
+
+class Planner:
+    """Draws cases; the bank tells how visible an effect is at a soil."""
+
+    def __init__(self, ready: Ready, seed: int):
+        self.ready = ready
+        self.random = np.random.default_rng(seed)
+
+    def cases(self, counts: dict[str, int] | None = None) -> list[list[Case]]:
+        """For each case its attempts: the same effects in other soils and packings."""
+        kinds = [kind for kind, count in (counts or COUNTS).items() for _ in range(count)]
+        names = self.random.permutation(2**20)[: len(kinds)]
+        order = self.random.permutation(len(kinds))
+        return [self._attempts(f"{names[i]:05x}", kinds[k]) for i, k in enumerate(order)]
+
+    def _attempts(self, name: str, kind: str) -> list[Case]:
+        first = self._case(name, kind, None)
+        return [first, *(self._case(name, kind, first) for _ in range(ATTEMPTS - 1))]
+
+    def _case(self, name: str, kind: str, like: Case | None) -> Case:
+        soil = self._soil()
+        if like is not None:
+            hidden, snr = like.hidden, like.snr
+        else:
+            hidden, snr = self._hidden(kind, soil)
+        stratum = kind if kind in STRATA else ""
+        return Case(
+            name=name,
+            kind={"none": NONE, "outside": "outside", "two": "two"}.get(kind, "single"),
+            stratum=stratum,
+            snr=snr,
+            hidden=hidden,
+            soil=soil,
+            spheres=int(self.random.choice(SPHERES)),
+            preparation=float(self.random.choice(PREPARATIONS)),
+            packings=tuple(int(p) for p in self.random.permutation(POOL)[: 2 * SPECIMENS]),
+            seed=int(self.random.integers(2**31)),
+            nonce=self.random.bytes(16).hex(),
+        )
+
+    def _soil(self) -> dict[str, float]:
+        values = {}
+        for name, sd in SOIL_PRIOR_SD.items():
+            away = FURTHEST + 1
+            while abs(away) > FURTHEST:
+                away = self.random.standard_normal()
+            values[name] = float(CENTRE[name] * np.exp(sd * away))
+        values["plasticity_ratio"] = min(values["plasticity_ratio"], 0.82)
+        return values
+
+    def _hidden(self, kind: str, soil: dict[str, float]) -> tuple[tuple[Hidden, ...], float]:
+        if kind == "none":
+            return (), 0.0
+        if kind == "outside":
+            name = list(OUTSIDE)[int(self.random.integers(len(OUTSIDE)))]
+            low, high = OUTSIDE[name]
+            strength = float(low * (high / low) ** self.random.uniform())
+            sign = self.random.choice([-1.0, 1.0]) if name == "height_gradient" else 1.0
+            return (Hidden(name, sign * strength),), 0.0
+        visible = Visibility(self.ready, soil)
+        if kind == "two":
+            return self._two(visible)
+        while True:
+            snr = float(np.exp(self.random.uniform(*np.log(STRATA[kind]))))
+            found = self._one(visible, snr)
+            if found is not None:
+                return (found,), visible.snr({found.name: found.strength})
+
+    def _one(self, visible: "Visibility", snr: float, without: Sequence[str] = ()) -> Hidden | None:
+        name = str(self.random.choice([n for n in LIMITS if n not in without]))
+        low, high = LIMITS[name]
+        limit = high if low >= 0 or self.random.random() < 0.5 else low
+        strength = visible.strength(name, limit, snr)
+        return None if strength is None else Hidden(name, strength)
+
+    def _two(self, visible: "Visibility") -> tuple[tuple[Hidden, ...], float]:
+        found: list[Hidden] = []
+        while len(found) < 2:
+            snr = float(np.exp(self.random.uniform(*np.log((4.0, 12.0)))))
+            one = self._one(visible, snr, [h.name for h in found])
+            found += [one] if one is not None else []
+        return tuple(found), visible.snr({h.name: h.strength for h in found})
+
+
+class Visibility:
+    """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
+
+    def __init__(
+        self, ready: Ready, soil: dict[str, float], specimens: int = SPECIMENS,
+        discrepancy: Discrepancy | None = None,
+    ):  # fmt: skip
+        every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
+        point = point_of(ready.bank, soil)
+        values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(LIMITS)))[0]
+        self.description = describe(ready, point, values[every], every, discrepancy=discrepancy)
+        plan = np.ones((specimens, len(every)), bool)
+        self.world = World(self.description, plan, packing_covariance(self.description))
+        self.typical = dict(zip(LIMITS, ready.bank.design.typical(), strict=True))
+
+    def snr(self, strengths: dict[str, float]) -> float:
+        """Signal-to-noise of effects of these strengths (SI) together."""
+        d = self.description
+        given = np.array([strengths.get(n, 0.0) / self.typical[n] for n in d.effect_names])
+        none = np.zeros(len(given))
+        zero = np.zeros(len(d.prior_sd))
+        change = d.at(zero, given)[0] - d.at(zero, none)[0]
+        return float(self.world.snr(change[:, None])[0])
+
+    def strength(self, name: str, limit: float, snr: float) -> float | None:
+        """The strength (SI) towards `limit` with this signal-to-noise; None if out of reach."""
+        if self.snr({name: limit}) < snr:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(25):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.snr({name: middle * limit}) < snr else (low, middle)
+        return float(high * limit)

@@ -1,0 +1,199 @@
+"""A withheld benchmark from nothing to scores; every step is kept and none is repeated.
+
+DIR/cases/ID/         what a laboratory would hand over
+DIR/labels.sha256     stated before the first diagnosis
+DIR/sealed/           the labels; opened after DIR/verdicts.sha256 is written
+DIR/verdicts/ID.json  one a case
+DIR/withheld.json     scores
+"""
+
+import hashlib
+import json
+import secrets
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.bank.description import Discrepancy, Ready
+from calibrate.bank.design import CENTRE
+from calibrate.diagnosis.features import vector
+from calibrate.errors import InputError
+from calibrate.output import write_json, write_text
+from calibrate.progress import AbstractProgress
+from calibrate.withheld import seal
+from calibrate.withheld.canary import canary
+from calibrate.withheld.elsewhere import in_our_words, with_visibility
+from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
+from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner
+from calibrate.withheld.scores import Row, row, scored
+from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
+
+PLAN = "sealed/plan.json"
+VERDICTS = "verdicts"
+FRESH = range(SPECIMENS, 2 * SPECIMENS)  # specimens that no diagnosis sees
+CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
+
+
+def generate(
+    out: Path, ready: Ready, counts: dict[str, int] | None, seed: int | None,
+    progress: AbstractProgress,
+) -> None:  # fmt: skip
+    """Makes and seals all cases that are not there yet; the plan itself is sealed too."""
+    attempts = _plan(out, ready, counts, seed)
+    laboratory = Laboratory(out / "simulated", CENTRE)
+    progress.start("making cases", len(attempts))
+    labels = []
+    for case_attempts in attempts:
+        case = _made(out, laboratory, case_attempts)
+        labels += [case.label()] if case else []
+        progress.advance()
+    progress.finish()
+    seal.write_seal(labels, out)
+
+
+def _plan(out: Path, ready: Ready, counts, seed: int | None) -> list[list[Case]]:
+    """The plan in `out`, drawn if there is none yet."""
+    path = out / PLAN
+    if not path.exists():
+        drawn = Planner(ready, secrets.randbits(62) if seed is None else seed).cases(counts)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
+    return _planned(out)
+
+
+def _planned(out: Path) -> list[list[Case]]:
+    written = json.loads((out / PLAN).read_text())
+    return [[_case(entry) for entry in rows] for rows in written]
+
+
+def _case(entry: dict) -> Case:
+    hidden = tuple(Hidden(**h) for h in entry["hidden"])
+    return Case(**{**entry, "hidden": hidden, "packings": tuple(entry["packings"])})
+
+
+def _made(out: Path, laboratory: Laboratory, attempts: Sequence[Case]) -> Case | None:
+    """The first attempt whose specimens stand and lie in range, written; the rule is blind to
+    the effect."""
+    folder = out / "cases" / attempts[0].name
+    kept = out / "sealed" / f"{attempts[0].name}.attempt"
+    if kept.exists() and (folder / "lab.toml").exists():
+        number = int(kept.read_text())
+        return attempts[number] if number >= 0 else None
+    for number, case in enumerate(attempts):
+        specimens = laboratory.specimens(case)
+        if specimens is not None:
+            write_case(case.name, specimens, CENTRE, folder)
+            write_text(kept, str(number))
+            return case
+    write_text(kept, "-1")
+    return None
+
+
+def case_folders(out: Path) -> list[Path]:
+    """All cases, in the order of their meaningless names."""
+    found = sorted(path.parent for path in (out / "cases").glob("*/lab.toml"))
+    if not found:
+        raise InputError(str(out), "cases", "there are no cases here", "run without --given first")
+    return found
+
+
+def judge(
+    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress,
+    discrepancy: Discrepancy | None = None,
+) -> None:  # fmt: skip
+    """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
+    cases = case_folders(source)
+    progress.say("learning how to state probabilities, training rivals")
+    judge: Judges = judges(typical_case(cases[0], ready, seed, discrepancy), seed)
+    diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
+    lines = [f"{_digest(path)}  {path.stem}" for path in sorted((out / VERDICTS).glob("*.json"))]
+    write_text(out / f"{VERDICTS}.sha256", "\n".join(lines) + "\n")
+
+
+def opened(
+    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress, fresh: bool,
+    discrepancy: Discrepancy | None = None,
+) -> tuple[dict, list[Row]]:  # fmt: skip
+    """Opens the seal, checks both lists of hashes, scores; writes withheld.json."""
+    said = read_verdicts(out / VERDICTS)
+    stated = dict(
+        line.split()[::-1] for line in (out / f"{VERDICTS}.sha256").read_text().splitlines()
+    )
+    for name in said:
+        if stated.get(name) != _digest(out / VERDICTS / f"{name}.json"):
+            problem = "the verdict was changed after it was stated"
+            raise InputError(str(out / VERDICTS), name, problem, "judge the cases again")
+    labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
+    if not set(said) == set(stated) == set(labels):
+        problem = f"{len(labels)} labels, {len(said)} verdicts"
+        raise InputError(str(out), VERDICTS, problem, "judge all cases first")
+    labels = with_visibility(labels, ready, discrepancy)
+    realised = _fresh(source, said, labels, progress) if fresh else {}
+    rows = [row(said[name], labels[name], realised.get(name)) for name in sorted(said)]
+    folders = [source / "cases" / r.case for r in rows]
+    result = {
+        **scored(rows, seed),
+        "other_code": not (source / PLAN).exists(),
+        "given_up": _given_up(source),
+        "canary": canary(folders, [r.kind for r in rows], seed),
+        "rows": [asdict(r) for r in rows],
+        "hidden": {name: labels[name]["hidden"] for name in sorted(said)},
+    }
+    write_json(out / "withheld.json", result)
+    return result, rows
+
+
+def _given_up(source: Path) -> int:
+    """How many planned cases were not made, because no attempt was acceptable."""
+    kept = (source / "sealed").glob("*.attempt")
+    return sum(path.read_text().strip() == "-1" for path in kept)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _fresh(source: Path, said: dict, labels: dict, progress: AbstractProgress) -> dict[str, float]:
+    """Shrinkages on fresh specimens of the same soils, where one was claimed."""
+    laboratory = Laboratory(source / "simulated", CENTRE)
+    plans = {rows[0].name: rows for rows in _planned(source)}
+    names = [
+        name for name, verdict in said.items()
+        if verdict.get("claimed") and labels[name]["kind"] == "single"
+        and labels[name]["snr"] >= CHECKED_SNR
+    ]  # fmt: skip
+    progress.start("simulating fresh specimens", len(names))
+    realised = {}
+    for name in names:
+        number = int((source / "sealed" / f"{name}.attempt").read_text())
+        specimens = laboratory.specimens(plans[name][number], FRESH)
+        if specimens:
+            realised[name] = realised_shrinkage(said[name]["fits"], specimens)
+        progress.advance()
+    progress.finish()
+    return realised
+
+
+def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> float:
+    """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off."""
+    from calibrate.bank.store import declared
+    from calibrate.diagnosis.how_far import shrinkage
+
+    features = {f.name: f for f in declared(400.0)}
+    keep = [i for i, name in enumerate(fits["features"]) if name in features]
+    chosen = [features[fits["features"][i]] for i in keep]
+    values = np.array([
+        vector(chosen, {test: tuple(record.T) for test, record in s.records.items()})
+        for s in specimens
+    ])  # fmt: skip
+    weight = np.array(fits["weight"])[keep]
+    weight = weight / weight.sum() * np.sum(fits["weight"])
+    mean, variance = np.nanmean(values, axis=0), np.nanvar(values, axis=0, ddof=1)
+    count = np.isfinite(values).sum(axis=0)
+    gaps = [
+        float(weight @ ((mean - np.array(fits[which])[keep]) ** 2 - variance / count))
+        for which in ("base", "best")
+    ]
+    return shrinkage(*gaps)

@@ -1,0 +1,164 @@
+"""One withheld case through the diagnosis and its rivals: a verdict file, and nothing of the seal.
+
+The verdict holds all that scoring needs, so that scoring can neither change it nor repeat it.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.bank.description import Discrepancy, Ready
+from calibrate.diagnosed import Manner, described, ready_to_diagnose
+from calibrate.diagnosis import baselines
+from calibrate.diagnosis.how_far import feature_weights, how_far
+from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.opinion import NONE, UNKNOWN
+from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
+from calibrate.diagnosis.repeats import Measured
+from calibrate.diagnosis.which import Prepared, Which, diagnose, label
+from calibrate.measurements import load_lab
+from calibrate.output import write_json
+
+DRAWS, REHEARSED, TRAINING = 300, 240, 800
+
+
+@dataclass(frozen=True, eq=False)
+class Judges:
+    """The diagnosis' manner and its rivals, all made before a case is seen."""
+
+    manner: Manner
+    features: tuple[str, ...]
+    least_template: float
+    majority: str
+    classifier: baselines.Classifier
+    covariance: np.ndarray
+
+
+def judges(prepared: Prepared, seed: int) -> Judges:
+    """Everything that is fitted to generated cases, on the description of one typical case."""
+    linear = replace(prepared.description, emulator=None)
+    world = replace(prepared.world, description=linear)
+    ready = rehearsed(replace(prepared, world=world), seed, REHEARSED)
+    rng = np.random.default_rng(seed + 1)
+    inputs, labels, null = [], [], []
+    covariance = world.mean_covariance
+    for number in range(TRAINING):
+        case = generated_case(ready, rng, KINDS[number % len(KINDS)])
+        truth = label(ready.classes, case.truth)
+        labels.append("pair" if len(case.truth) == 2 else truth)
+        inputs.append(baselines.classifier_inputs(linear, case.measured, covariance))
+        if case.truth == (NONE,):
+            null.append(baselines.template_scores(linear, case.measured).max())
+    return Judges(
+        Manner(ready.opinion, ready.smallest, {prepared.world.plan.shape: prepared.null}),
+        tuple(f.name for f in linear.features),
+        float(np.quantile(null, 0.95)),
+        baselines.majority([name for name in labels if name not in (NONE, UNKNOWN, "pair")]),
+        baselines.train(np.array(inputs), labels),
+        covariance,
+    )
+
+
+def typical_case(
+    folder: Path, ready: Ready, seed: int, discrepancy: Discrepancy | None = None
+) -> Prepared:
+    """The description and null distributions of one case, by which all of its kind are judged."""
+    _, d, measured = described(load_lab(folder / "lab.toml"), ready, seed, discrepancy)
+    return ready_to_diagnose(d, measured, seed, Manner.neutral(), DRAWS)
+
+
+def verdict_of(
+    folder: Path, ready: Ready, judge: Judges, seed: int, discrepancy: Discrepancy | None = None
+) -> dict:
+    """The verdict on the case in a folder."""
+    _, d, measured = described(load_lab(folder / "lab.toml"), ready, seed, discrepancy)
+    prepared = ready_to_diagnose(d, measured, seed, judge.manner)
+    which = diagnose(prepared, measured)
+    return {
+        "case": folder.name,
+        "verdict": which.verdict,
+        "stated": which.stated,
+        "by_class": which.by_class,
+        "likely_set": which.likely_set,
+        "classes": [list(members) for members in prepared.classes.members],
+        "p_before": which.facts.p_before,
+        "p_after": which.facts.p_after,
+        "scores": dict(zip(d.effect_names, which.scores.z.tolist(), strict=True)),
+        "base_shift": dict(zip(d.base_names, which.base.delta.tolist(), strict=True)),
+        **_shrinkage(d, measured, which, seed),
+        "rivals": _rivals(d, measured, judge, prepared),
+    }
+
+
+def _shrinkage(d: Linearised, measured: Measured, which: Which, seed: int) -> dict:
+    """What is claimed to shrink, and the fits by which fresh specimens can check it."""
+    if not which.best or which.verdict in (NONE, UNKNOWN):
+        return {"claimed": None}
+    fit = which.refits[which.best]
+    far = how_far(d, measured, which.noise, which.base, fit, seed)
+    return {
+        "claimed": {"shrinkage": far.shrinkage, "low": far.low, "high": far.high,
+                    "left_out": far.left_out},
+        "fits": {
+            "features": [f.name for f in d.features],
+            "base": which.base.values.tolist(),
+            "best": fit.values.tolist(),
+            "weight": feature_weights(d, which.noise).tolist(),
+            "strengths": {
+                d.effect_names[k]: float(fit.strengths[k] * d.effects[k].typical)
+                for k in which.best
+            },
+        },
+    }  # fmt: skip
+
+
+def _rivals(d: Linearised, measured: Measured, judge: Judges, prepared: Prepared) -> dict[str, str]:
+    """What is usually done, on the same case, as labels of classes."""
+    template = baselines.template(d, measured, judge.least_template)
+    names = [f.name for f in d.features]
+    classified = UNKNOWN
+    if tuple(names) == judge.features:
+        inputs = baselines.classifier_inputs(d, measured, judge.covariance)
+        classified = judge.classifier.best(inputs)
+    return {
+        "majority": judge.majority,
+        "template": label(prepared.classes, (template,)),
+        "bic": label(prepared.classes, (baselines.bic(d, measured),)),
+        "classifier": _relabelled(prepared, classified),
+    }
+
+
+def _relabelled(prepared: Prepared, name: str) -> str:
+    """A class named by the classifier, in this case's classes: that of its first member."""
+    first = name.split(" / ")[0]
+    known = first in prepared.classes.names
+    return label(prepared.classes, (first,)) if known else name
+
+
+def diagnose_all(
+    cases: list[Path],
+    out: Path,
+    ready: Ready,
+    judge: Judges,
+    seed: int,
+    progress,
+    discrepancy: Discrepancy | None = None,
+) -> None:
+    """Verdicts of all cases into `out`; those that are there already stay."""
+    waiting = [case for case in cases if not (out / f"{case.name}.json").exists()]
+    progress.start("diagnosing", len(waiting))
+    for case in waiting:
+        try:
+            verdict = verdict_of(case, ready, judge, seed, discrepancy)
+        except (ValueError, np.linalg.LinAlgError) as error:  # counts as an error, not as absent
+            verdict = {"case": case.name, "failed": str(error), "verdict": "failed", "stated": 0.0}
+        write_json(out / f"{case.name}.json", verdict)
+        progress.advance()
+    progress.finish()
+
+
+def read_verdicts(out: Path) -> dict[str, dict]:
+    """All verdicts by case."""
+    return {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("*.json"))}

@@ -1,0 +1,120 @@
+"""The bank: its design, its emulator on formulas, its file, and what a lab becomes in it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from calibrate.bank import store
+from calibrate.bank.design import FURTHEST, LIMITS, Design
+from calibrate.bank.emulator import FeatureEmulator, fit_emulator
+from calibrate.bank.store import Bank, Cylinder, declared
+from calibrate.errors import InputError
+
+jax.config.update("jax_enable_x64", True)
+
+RNG = np.random.default_rng(3)
+ROWS, EACH, P, K = 132, 6, 3, 2
+PACKING = np.repeat(np.arange(ROWS // EACH), EACH)
+X, S = RNG.normal(size=(ROWS, P)), RNG.uniform(-1, 1, size=(ROWS, K))
+S[RNG.random(S.shape) < 0.5] = 0.0
+SCALE = np.array([20.0, 20.0, 0.2])
+PACKING_SD = 0.15
+
+
+def formula(x: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Two forces (N) and a depth (mm) that a soil might have, shapes (..., 3)."""
+    force = 200 * np.exp(0.4 * x[..., 0] + 0.2 * x[..., 1] + 0.5 * s[..., 0])
+    toe = 60 * np.exp(0.3 * x[..., 1] + 0.1 * x[..., 2] ** 2)
+    depth = 3 * np.exp(-0.4 * x[..., 0]) + 0.4 * s[..., 1]
+    return np.stack([force, toe, depth], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def emulator() -> FeatureEmulator:
+    """Fitted to the formula with packings that scatter by 15 %."""
+    scatter = np.exp(PACKING_SD * RNG.normal(size=(ROWS // EACH, 1)))[PACKING]
+    return fit_emulator(X, S, PACKING, formula(X, S) * scatter, SCALE, count=3)
+
+
+def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
+    small, large = Design(packings=8), Design(packings=16)
+    base, strengths = large.rows()
+    assert np.array_equal(small.rows()[0], base[: 8 * small.rows_each])
+    assert np.array_equal(small.rows()[1], strengths[: 8 * small.rows_each])
+    low, high = np.array(list(LIMITS.values())).T
+    assert (strengths >= low).all() and (strengths <= high).all()
+    wide = len(large.soil_names)
+    assert np.abs(base[:, :wide] / large.prior_sd()[:wide]).max() <= FURTHEST + 1e-9
+
+
+def test_early_rows_carry_more_effects_than_later_ones():
+    _, strengths = Design(packings=200).rows()
+    active = (strengths != 0).mean(axis=1)
+    assert active[:500].mean() == pytest.approx(0.3, abs=0.03)
+    assert active[700:].mean() == pytest.approx(0.1, abs=0.03)
+
+
+def test_emulator_predicts_new_points_within_packing_scatter(emulator):
+    """The mean over 22 packings is known to 15 %/sqrt(22) = 3 %; the rest is interpolation."""
+    x, s = 0.7 * RNG.normal(size=(40, P)), RNG.uniform(-0.5, 0.5, size=(40, K))
+    predicted = np.array([emulator(a, b)[0] for a, b in zip(x, s, strict=True)])
+    mean = formula(x, s) * np.exp(PACKING_SD**2 / 2)
+    assert np.sqrt(np.mean((predicted / mean - 1) ** 2, axis=0)).max() < 0.09
+
+
+def test_slopes_are_derivatives_of_values(emulator):
+    x, s, step = np.array([0.3, -0.5, 0.2]), np.array([0.2, 0.1]), 1e-5
+    _, base, effects = emulator(x, s)
+    for i in range(P):
+        ahead, back = (emulator(x + sign * step * np.eye(P)[i], s)[0] for sign in (1, -1))
+        assert base[:, i] == pytest.approx((ahead - back) / (2 * step), rel=1e-5, abs=1e-6)
+    for k in range(K):
+        ahead, back = (emulator(x, s + sign * step * np.eye(K)[k])[0] for sign in (1, -1))
+        assert effects[:, k] == pytest.approx((ahead - back) / (2 * step), rel=1e-5, abs=1e-6)
+
+
+def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):
+    _, base, effects = emulator(np.zeros(P), np.zeros(K))
+    assert base[0, 0] == pytest.approx(0.4 * 200, rel=0.15)
+    assert effects[0, 0] == pytest.approx(0.5 * 200, rel=0.15)
+    assert effects[2, 1] == pytest.approx(0.4, rel=0.2)
+
+
+def test_emulator_is_less_certain_far_away(emulator):
+    none = np.zeros(K)
+    near, far = (emulator.uncertainty(np.full(P, at), none) for at in (0.0, 4.0))
+    assert (far > 3 * near).all()
+
+
+def small_bank() -> Bank:
+    """Rows of a design with made-up features."""
+    design = replace(Design(), packings=8)
+    base, strengths = design.rows()
+    features = declared(400.0)
+    values = RNG.uniform(1, 2, size=(len(base), len(features)))
+    curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
+    return Bank(
+        design, Cylinder(0.05, 0.1, 200.0, 400.0), "engine", base, strengths,
+        np.repeat(np.arange(8), design.rows_each), values,
+        {"confined": curve, "unconfined": curve},
+    )  # fmt: skip
+
+
+def test_a_bank_survives_its_file(tmp_path: Path):
+    bank, path = small_bank(), tmp_path / "bank.nc"
+    store.save(bank, path)
+    again = store.load(path)
+    assert again.design == bank.design and again.cylinder == bank.cylinder
+    assert np.allclose(again.values, bank.values, rtol=1e-6)
+    assert np.allclose(again.reference["confined"], bank.reference["confined"])
+
+
+@pytest.mark.parametrize("content", [b"", b"no bank", b"\x89HDF\r\n\x1a\n"])
+def test_another_file_is_refused_in_one_sentence(tmp_path: Path, content: bytes):
+    path = tmp_path / "bank.nc"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="no bank of simulations"):
+        store.load(path)

@@ -1,0 +1,177 @@
+"""`calibrate diagnose` on a bank of formulas: what it writes, shows, escapes and refuses."""
+
+import html
+import json
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jax
+import numpy as np
+import pytest
+import toy_bank
+
+from calibrate import cli
+from calibrate.errors import InputError
+from calibrate.records.base import read
+from calibrate.records.diagnosis import DiagnosisRecord
+from calibrate.report import diagnosis as report
+from calibrate.report.effects import PLAIN, plain, strength, title
+from jdem.effects.composite import EFFECTS
+
+HOSTILE = "</title><script>alert(1)</script><img src=http://example.org/x> $\\\\frac$ & more"
+OFFSET = 10.0  # N
+CONTRACT = {
+    "where": {"test", "segment", "gap", "unit", "z", "share"},
+    "which": {"verdict", "probability", "alike"},
+    "how_far": {"before", "after", "interval", "floor", "ceiling"},
+    "next_test": {"name", "separation", "predicted"},
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with bank.nc and a laboratory whose load cell reads OFFSET too much."""
+    folder = tmp_path_factory.mktemp("diagnose")
+    toy_bank.write_bank(folder / "bank.nc")
+    toy_bank.write_lab(folder / "lab", HOSTILE, OFFSET)
+    return folder
+
+
+def call(*arguments: object) -> int:
+    """Exit status of a command line run in this process."""
+    settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in settings}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
+        try:
+            cli.main()
+        except SystemExit as end:
+            return int(end.code or 0)
+        finally:
+            for name, value in before.items():
+                jax.config.update(name, value)
+    return 0
+
+
+@pytest.fixture(scope="module")
+def done(place) -> Path:
+    """The folder that a diagnosis wrote."""
+    out, bank = place / "out", place / "bank.nc"
+    options = ("--bank", bank, "--out", out, "--json", place / "copy.json")
+    assert call("diagnose", place / "lab" / "lab.toml", *options) == 0
+    return out
+
+
+def result(done: Path) -> dict:
+    return json.loads((done / "result.json").read_text())
+
+
+def test_result_has_the_contract_s_keys(done):
+    found = result(done)
+    for key, names in CONTRACT.items():
+        part = found[key][0] if key == "where" else found[key]
+        assert names <= set(part), key
+    assert {"none", "unknown"} <= set(found["which"]["probability"])
+    assert json.loads((done.parent / "copy.json").read_text()) == found
+
+
+def test_probabilities_add_up(done):
+    found = result(done)["which"]
+    assert sum(found["probability_by_class"].values()) == pytest.approx(1.0)
+
+
+def test_the_hidden_error_is_seen_where_it_is(done):
+    """The offset shows before contact in both tests, within four of its standard errors."""
+    rows = [s for s in result(done)["where"] if s["segment"] == "before contact"]
+    assert [s["test"] for s in rows] == ["confined", "unconfined"]
+    for segment in rows:
+        assert segment["outside_band"]
+        assert abs(segment["gap"] - OFFSET) < 4 * abs(segment["gap"] / segment["z"])
+
+
+def test_curves_are_drawn_as_features_read_them(done):
+    """Half the largest force is at zero displacement on loading, in every specimen."""
+    for curves in result(done)["specimens"]:
+        x, force = (np.array(v) for v in curves["confined"].values())
+        top = int(np.argmax(x))
+        crossing = np.interp(200.0, force[: top + 1], x[: top + 1])
+        step = np.diff(x[: top + 1]).max()
+        assert abs(crossing) < step
+
+
+def test_page_is_self_contained_and_escapes_names(done):
+    page = (done / report.PAGE).read_text()
+    assert "<script" not in page and "<img src=http" not in page
+    assert html.escape(HOSTILE.replace("\\\\", "\\")).split("$")[0] in page
+    assert set(re.findall(r'(?:src|href)="([^",]*)', page)) == {"data:image/svg+xml;base64"}
+
+
+def test_page_says_verdict_and_every_effect(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    page = html.unescape((done / report.PAGE).read_text())
+    assert report.sentence(found) in page
+    for effect in found.which.effects:
+        assert plain(effect.name).name in page
+    assert report.page(done / "result.json").html == (done / report.PAGE).read_text()
+
+
+def test_figures_are_drawings_with_units(done):
+    drawn = {path.stem for path in (done / "figures").glob("*.svg")}
+    assert {"where_confined", "where_unconfined", "probability", "effects", "next_test"} == drawn
+    for path in (done / "figures").glob("*.svg"):
+        assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_every_effect_of_the_library_has_plain_words():
+    assert set(PLAIN) == set(EFFECTS)
+    assert title("load_cell_gain / seating_gap + none").count(" or ") == 1
+    assert strength("load_frame_compliance", 1e-6) == "1 mm/kN"
+
+
+@pytest.mark.parametrize(
+    "wrong", ["no bank", "no lab", "lab as bank", "bank as lab", "other shape"]
+)
+def test_wrong_input_is_one_sentence(place, capfd, wrong):
+    lab, bank = place / "lab" / "lab.toml", place / "bank.nc"
+    if wrong == "other shape":
+        text = lab.read_text().replace('height = "100 mm"', 'height = "60 mm"')
+        (place / "lab" / "short.toml").write_text(text)
+    pair = {
+        "no bank": (lab, place / "missing.nc"),
+        "no lab": (place / "missing.toml", bank),
+        "lab as bank": (lab, lab),
+        "bank as lab": (bank, bank),
+        "other shape": (place / "lab" / "short.toml", bank),
+    }[wrong]
+    status = call("diagnose", pair[0], "--bank", pair[1], "--out", place / "refused")
+    said = capfd.readouterr().err
+    assert status == 2
+    last = said.strip().splitlines()[-1]
+    assert last.startswith("error: ") and "Traceback" not in said
+    assert pair[0].name in last or pair[1].name in last
+
+
+def test_numbers_without_curves_are_called_mute(place, capsys):
+    out = place / "numbers"
+    lab = place / "lab" / "numbers.toml"
+    text = (place / "lab" / "lab.toml").read_text().split("[[curves]]")[0]
+    targets = """
+[targets.depression_depth]
+mean = "2.5 mm"
+scatter = "0.1 mm"
+repeats = 3
+"""
+    lab.write_text(text + targets)
+    assert call("diagnose", lab, "--bank", place / "bank.nc", "--out", out) == 0
+    said = report.page(out / "result.json").sentence
+    assert said.startswith("One number without curves")
+    assert "record force and displacement" in said
+
+
+def test_a_damaged_result_is_refused(done, tmp_path):
+    broken = {**result(done), "features": []}
+    (tmp_path / "result.json").write_text(json.dumps(broken))
+    with pytest.raises(InputError, match="features are empty"):
+        report.page(tmp_path / "result.json")

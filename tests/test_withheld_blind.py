@@ -1,0 +1,154 @@
+"""A diagnosis cannot see what is sealed: what it imports, and what it opens while it runs.
+
+The second half diagnoses a case of formulas while an audit hook refuses every file or folder
+whose path says "sealed", whoever asks for it and by whatever call.
+"""
+
+import ast
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import diagnosis_world as world
+import numpy as np
+import pytest
+from test_architecture import Module, read_modules
+
+from calibrate.bank.design import CENTRE
+from calibrate.diagnosed import Manner
+from calibrate.diagnosis import baselines
+from calibrate.diagnosis.which import prepare
+from calibrate.errors import InputError
+from calibrate.progress import Silent
+from calibrate.withheld import trial
+from calibrate.withheld.laboratory import Specimen, write_case
+from calibrate.withheld.seal import open_seal, write_seal
+
+ROOTS = ("calibrate.withheld.trial", "calibrate.diagnosed")
+KNOWING = (
+    "seal",
+    "plan",
+    "outside",
+    "laboratory",
+    "run",
+    "scores",
+    "canary",
+)  # of calibrate.withheld
+MODULES = read_modules(Path(__file__).parents[1])
+
+
+# ---------------------------------------------------------------- imports
+
+
+def reached(roots: tuple[str, ...], modules: dict[str, Module]) -> set[str]:
+    """All modules that the roots import, at whatever level, with the packages they lie in."""
+    found: set[str] = set()
+    waiting = list(roots)
+    while waiting:
+        name = waiting.pop()
+        if name in modules and name not in found:
+            found.add(name)
+            waiting += [item.target for item in modules[name].imports]
+            waiting += [name.rpartition(".")[0]]
+    return found
+
+
+def paths_in(module: Module) -> list[str]:
+    """String constants that could lead to the labels."""
+    words = (n.value for n in ast.walk(module.tree) if isinstance(n, ast.Constant))
+    given = [word for word in words if isinstance(word, str)]
+    return [w for w in given if w == "sealed" or "sealed/" in w or "labels." in w]
+
+
+def test_a_diagnosis_imports_nothing_that_knows_the_labels():
+    found = reached(ROOTS, MODULES)
+    assert "calibrate.diagnosis.which" in found and "calibrate.bank.emulator" in found
+    assert not found & {f"calibrate.withheld.{name}" for name in KNOWING}
+
+
+def test_a_diagnosis_names_no_path_to_the_labels():
+    assert {n: p for n in reached(ROOTS, MODULES) if (p := paths_in(MODULES[n]))} == {}
+    assert paths_in(MODULES["calibrate.withheld.seal"])  # the rule sees what it is to see
+
+
+def test_whoever_opens_the_seal_is_seen_by_the_rule():
+    assert "calibrate.withheld.seal" in reached(("calibrate.withheld.run",), MODULES)
+
+
+# ---------------------------------------------------------------- running
+
+_watching: list[str] = []  # paths that were asked for while the hook is armed
+_armed = False
+
+
+def _refuse(event: str, arguments: tuple) -> None:
+    if _armed and event in ("open", "os.listdir", "os.scandir") and "sealed" in str(arguments[0]):
+        _watching.append(str(arguments[0]))
+        raise PermissionError(f"{arguments[0]} is sealed")
+
+
+sys.addaudithook(_refuse)
+
+
+@contextmanager
+def sealed_folders_refused() -> Iterator[None]:
+    global _armed
+    _watching.clear()
+    _armed = True
+    try:
+        yield
+    finally:
+        _armed = False
+
+
+@pytest.fixture(scope="module")
+def judge() -> trial.Judges:
+    """Everything that is made before a case is seen, in the world of formulas."""
+    known = world.description()
+    prepared = prepare(known, world.PLAN, seed=1, draws=16)
+    inputs = np.random.default_rng(0).standard_normal((8, 3))
+    return trial.Judges(
+        Manner(prepared.opinion, 0.1, prepared.null), ("none of ours",), 3.0, "e1",
+        baselines.train(inputs, ["none", "e1"] * 4), prepared.world.mean_covariance,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def sealed_case(tmp_path, monkeypatch) -> Path:
+    """A case with its seal; what its files say is read, what it hides is the formulas' e1."""
+    way = np.linspace(0, 12, 160)
+    records = {t: np.column_stack([way, 50 * way]) for t in ("confined", "unconfined")}
+    write_case("0abcd", [Specimen(records, 1830.0)] * 4, CENTRE, tmp_path / "cases" / "0abcd")
+    write_seal([{"case": "0abcd", "kind": "single", "nonce": "1"}], tmp_path)
+    known = world.description()
+    measured = world.case(3, 8 * known.effect_slopes[:, 1])
+
+    def described(lab, ready, seed, discrepancy=None):
+        assert len(lab.curves) == 8
+        return None, known, measured
+
+    monkeypatch.setattr(trial, "described", described)
+    return tmp_path
+
+
+def verdict_in(folder: Path, out: str, judge: trial.Judges) -> dict:
+    """The verdict file on the one case."""
+    cases = [folder / "cases" / "0abcd"]
+    trial.diagnose_all(cases, folder / out, None, judge, 0, Silent())  # pyright: ignore
+    return json.loads((folder / out / "0abcd.json").read_text())
+
+
+def test_a_diagnosis_runs_while_the_seal_cannot_be_opened(sealed_case, judge):
+    with sealed_folders_refused():
+        with pytest.raises(InputError, match="PermissionError"):
+            open_seal(sealed_case)  # the hook refuses what it is to refuse
+        _watching.clear()
+        said = verdict_in(sealed_case, "refused", judge)
+    assert _watching == []
+    assert "failed" not in said and said["stated"] > 0
+    shutil.rmtree(sealed_case / "sealed")
+    (sealed_case / "labels.sha256").unlink()
+    assert verdict_in(sealed_case, "absent", judge) == said

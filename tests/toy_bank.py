@@ -1,0 +1,79 @@
+"""A bank of formulas: 56 rows of the soil in `formulas`, two errors of the load cell, density.
+
+Small enough that a whole diagnosis takes seconds; kernels are those that fitting starts from.
+"""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from formulas import BASE, LAB, specimen
+
+from calibrate.bank.design import Design
+from calibrate.bank.emulator import COMPONENTS, Kernel
+from calibrate.bank.store import Bank, Cylinder, collect, curves_of, save
+from calibrate.campaign import Run
+from calibrate.diagnosis.features import Curves
+from calibrate.parameters import with_values
+from calibrate.withheld.laboratory import Specimen, recorded, write_case
+
+PACKINGS, ROWS = 14, 4
+CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BASE.surface_energy)}
+DESIGN = Design(
+    packings=PACKINGS,
+    rows_each=ROWS,
+    centre=CENTRE,
+    soil_sd={"shear_modulus": 0.35, "surface_energy": 0.45},
+    limits={
+        "load_cell_gain": (-0.2, 0.2),
+        "load_cell_offset": (-15.0, 15.0),
+        "specimen_density": (-0.03, 0.03),
+    },
+)
+
+
+def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
+    """One specimen: soil (2,) as ln p over the centre, strengths (3,) in SI."""
+    values = {n: CENTRE[n] * float(np.exp(x)) for n, x in zip(CENTRE, soil_ln, strict=True)}
+    plain = specimen(with_values(BASE, values), seed)
+    gain, offset, density = strengths
+    dense = np.array([1 - 5 * density, 1 + 10 * density])
+    changed = {}
+    for test in ("confined", "unconfined"):
+        curve = getattr(plain, test) * (dense if test == "unconfined" else [dense[0], 1.0])
+        changed[test] = np.column_stack([curve[:, 0], (1 + gain) * curve[:, 1] + offset])
+    return replace(plain, **changed)
+
+
+@cache
+def bank() -> Bank:
+    base, strengths = DESIGN.rows()
+    rows = zip(base[:, :2], strengths, range(len(base)), strict=True)
+    runs = [run(soil, strength, row // ROWS) for soil, strength, row in rows]
+    made = collect(DESIGN, LAB, runs, run(np.zeros(2), np.zeros(3), 900))
+    kernels = (Kernel.start(base.shape[1], strengths.shape[1]),) * COMPONENTS
+    return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
+
+
+def write_bank(path: Path) -> Path:
+    save(bank(), path)
+    return path
+
+
+def reference() -> Curves:
+    return curves_of(run(np.zeros(2), np.zeros(3), 900))
+
+
+def write_lab(folder: Path, name: str, offset: float, specimens: int = 4) -> Path:
+    """A laboratory's files: specimens of other packings than the bank's, offset in N."""
+    rng = np.random.default_rng(3)
+    made = []
+    for number in range(specimens):
+        found = run(np.array([0.1, -0.1]), np.array([0.0, offset, 0.0]), 700 + number)
+        records = {
+            test: recorded(getattr(found, test), offset, rng) for test in ("confined", "unconfined")
+        }
+        made.append(Specimen(records, 1829.6 * (1 + 0.004 * rng.standard_normal())))
+    write_case(name, made, CENTRE, folder)
+    return folder / "lab.toml"
