@@ -141,7 +141,8 @@ class Design:
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
     power = int(np.ceil(np.log2(max(count, 2))))
-    return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]
+    # `seed`, not `rng`: the two scramble differently, and the bundled bank was drawn with this.
+    return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]  # pyright: ignore[reportCallIssue]
 
 
 def _normal(unit: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ form.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,15 +35,15 @@ JITTER = 1e-6
 class Kernel(NamedTuple):
     """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, (), ()."""
 
-    linear: jax.Array
-    length: jax.Array
-    reach: jax.Array
-    curved: jax.Array
-    effect: jax.Array
-    interaction: jax.Array
-    bent: jax.Array
-    packing: jax.Array
-    rest: jax.Array
+    linear: Any
+    length: Any
+    reach: Any
+    curved: Any
+    effect: Any
+    interaction: Any
+    bent: Any
+    packing: Any
+    rest: Any
 
     @staticmethod
     def start(p: int, k: int) -> "Kernel":

@@ -5,7 +5,7 @@ other conditions from the slopes that a bank has.  Costs are hours of a laborato
 a guess that `calibrate diagnose` prints beside each test.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +14,7 @@ from calibrate.diagnosis.features import CONFINED, UNCONFINED, tests_of
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.next_test import FurtherTest
 from calibrate.diagnosis.noise import Noise
+from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
 
 BLOCK_FORCES = (20.0, 50.0, 100.0, 200.0, 400.0)  # N
@@ -25,6 +26,7 @@ HOLD = 60.0  # s
 HOLD_SD = 1.5  # N
 DECADES_OF_A_HOLD = 2.7  # of the rate that the soil feels, from 8 mm/s to a minute of rest
 REPEATS = 2
+OF_NAME: Mapping[str, Callable[..., AbstractEffect]] = EFFECTS
 
 
 def menu(d: Linearised, noise: Noise) -> list[FurtherTest]:
@@ -61,7 +63,7 @@ def _machine(d: Linearised, name: str, cost: float, labels, columns, sd) -> Furt
 def _block(d: Linearised) -> FurtherTest:
     force = jnp.asarray(BLOCK_FORCES)
     columns = {
-        name: 1e3 * np.asarray(EFFECTS[name](1.0).travel_error(force))
+        name: 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(force))
         for name in ("load_frame_compliance", "seating_gap")
     }
     labels = [f"displacement at {f:g} N, mm" for f in BLOCK_FORCES]

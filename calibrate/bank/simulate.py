@@ -6,12 +6,13 @@ double (docs/diagnosis.md), at two thirds of the time.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from calibrate.bank.design import Design
 from calibrate.campaign import Campaign, Run, cores
@@ -25,6 +26,8 @@ from jdem.experiments.composite import VirtualLab
 from jdem.packing import neutral_soil
 from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters
+
+Numbers = Sequence[float] | np.ndarray
 
 
 @dataclass(eq=False)
@@ -41,10 +44,10 @@ class Simulator:
     _campaigns: dict[int, Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
-        self.effects = self.effects or tuple(effect(0.0) for effect in EFFECTS.values())
+        self.effects = self.effects or switched_off(EFFECTS)
 
     def run(
-        self, soil: SoilParameters, setting: Sequence[float], strengths: Sequence[float],
+        self, soil: SoilParameters, setting: Numbers, strengths: Numbers,
         spheres: int, seed: int,
     ) -> Run:  # fmt: skip
         """One specimen through both tests.
@@ -69,6 +72,13 @@ class Simulator:
             lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, self.effects)
             self._campaigns[spheres] = Campaign(lab, cylinder, self.folder / str(spheres))
         return self._campaigns[spheres]
+
+
+def switched_off(
+    effects: Mapping[str, Callable[..., AbstractEffect]],
+) -> tuple[AbstractEffect, ...]:
+    """The effects at strength 0."""
+    return tuple(effect(0.0) for effect in effects.values())
 
 
 def prepared_with(ln_friction: float) -> SoilParameters:

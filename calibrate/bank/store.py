@@ -206,10 +206,15 @@ def _read(stored: xr.Dataset) -> Bank:
     reference = {
         test: tuple(stored[f"reference_{test}"].values.T) for test in ("confined", "unconfined")
     }
-    numbers = [stored[n].values.astype(float) for n in ("base", "strengths")]
     return Bank(
-        Design(**design), Cylinder(**json.loads(stored.attrs["cylinder"])), stored.attrs["engine"],
-        *numbers, stored["packing"].values, stored["values"].values.astype(float),
-        reference, kernels,
-        stored["tolerance"].values if "tolerance" in stored else np.zeros(0),
-    )  # fmt: skip
+        design=Design(**design),
+        cylinder=Cylinder(**json.loads(stored.attrs["cylinder"])),
+        engine=stored.attrs["engine"],
+        base=stored["base"].values.astype(float),
+        strengths=stored["strengths"].values.astype(float),
+        packing=stored["packing"].values,
+        values=stored["values"].values.astype(float),
+        reference=reference,
+        kernels=kernels,
+        tolerance=stored["tolerance"].values if "tolerance" in stored else np.zeros(0),
+    )

@@ -53,8 +53,9 @@ class Feature:
 
     kind is "loading", "unloading" (abscissa in N), "crushing" (abscissa in mm), "largest
     force", "travel at the top", "peak force", "peak displacement", "before contact" or
-    "target".  `scale` is the force (N; confined) or displacement (mm; unconfined) that all abscissae are shares of;
-    `force` is the seating force (N; unconfined); `position` runs from 0 to 1 along the test.
+    "target".  `scale` is the force (N; confined) or displacement (mm; unconfined) that all
+    abscissae are shares of; `force` is the seating force (N; unconfined); `position` runs from
+    0 to 1 along the test.
     """
 
     name: str

@@ -13,7 +13,7 @@ from pathlib import Path
 from calibrate.errors import BadValue, InputError
 from calibrate.labfile import read_text
 from calibrate.records.base import RUN_AGAIN
-from calibrate.report import audit, fit, study_page
+from calibrate.report import audit, diagnosis, fit, study_page
 from calibrate.report.html import Page
 
 
@@ -31,6 +31,7 @@ KINDS = (
     Kind("fit", "result.json", frozenset({"free", "history"}), fit.page),
     Kind("doe", "result.json", frozenset({"designs", "comparison"}), study_page.page),
     Kind("audit", "audit.json", frozenset({"strategies", "curves"}), audit.page),
+    Kind("diagnose", "result.json", frozenset({"which", "where", "features"}), diagnosis.page),
 )
 NAMES = ", ".join(kind.name for kind in KINDS)
 

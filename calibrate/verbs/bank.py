@@ -10,8 +10,9 @@ from typing import Annotated
 
 import typer
 
-from calibrate.errors import COMMAND_LINE, InputError
+from calibrate.errors import InputError
 
+COMMAND_LINE = "command line"
 DESIGN = "packings x 6 simulations; a larger bank goes on from a smaller one"
 
 

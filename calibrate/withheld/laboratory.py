@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.bank.simulate import Simulator
+from calibrate.bank.simulate import Simulator, switched_off
 from calibrate.campaign import Run
 from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.output import write_text
@@ -132,7 +132,7 @@ class Laboratory:
         if costly not in self._simulators:
             every = {**EFFECTS, **CARRIED}
             names = tuple(n for n in every if costly or n not in COSTLY)
-            simulator = Simulator(self.lab, self.folder, tuple(every[n](0.0) for n in names))
+            simulator = Simulator(self.lab, self.folder, switched_off({n: every[n] for n in names}))
             self._simulators[costly] = (names, simulator)
         return self._simulators[costly]
 

@@ -88,7 +88,7 @@ class EarlyTurn(AbstractEffect):
     about: ClassVar[About] = _about("force N", (0.0, 100.0), True, "turns early")
 
     def programme(self, programme, time_scale):
-        target = programme.force_target.at[0].add(-self.strength)
+        target = jnp.asarray(programme.force_target).at[0].add(-self.strength)
         return eqx.tree_at(lambda p: p.force_target, programme, target)
 
 
