@@ -1,5 +1,6 @@
 """The bank: its design, its emulator on formulas, its file, and what a lab becomes in it."""
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from calibrate.bank.design import FURTHEST, LIMITS, Design
 from calibrate.bank.emulator import FeatureEmulator, fit_emulator
 from calibrate.bank.store import Bank, Cylinder, declared
 from calibrate.errors import InputError
+from calibrate.measurements import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
 
@@ -118,3 +120,26 @@ def test_another_file_is_refused_in_one_sentence(tmp_path: Path, content: bytes)
     path.write_bytes(content)
     with pytest.raises(InputError, match="no bank of simulations"):
         store.load(path)
+
+
+def test_the_trumao_soils_targets_follow_from_its_data():
+    lab = load_lab(bundled_lab("trumao"))
+    folder = Path(lab.file).parent / "trumao_2021"
+    area = np.pi * lab.specimen.diameter**2 / 4
+    limits = np.log(
+        [force / area / 1e3 for force in (lab.confined.force_low, lab.confined.force_high)]
+    )
+    rows = list(csv.DictReader((folder / "oedometer.csv").open()))
+    depths = []
+    for sample in dict.fromkeys(row["sample"] for row in rows):
+        mine = [row for row in rows if row["sample"] == sample][:7]  # loading, to 1200 kPa
+        stress, ratio = (np.array([float(row[key]) for row in mine]) for key in ("stress", "e"))
+        between = np.interp(limits, np.log(stress), ratio)
+        depths.append(1e3 * lab.specimen.height * (between[0] - between[1]) / (1 + ratio[0]))
+    strengths = [float(row["su"]) for row in csv.DictReader((folder / "UCT.csv").open())]
+    forces = 2e3 * area * np.array(strengths)
+    for name, values in (("depression_depth_mm", depths), ("crushing_force_n", forces)):
+        target = lab.targets[name]
+        assert target.mean == pytest.approx(np.mean(values), rel=1e-3)
+        assert target.scatter == pytest.approx(np.std(values, ddof=1), rel=2e-3)
+        assert target.repeats == len(values)

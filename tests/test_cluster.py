@@ -136,7 +136,11 @@ def test_verbs_that_simulate_many_take_an_address(verb, monkeypatch, tmp_path, c
 def test_a_lost_scheduler_is_one_sentence(tmp_path):
     """Started after the others: it takes the scheduler away from under the campaign."""
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1"
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address=None,
     ) as running:
         there = DaskCluster(running.scheduler_address)
         threading.Timer(0.5, running.close).start()
