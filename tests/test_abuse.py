@@ -54,7 +54,7 @@ WIDEST = {  # from the smallest to the largest value that anybody may mean
 accepted_soils = st.fixed_dictionaries(
     {name: st.floats(low, high) for name, (low, high) in WIDEST.items()}
 )
-# To a femtometre: overlaps far below an atom's size underflow in the laws' squares and mean nothing.
+# To a femtometre: overlaps far below an atom's size underflow in squares and mean nothing.
 turning_points = st.lists(
     st.floats(-MOST, MOST).map(lambda overlap: round(overlap, 15)), min_size=4, max_size=4
 )

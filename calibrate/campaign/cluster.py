@@ -72,7 +72,7 @@ class DaskCluster(AbstractPlace):
             raise MachineFailure(f"workers died with it: {one_line(str(error))}") from None
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             raise MachineFailure(f"{type(error).__name__} on a worker: {error}") from None
-        except (CancelledError, OSError) as error:
+        except (CancelledError, OSError, UnboundLocalError) as error:  # the last: a closed loop
             lost = f"lost the Dask scheduler at {self._address} ({type(error).__name__})"
             raise CalibrationError(f"{lost}; finished runs are kept, give it again") from None
         return _on_device(result)
