@@ -135,14 +135,10 @@ def test_verbs_that_simulate_many_take_an_address(verb, monkeypatch, tmp_path, c
 
 def test_a_lost_scheduler_is_one_sentence(tmp_path):
     """Started after the others: it takes the scheduler away from under the campaign."""
-    with LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        dashboard_address=None,
-    ) as running:
-        there = DaskCluster(running.scheduler_address)
-        threading.Timer(0.5, running.close).start()
-        with pytest.raises(CalibrationError, match="lost the Dask scheduler"):
-            there._computed(time.sleep, 60)
+    running = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
+    )
+    there = DaskCluster(running.scheduler_address)
+    threading.Timer(0.5, running.close).start()
+    with pytest.raises(CalibrationError, match="lost the Dask scheduler"):
+        there._computed(time.sleep, 60)
