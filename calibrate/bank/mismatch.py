@@ -9,6 +9,7 @@ is taken for an effect.  The price is power along these directions.
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,18 +26,27 @@ DIRECTIONS = 3
 FEWEST = 6  # reference cases
 
 
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a base fit leaves of a lab's warped features (m,), and the covariance (m, m) of that
+    which scatter of specimens explains."""
+
+    row: np.ndarray
+    scatter: np.ndarray
+
+
 def learn(
     labs: Sequence[Lab], ready: Ready, seed: int, directions: int = DIRECTIONS
 ) -> Discrepancy:
     """The mismatch from at least `FEWEST` reference labs that have all of the bank's features."""
-    rows = [row for lab in labs if (row := left_by_fit(lab, ready, seed)) is not None]
-    if len(rows) < FEWEST:
-        raise ValueError(f"{len(rows)} reference cases have all features, {FEWEST} are needed")
-    return of_rows(np.array(rows), directions)
+    found = [left for lab in labs if (left := left_by_fit(lab, ready, seed)) is not None]
+    if len(found) < FEWEST:
+        raise ValueError(f"{len(found)} reference cases have all features, {FEWEST} are needed")
+    return of_rows(found, directions)
 
 
-def left_by_fit(lab: Lab, ready: Ready, seed: int) -> np.ndarray | None:
-    """What a base fit leaves (m,) of a lab's warped features; None if it lacks some.
+def left_by_fit(lab: Lab, ready: Ready, seed: int) -> Left | None:
+    """What a base fit leaves of a lab; None if it lacks more than a few features.
 
     Fits are made without any shift: repeating them with the shift would let it run away along
     what base parameters can do as well.
@@ -46,22 +56,32 @@ def left_by_fit(lab: Lab, ready: Ready, seed: int) -> np.ndarray | None:
     chosen = lab_curves.chosen
     if len(chosen) < m - 2:  # all but the two targets
         return None
-    noise = estimate(d, measured, packing_covariance(d), d.prior_sd**2)
-    fit = refit(d, measured.mean, noise.mean)
-    row = np.zeros(m)
+    noise = estimate(d, measured, packing_covariance(d), d.prior_sd**2).mean
+    fit = refit(d, measured.mean, noise)
+    row, scatter = np.zeros(m), np.zeros((m, m))
     row[chosen] = np.arcsinh(measured.mean / scale[chosen]) - np.arcsinh(fit.values / scale[chosen])
-    return row
+    steep = np.sqrt(scale[chosen] ** 2 + fit.values**2)
+    keep = (np.eye(len(chosen)) - _hat(fit.base_slopes, d.prior_sd, noise)) / steep[:, None]
+    scatter[np.ix_(chosen, chosen)] = keep @ noise @ keep.T
+    return Left(row, scatter)
 
 
-def of_rows(rows: np.ndarray, directions: int = DIRECTIONS) -> Discrepancy:
-    """The mismatch of what fits leave (cases, m): mean, leading directions, and the rest."""
-    centred = rows - rows.mean(axis=0)
-    freedom = len(rows) - 1
-    _, values, axes = np.linalg.svd(centred, full_matrices=False)
-    lead = (axes[:directions] * (values[:directions] / np.sqrt(freedom))[:, None]).T
-    left = centred - centred @ axes[:directions].T @ axes[:directions]
-    rest = np.sqrt((left**2).sum(axis=0) / max(freedom - directions, 1))
-    return Discrepancy(rows.mean(axis=0), lead, rest)
+def _hat(slopes: np.ndarray, prior_sd: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Operator (m, m) of the base fit."""
+    weighted = np.linalg.solve(covariance, slopes)
+    normal = slopes.T @ weighted + np.diag(prior_sd**-2.0)
+    return slopes @ np.linalg.solve(normal, weighted.T)
+
+
+def of_rows(found: Sequence[Left], directions: int = DIRECTIONS) -> Discrepancy:
+    """The mismatch of what fits leave: mean, leading directions, and the rest, each beyond what
+    scatter explains."""
+    rows = np.array([left.row for left in found])
+    excess = np.cov(rows.T) - np.mean([left.scatter for left in found], axis=0)
+    values, axes = np.linalg.eigh(excess)
+    lead = axes[:, -directions:] * np.sqrt(np.maximum(values[-directions:], 0.0))
+    rest = np.diag(excess) - (lead**2).sum(axis=1)
+    return Discrepancy(rows.mean(axis=0), lead, np.sqrt(np.maximum(rest, 0.0)))
 
 
 def save(found: Discrepancy, path: Path, source: str) -> None:
