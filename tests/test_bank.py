@@ -68,14 +68,14 @@ def test_emulator_predicts_new_points_within_packing_scatter(emulator):
 
 
 def test_slopes_are_derivatives_of_values(emulator):
-    x, s, step = np.array([0.3, -0.5, 0.2]), np.array([0.2, 0.1]), 1e-5
+    x, s, step = np.array([0.3, -0.5, 0.2]), np.array([0.2, 0.1]), 1e-3
     _, base, effects = emulator(x, s)
     for i in range(P):
         ahead, back = (emulator(x + sign * step * np.eye(P)[i], s)[0] for sign in (1, -1))
-        assert base[:, i] == pytest.approx((ahead - back) / (2 * step), rel=1e-5, abs=1e-6)
+        assert base[:, i] == pytest.approx((ahead - back) / (2 * step), rel=1e-4, abs=1e-6)
     for k in range(K):
         ahead, back = (emulator(x, s + sign * step * np.eye(K)[k])[0] for sign in (1, -1))
-        assert effects[:, k] == pytest.approx((ahead - back) / (2 * step), rel=1e-5, abs=1e-6)
+        assert effects[:, k] == pytest.approx((ahead - back) / (2 * step), rel=1e-4, abs=1e-6)
 
 
 def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):

@@ -8,6 +8,7 @@ import json
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,8 +207,11 @@ def judged(tmp_path) -> Path:
     return tmp_path
 
 
+NO_BANK: Any = None  # labels with a signal-to-noise need none
+
+
 def test_opening_scores_what_was_judged(judged):
-    result, rows = run.opened(judged, judged, 0, Silent(), fresh=False)
+    result, rows = run.opened(judged, judged, NO_BANK, 0, Silent(), fresh=False)
     assert [r.verdict == r.truth for r in rows] == [True, False, True]
     assert result["accuracy_by_snr"]["above 6"]["value"] == 1.0
     assert result["false_alarm"]["value"] == 1.0 and result["unknown_recall"]["value"] == 1.0
@@ -219,7 +223,7 @@ def test_a_changed_verdict_is_refused(judged):
     path = judged / "verdicts" / "00002.json"
     path.write_text(path.read_text().replace("wall_friction", "none"))
     with pytest.raises(InputError, match="changed after it was stated"):
-        run.opened(judged, judged, 0, Silent(), fresh=False)
+        run.opened(judged, judged, NO_BANK, 0, Silent(), fresh=False)
 
 
 # ---------------------------------------------------------------- canary
