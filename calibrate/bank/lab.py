@@ -94,7 +94,7 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     specimens = specimens_of(lab, bank.cylinder)
     if not specimens:
         return _targets(lab, bank)
-    from_contact = [_from_contact(curves) for curves in specimens]
+    from_contact = [from_contact_on(curves) for curves in specimens]
     known = measured_features([f for f in every if f.kind != "target"], from_contact)
     if not known:
         raise InputError(lab.file, "curves", "no feature could be read from them",
@@ -110,7 +110,7 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     return LabCurves(from_vectors(known, vectors), chosen, before, channels, tuple(specimens))
 
 
-def _from_contact(curves: Curves) -> Curves:
+def from_contact_on(curves: Curves) -> Curves:
     """The curves without the platen's way through the air, as a simulation records them."""
     found = {}
     for test, (displacement, force) in curves.items():

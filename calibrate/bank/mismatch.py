@@ -16,6 +16,7 @@ import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import described
+from calibrate.diagnosis.how_far import hat_of
 from calibrate.diagnosis.noise import estimate, packing_covariance
 from calibrate.diagnosis.refit import refit
 from calibrate.errors import InputError
@@ -41,7 +42,8 @@ def learn(
     """The mismatch from at least `FEWEST` reference labs that have all of the bank's features."""
     found = [left for lab in labs if (left := left_by_fit(lab, ready, seed)) is not None]
     if len(found) < FEWEST:
-        raise ValueError(f"{len(found)} reference cases have all features, {FEWEST} are needed")
+        problem = f"only {len(found)} of {len(labs)} have whole curves of both tests"
+        raise InputError("reference labs", "curves", problem, f"give at least {FEWEST} that do")
     return of_rows(found, directions)
 
 
@@ -61,16 +63,9 @@ def left_by_fit(lab: Lab, ready: Ready, seed: int) -> Left | None:
     row, scatter = np.zeros(m), np.zeros((m, m))
     row[chosen] = np.arcsinh(measured.mean / scale[chosen]) - np.arcsinh(fit.values / scale[chosen])
     steep = np.sqrt(scale[chosen] ** 2 + fit.values**2)
-    keep = (np.eye(len(chosen)) - _hat(fit.base_slopes, d.prior_sd, noise)) / steep[:, None]
+    keep = (np.eye(len(chosen)) - hat_of(fit.base_slopes, d.prior_sd, noise)) / steep[:, None]
     scatter[np.ix_(chosen, chosen)] = keep @ noise @ keep.T
     return Left(row, scatter)
-
-
-def _hat(slopes: np.ndarray, prior_sd: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Operator (m, m) of the base fit."""
-    weighted = np.linalg.solve(covariance, slopes)
-    normal = slopes.T @ weighted + np.diag(prior_sd**-2.0)
-    return slopes @ np.linalg.solve(normal, weighted.T)
 
 
 def of_rows(found: Sequence[Left], directions: int = DIRECTIONS) -> Discrepancy:

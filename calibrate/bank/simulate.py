@@ -1,8 +1,8 @@
 """Runs the rows of a design and keeps what their curves say: the simulations of a bank.
 
 Every run lies in a campaign's cache the moment it is finished, so a stopped bank goes on
-where it was.  Simulations are in single precision: means over packings agree with those in
-double (docs/diagnosis.md), at two thirds of the time.
+where it was.  Simulations are in single precision, for speed; how far means over packings then
+differ from those in double precision has not been measured.
 """
 
 import math

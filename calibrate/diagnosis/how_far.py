@@ -124,14 +124,15 @@ def _columns(description: Linearised, fit: Refit) -> tuple[np.ndarray, np.ndarra
     return columns, np.concatenate([description.prior_sd, np.full(len(moving), SPAN_SD)])
 
 
-def _hat(columns: np.ndarray, prior: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def hat_of(columns: np.ndarray, prior: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Operator (m, m) of a fit that moves along columns (m, q) with prior deviations (q,)."""
     weighted = linalg.solve(covariance, columns, assume_a="pos")
     return columns @ np.linalg.inv(columns.T @ weighted + np.diag(prior**-2.0)) @ weighted.T
 
 
 def _corrected(residual, columns, prior, covariance, weight) -> float:
     """Mallows' estimate of the weighted squared distance from the true mean."""
-    hat = _hat(columns, prior, covariance)
+    hat = hat_of(columns, prior, covariance)
     swallowed = 2 * weight @ np.diag(hat @ covariance) - weight @ np.diag(covariance)
     return float(weight @ residual**2 + swallowed)
 
@@ -143,7 +144,7 @@ def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
     prepared = []
     for fit in fits:
         columns, prior = _columns(description, fit)
-        hat = _hat(columns, prior, noise.mean)
+        hat = hat_of(columns, prior, noise.mean)
         keep = np.eye(len(hat)) - hat
         offset = 2 * weight @ np.diag(hat @ noise.mean) - weight @ np.diag(noise.mean)
         prepared.append((keep, offset))
@@ -224,7 +225,7 @@ def _span_gap(base: Refit, measured, noise, columns, weight) -> float:
     every = np.hstack([base.base_slopes, columns])
     prior = np.full(every.shape[1], SPAN_SD)
     prior[: base.base_slopes.shape[1]] = np.inf
-    hat = _hat(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
+    hat = hat_of(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
     left = base.working - hat @ base.working
     swallowed = 2 * weight @ np.diag(hat @ noise.mean) - weight @ np.diag(noise.mean)
     return float(weight @ left**2 + swallowed)

@@ -1,6 +1,6 @@
 """`calibrate bank`: simulate a bank for labs of one kind, for `calibrate diagnose`.
 
-Takes about a second and a half of one core for each simulation of 150 spheres, and can be
+Takes some two to three seconds of one core for each simulation of 150 spheres, and can be
 stopped and resumed; what is there already is not simulated again.
 """
 

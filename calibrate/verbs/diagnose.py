@@ -5,8 +5,6 @@ from typing import Annotated
 
 import typer
 
-from calibrate.errors import InputError
-
 
 def register(app: typer.Typer) -> None:
     """Adds `diagnose` to the program."""
@@ -17,6 +15,9 @@ def diagnose_command(
     lab: Annotated[Path, typer.Argument(metavar="LAB.toml", help="Lab file with curves.")],
     bank: Annotated[
         Path | None, typer.Option("--bank", help="Bank of simulations; default: the bundled one.")
+    ] = None,
+    mismatch: Annotated[
+        Path | None, typer.Option("--mismatch", help="What `calibrate mismatch` wrote.")
     ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
@@ -31,18 +32,21 @@ def diagnose_command(
 
     from calibrate import output
     from calibrate.bank.description import Ready
-    from calibrate.bank.store import load
+    from calibrate.bank.mismatch import load as load_mismatch
+    from calibrate.bank.store import bundled_bank, load
     from calibrate.diagnosed import diagnosed
     from calibrate.progress import for_terminal
     from calibrate.report import diagnosis as report
 
     output.check_writable(json)
-    source = bank or default_bank()
+    source = bank or bundled_bank()
     session = output.Session.open(lab, "quick", out)
     simulated = load(source)
     say = for_terminal().say
     say(f"bank of {len(simulated.values)} simulations: preparing its emulator")
-    found = diagnosed(session.lab, Ready.of(simulated), seed, say=say)
+    ready = Ready.of(simulated)
+    known = None if mismatch is None else load_mismatch(mismatch, ready)
+    found = diagnosed(session.lab, ready, seed, discrepancy=known, say=say)
     origin = {
         **output.origin_of(session),
         "preset": NO_PRESET,
@@ -58,14 +62,3 @@ def diagnose_command(
 
 
 NO_PRESET = "none: a bank stands for simulations"
-
-
-def default_bank() -> Path:
-    """The bank that comes with the package; `InputError` where there is none."""
-    from calibrate.bank import store
-
-    bundled = getattr(store, "bundled_bank", None)
-    if bundled is None:
-        problem, repair = "no bank comes with this version", "give --bank FILE"
-        raise InputError("command line", "--bank", problem, repair)
-    return bundled()

@@ -18,7 +18,10 @@ import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import CENTRE
+from calibrate.bank.lab import from_contact_on
+from calibrate.bank.store import declared
 from calibrate.diagnosis.features import vector
+from calibrate.diagnosis.how_far import shrinkage
 from calibrate.errors import InputError
 from calibrate.output import write_json, write_text
 from calibrate.progress import AbstractProgress
@@ -178,14 +181,11 @@ def _fresh(source: Path, said: dict, labels: dict, progress: AbstractProgress) -
 
 def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> float:
     """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off."""
-    from calibrate.bank.store import declared
-    from calibrate.diagnosis.how_far import shrinkage
-
     features = {f.name: f for f in declared(400.0)}
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
     values = np.array([
-        vector(chosen, {test: tuple(record.T) for test, record in s.records.items()})
+        vector(chosen, from_contact_on({test: tuple(r.T) for test, r in s.records.items()}))
         for s in specimens
     ])  # fmt: skip
     weight = np.array(fits["weight"])[keep]
