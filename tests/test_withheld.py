@@ -15,6 +15,7 @@ import pytest
 from rich.console import Console
 
 from calibrate.bank.design import CENTRE
+from calibrate.bank.lab import from_contact_on
 from calibrate.bank.store import declared
 from calibrate.diagnosis.features import vector
 from calibrate.errors import InputError
@@ -411,7 +412,8 @@ def test_shrinkage_on_fresh_specimens_by_hand():
     """Specimens all alike, so no scatter is taken off: d^2 of 3 shrinks to 5/4, E of 2 to 1.5."""
     features = declared(400.0)[:-2]
     fresh = specimens(3, count=1) * 2
-    true = vector(features, {t: tuple(r.T) for t, r in fresh[0].records.items()})
+    curves = from_contact_on({t: tuple(r.T) for t, r in fresh[0].records.items()})
+    true = vector(features, curves)
     keep = np.flatnonzero(np.isfinite(true))
     assert len(keep) > 20
     fits = {
