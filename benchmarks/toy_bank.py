@@ -80,15 +80,17 @@ def description(seed: int, linear: bool = False) -> Linearised:
         UNCONFINED: Channel(LABORATORY.step_unconfined, *NOISE),
     }
     typical = toy.curves(toy.Soil(), toy.MIDDLE, FINE)
-    shift, sensor = recording(toy.FEATURES, typical, channels, rng)
+    shift, sensor, either = recording(toy.FEATURES, typical, channels, rng)
     bank = replace(bank, value=bank.value + shift)
     _, slopes, strengths = bank(np.zeros(P), np.zeros(len(toy.EFFECTS)))
     base = {name: (slopes[:, i], sd) for i, (name, sd) in enumerate(toy.BASE.items())}
     effects = [(e, strengths[:, k]) for k, e in enumerate(toy.EFFECTS)]
     plain = simple(toy.FEATURES, bank.value, base, effects, simulated - simulated.mean(axis=0))
     if linear:
-        return replace(plain, sensor=sensor)
-    return replace(plain, sensor=sensor, emulator=bank, tolerance=_tolerance(bank, rng))
+        return replace(plain, sensor=sensor, wrong=either[:, None])
+    return replace(
+        plain, sensor=sensor, wrong=either[:, None], emulator=bank, tolerance=_tolerance(bank, rng)
+    )
 
 
 def _bank(mean: np.ndarray) -> Bank:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from calibrate.bank import store
-from calibrate.bank.design import FURTHEST, LIMITS, Design
-from calibrate.bank.emulator import FeatureEmulator, fit_emulator
+from calibrate.bank.design import FURTHEST, LIMITS, ROUNDED, Design
+from calibrate.bank.emulator import FeatureEmulator, fit_emulator, principal
+from calibrate.bank.left_out import Points, missed
 from calibrate.bank.store import Bank, Cylinder, declared
 from calibrate.errors import InputError
 from calibrate.measurements import bundled_lab, load_lab
@@ -38,7 +39,7 @@ def formula(x: np.ndarray, s: np.ndarray) -> np.ndarray:
 def emulator() -> FeatureEmulator:
     """Fitted to the formula with packings that scatter by 15 %."""
     scatter = np.exp(PACKING_SD * RNG.normal(size=(ROWS // EACH, 1)))[PACKING]
-    return fit_emulator(X, S, PACKING, formula(X, S) * scatter, SCALE, count=3)
+    return fit_emulator(X, S, PACKING, formula(X, S) * scatter, SCALE)
 
 
 def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
@@ -49,7 +50,7 @@ def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
     low, high = np.array(list(LIMITS.values())).T
     assert (strengths >= low).all() and (strengths <= high).all()
     wide = len(large.soil_names)
-    assert np.abs(base[:, :wide] / large.prior_sd()[:wide]).max() <= FURTHEST + 1e-9
+    assert np.abs(base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
 
 
 def test_early_rows_carry_more_effects_than_later_ones():
@@ -57,6 +58,15 @@ def test_early_rows_carry_more_effects_than_later_ones():
     active = (strengths != 0).mean(axis=1)
     assert active[:500].mean() == pytest.approx(0.3, abs=0.03)
     assert active[700:].mean() == pytest.approx(0.1, abs=0.03)
+
+
+def test_late_packings_are_sharp_and_of_three_sizes():
+    design = Design(packings=ROUNDED + 64)
+    base, _ = design.rows()
+    smoothing = base[:, design.base_names.index("smoothing")].reshape(-1, design.rows_each)
+    assert np.median(smoothing[:ROUNDED]) > -0.5 and np.median(smoothing[ROUNDED:]) < -0.8
+    sizes = {design.spheres_of(packing) for packing in range(ROUNDED, design.packings)}
+    assert sizes == {120, 150, 200}
 
 
 def test_emulator_predicts_new_points_within_packing_scatter(emulator):
@@ -87,8 +97,44 @@ def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):
 
 def test_emulator_is_less_certain_far_away(emulator):
     none = np.zeros(K)
-    near, far = (emulator.uncertainty(np.full(P, at), none) for at in (0.0, 4.0))
-    assert (far > 3 * near).all()
+    near, far = (emulator.error_directions(np.full(P, at), none) for at in (0.0, 4.0))
+    assert ((far**2).sum(axis=1) > 3 * (near**2).sum(axis=1)).all()
+
+
+def test_components_carry_back_to_the_features():
+    warped = np.arcsinh(formula(X, S) / SCALE)
+    basis = principal(warped)
+    back = basis.mean + basis.components(warped) @ basis.carried.T
+    assert np.allclose(back, warped)
+    assert np.allclose(basis.components(warped).std(axis=0), 1.0)
+
+
+def points(emulator: FeatureEmulator, **changes) -> Points:
+    scatter = np.exp(PACKING_SD * np.random.default_rng(5).normal(size=(ROWS // EACH, 1)))[PACKING]
+    kernels = [component.kernel._replace(**changes) for component in emulator.components]
+    return Points(X, S, PACKING, formula(X, S) * scatter, SCALE, kernels)
+
+
+def test_left_out_packings_show_scatter_that_an_emulator_forgot(emulator):
+    honest = missed(points(emulator))
+    sure = missed(points(emulator, packing=np.log(0.01)))  # forgets that packings differ
+    assert 1 / 3 < honest.scatter[0] < 3.0  # 22 packings in one sample and 22 in the other
+    assert sure.scatter[0] > 3 * honest.scatter[0]
+
+
+def test_left_out_packings_of_a_smooth_formula_need_hardly_any_tolerance(emulator):
+    found = missed(points(emulator))
+    assert (found.widening >= 1.0).all()
+    assert (found.tolerance < 0.5 * PACKING_SD).all()
+
+
+def test_rescaled_residuals_have_components_of_the_new_size(emulator):
+    factors = np.array([4.0, 1.0, 0.25])
+    parts = [
+        emulator.basis.components(emulator.basis.mean + residuals).var(axis=0)
+        for residuals in (emulator.residuals, emulator.rescaled(emulator.residuals, factors))
+    ]
+    assert parts[1] / parts[0] == pytest.approx(factors)
 
 
 def small_bank() -> Bank:

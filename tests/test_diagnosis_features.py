@@ -128,8 +128,9 @@ def test_targets_alone_are_a_sample_too():
 
 def test_recording_misses_the_peak_and_scatters():
     channels = {CONFINED: Channel(0.3, 0.5, 0.002), UNCONFINED: Channel(0.3, 0.5, 0.002)}
-    shift, covariance = recording(FEATURES, both(), channels, np.random.default_rng(0))
+    shift, covariance, either = recording(FEATURES, both(), channels, np.random.default_rng(0))
     top = [f.kind for f in FEATURES].index("largest force")
     assert shift[top] < -1
+    assert either[top] > 0.5  # a machine that averages misses more of it than one that samples
     assert np.linalg.eigvalsh(covariance).min() > -1e-12
     assert 0.1 < np.sqrt(covariance[PEAK, PEAK]) < 1.0

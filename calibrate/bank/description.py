@@ -13,19 +13,21 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.bank.design import SETTING_PRIOR_SD
+from calibrate.bank.design import SHARP
 from calibrate.bank.emulator import FeatureEmulator
 from calibrate.bank.store import Bank, limits
 from calibrate.diagnosis.linear import Effect, Linearised
 from calibrate.diagnosis.refit import refit
 from jdem.effects.composite import EFFECTS
 
-SETTING_PRIOR_MEAN = (-0.5, 0.0, 0.15)  # soil has no roundings and more particles
+SETTING_PRIOR_MEAN = (SHARP[0], 0.0, 0.15)  # soil has no roundings and more particles
+SETTING_PRIOR_SD = (0.1, 0.2, 0.3)
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
 MEASURING = ("load_frame_compliance", "seating_gap", "load_cell_gain", "load_cell_offset",
              "load_cell_drift", "acquisition_lag")  # fmt: skip
+CERTAIN = 10**9  # packings; the emulator states its errors itself
 SPECIMEN = ("specimen_density", "second_test_factor")
 
 
@@ -63,19 +65,27 @@ class Ready:
     def specimens(self) -> np.ndarray:
         """Warped residuals (packings, m) of independent specimens: one row of each packing."""
         _, first = np.unique(self.bank.packing, return_index=True)
-        return self.emulator.residuals[first]
+        residuals, missed = self.emulator.residuals[first], self.bank.missed
+        return residuals if missed is None else self.emulator.rescaled(residuals, missed.scatter)
 
     def tolerance(self, discrepancy: Discrepancy | None) -> np.ndarray:
         """What a description is wrong by (m,), warped: interpolation, and unexplained mismatch."""
-        known = self.bank.tolerance
-        own = known if len(known) else np.zeros(len(self.bank.features))
+        missed = self.bank.missed
+        own = np.zeros(len(self.bank.features)) if missed is None else missed.tolerance
         return own if discrepancy is None else np.hypot(own, discrepancy.rest)
+
+    def wrong(self, x: np.ndarray) -> np.ndarray:
+        """Directions (m, c) in which the emulator may be wrong at a point, one standard deviation
+        each, warped; wider by what left-out packings have shown."""
+        roots = self.emulator.error_directions(x, np.zeros(len(self.bank.design.limits)))
+        missed = self.bank.missed
+        return roots if missed is None else roots * np.sqrt(missed.widening)
 
     def at(self, point: Point) -> "AtSoil":
         """The emulator in the coordinates of a diagnosis."""
         design = self.bank.design
         return AtSoil(
-            self.emulator, point.offset, design.prior_sd(), design.typical() / limits(design)
+            self.emulator, point.offset, design.spread(), design.typical() / limits(design)
         )
 
 
@@ -171,9 +181,10 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
     return Linearised(
         features=bank.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
         effects=candidates(bank), effect_slopes=effects,
-        packing_residuals=ready.specimens, mean_specimens=10,
+        packing_residuals=ready.specimens, mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), effect_errors=np.zeros_like(effects),
-        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), tolerance=np.zeros(m), emulator=emulator,
+        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), tolerance=np.zeros(m),
+        wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
 
 
@@ -184,18 +195,17 @@ def _local(
     """The description linearised at a shift of the base coordinates."""
     none = np.zeros(len(d.effects))
     values, base, effects = d.at(delta, none)
-    scaled = (point.offset + delta[: len(point.offset)]) / ready.bank.design.prior_sd()
+    scaled = (point.offset + delta[: len(point.offset)]) / ready.bank.design.spread()
     steep = ready.emulator.steepness(scaled, none)
-    certain = ready.emulator.uncertainty(scaled, none)
-    ratio = ready.specimens.var(axis=0) / np.maximum(certain, 1e-300)
     typical = ready.bank.design.typical()
     steps = ready.at(point).strength
     return replace(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
-        packing_residuals=ready.specimens * steep, mean_specimens=max(int(np.median(ratio)), 1),
+        packing_residuals=ready.specimens * steep,
         effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
         tolerance=steep * ready.tolerance(discrepancy),
+        wrong=steep[:, None] * ready.wrong(scaled),
     )  # fmt: skip
 
 

@@ -3,7 +3,8 @@
 A row is a point x of
 
     soil      ln p - ln p_centre                 as far as 2.2 prior deviations, normal
-    settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor)
+    settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor);
+              packings after the first ROUNDED crowd where roundings are small, as soils have none
     effects   strengths, uniform within their limits where they are at work: each in MANY of the
               rows of the first CROWDED packings (so that pairs are seen), then in FEW
 
@@ -23,11 +24,14 @@ from jdem.effects.composite import EFFECTS
 MANY, FEW = 0.3, 0.1  # shares of rows in which an effect is at work
 CROWDED = 96  # packings
 FURTHEST = 2.2  # prior deviations of a soil parameter
-SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1
+ROUNDED = 136  # packings whose rows spread over all of
+SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1; rows of later packings
+SHARP = (-0.95, -0.5)  # crowd at the lower end of this
 PREPARATION_SD = 0.3  # of ln of the settling friction's factor
 LARGER = 4 / 3  # spheres of every fourth packing over those of the others
+SMALLER = 0.8  # the same of one in four after the first ROUNDED
 SETTINGS = ("smoothing", "preparation", "spheres")
-SETTING_PRIOR_SD = (0.5, 0.2, 0.3)
+SETTING_SPREAD = (0.5, 0.2, 0.3)
 
 # Standard deviations of ln p about a lab's own starting soil, and the centre of the bank.
 SOIL_PRIOR_SD: dict[str, float] = {
@@ -98,17 +102,19 @@ class Design:
     def effect_names(self) -> tuple[str, ...]:
         return tuple(self.limits)
 
-    def prior_sd(self) -> np.ndarray:
-        """Prior deviations of the base coordinates, shape (p,)."""
-        return np.array([*self.soil_sd.values(), *SETTING_PRIOR_SD])
+    def spread(self) -> np.ndarray:
+        """By what base coordinates are scaled, about their deviations, shape (p,)."""
+        return np.array([*self.soil_sd.values(), *SETTING_SPREAD])
 
     def typical(self) -> np.ndarray:
         """Typical strengths by which strengths are scaled, SI, shape (k,)."""
         return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
 
     def spheres_of(self, packing: int) -> int:
-        """Number of spheres of a packing: every fourth has more."""
-        return round(self.spheres * LARGER) if packing % 4 == 3 else self.spheres
+        """Number of spheres of a packing: every fourth has more, every fourth late one fewer."""
+        late = packing >= ROUNDED
+        factor = {3: LARGER, 1: SMALLER if late else 1.0}.get(packing % 4, 1.0)
+        return round(self.spheres * factor)
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Base coordinates (n, p) and strengths in SI (n, k), packing by packing."""
@@ -118,7 +124,7 @@ class Design:
         of_packing = np.repeat(np.arange(self.packings), self.rows_each)
         preparation = _normal(_sobol(1, self.packings, self.seed + 1)) * PREPARATION_SD
         soil = self._soil(unit[:, : len(self.soil_names)])
-        smoothing = SMOOTHING[0] + (SMOOTHING[1] - SMOOTHING[0]) * unit[:, len(self.soil_names)]
+        smoothing = _smoothing(unit[:, len(self.soil_names)], of_packing >= ROUNDED)
         number = np.log([self.spheres_of(j) / self.spheres for j in range(self.packings)])
         settings = [smoothing, preparation[of_packing, 0], number[of_packing]]
         return np.column_stack([soil, *settings]), self._strengths(unit[:, -len(self.limits) :])
@@ -137,6 +143,12 @@ class Design:
         active = np.where(crowded, MANY, FEW)[:, None]
         share = np.minimum(unit / active, 1.0)
         return np.where(unit < active, low + (high - low) * share, 0.0)
+
+
+def _smoothing(unit: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """Smoothing of rows: evenly over all, for late packings dense where it is least."""
+    (low, high), (least, most) = SMOOTHING, SHARP
+    return np.where(late, least + (most - least) * unit**2, low + (high - low) * unit)
 
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:

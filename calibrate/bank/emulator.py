@@ -6,7 +6,7 @@
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
           + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
 
-x are base coordinates over their prior deviations, s strengths over their limits.  The inverse
+x are base coordinates over their spread, s strengths over their limits.  The inverse
 hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
 slopes rest on differences within packings.  Hyperparameters maximise the marginal likelihood
@@ -26,7 +26,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 COMPONENTS = 14
-MOST_ROWS = 600  # from which hyperparameters are estimated
+MOST_ROWS = 700  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 JITTER = 1e-6
@@ -44,6 +44,11 @@ class Kernel(NamedTuple):
     bent: Any
     packing: Any
     rest: Any
+
+    @property
+    def scatter(self) -> float:
+        """Variance of one specimen about the process."""
+        return float(np.exp(2 * self.packing) + np.exp(2 * self.rest))
 
     @staticmethod
     def start(p: int, k: int) -> "Kernel":
@@ -107,6 +112,34 @@ def fit_kernel(x, s, packing, y, progress=None) -> Kernel:
 
 
 @dataclass(frozen=True, eq=False)
+class Basis:
+    """Principal components of warped features: their mean and spread (m,), orthonormal axes
+    (c, m) of what is standardised by these, deviation (c,) along the axes."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    axes: np.ndarray
+    deviation: np.ndarray
+
+    @property
+    def carried(self) -> np.ndarray:
+        """What components of one deviation change in warped features, shape (m, c)."""
+        return (self.axes * self.spread).T * self.deviation
+
+    def components(self, warped: np.ndarray) -> np.ndarray:
+        """Standardised components (..., c) of warped features (..., m)."""
+        return ((warped - self.mean) / self.spread) @ self.axes.T / self.deviation
+
+
+def principal(warped: np.ndarray, count: int = COMPONENTS) -> Basis:
+    """The leading components of warped features (n, m)."""
+    mean, spread = warped.mean(axis=0), np.maximum(warped.std(axis=0), 1e-12)
+    standard = (warped - mean) / spread
+    axes = np.linalg.svd(standard, full_matrices=False)[2][:count]
+    return Basis(mean, spread, axes, np.maximum((standard @ axes.T).std(axis=0), 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
 class Component:
     """One principal component's process: kernel, weights (n,), lower Cholesky factor (n, n)."""
 
@@ -119,25 +152,22 @@ class Component:
 class FeatureEmulator:
     """Features (m,) and slopes at any point of a bank.
 
-    x (n, p) and s (n, k) are the simulated points, scaled; warped features are mean +
-    components @ loadings, loadings (c, m) with deviations (c,) of the components; scale (m,) in
-    the features' units; residuals (n, m) are what is left of the warped simulated features.
+    x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
+    residuals (n, m) are what is left of the warped simulated features.
     """
 
     x: np.ndarray
     s: np.ndarray
     scale: np.ndarray
-    mean: np.ndarray
-    loadings: np.ndarray
-    deviation: np.ndarray
+    basis: Basis
     components: tuple[Component, ...]
     residuals: np.ndarray
 
     def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
         parts = [_point(c, self.x, self.s, x, s) for c in self.components]
-        carried = self.loadings.T * self.deviation
-        lift, steep = self._back(self.mean + carried @ np.array([part[0] for part in parts]))
+        carried = self.basis.carried
+        lift, steep = self._back(self.basis.mean + carried @ np.array([part[0] for part in parts]))
         slopes = [carried @ np.array([part[i] for part in parts]) for i in (1, 2)]
         return lift, steep[:, None] * slopes[0], steep[:, None] * slopes[1]
 
@@ -152,43 +182,68 @@ class FeatureEmulator:
 
     def warped(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Warped features (m,) at a point."""
-        parts = [_point(c, self.x, self.s, x, s)[0] for c in self.components]
-        return self.mean + (self.loadings.T * self.deviation) @ np.array(parts)
+        return self.basis.mean + self.basis.carried @ self.of_components(x, s)
 
-    def uncertainty(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Variance (m,) of the warped values' error at a point, from the finite number of runs."""
-        variance = np.array([_variance(c, self.x, self.s, x, s) for c in self.components])
-        return (self.loadings.T * self.deviation) ** 2 @ variance
+    def error_directions(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Directions (m, c) of the warped values' errors at a point, one standard deviation each,
+        from the finite number of runs."""
+        return self.basis.carried * np.sqrt(self.variances(x, s))
+
+    def rescaled(self, residuals: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """Warped residuals (n, m) with the variances of components times factors (c,)."""
+        parts = self.basis.components(self.basis.mean + residuals)
+        return residuals + (parts * (np.sqrt(factors) - 1)) @ self.basis.carried.T
+
+    def variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variances (c,) of the standardised components' errors at a point."""
+        return np.array([_variance(c, self.x, self.s, x, s) for c in self.components])
+
+    def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Standardised components (c,) at a point."""
+        return np.array([_point(c, self.x, self.s, x, s)[0] for c in self.components])
 
     def effect_errors(self, x: np.ndarray) -> np.ndarray:
         """Standard errors (m, k) of effects' slopes at strength 0, warped."""
         variance = np.array([_slope_variance(c, self.x, self.s, x) for c in self.components])
-        return np.sqrt((self.loadings.T * self.deviation) ** 2 @ variance)
+        return np.sqrt(self.basis.carried**2 @ variance)
 
 
 def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
-    kernels: Sequence[Kernel] | None = None, count: int = COMPONENTS,
+    kernels: Sequence[Kernel] | None = None, basis: Basis | None = None,
 ) -> FeatureEmulator:  # fmt: skip
-    """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels
-    already known are kept."""
+    """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
+    components already known are kept."""
     warped = np.arcsinh(features / scale)
-    mean, spread = warped.mean(axis=0), np.maximum(warped.std(axis=0), 1e-12)
-    _, _, axes = np.linalg.svd((warped - mean) / spread, full_matrices=False)
-    axes = axes[:count]
-    scores = ((warped - mean) / spread) @ axes.T
-    deviation = np.maximum(scores.std(axis=0), 1e-9)
-    few = packing <= np.sort(packing)[min(MOST_ROWS, len(packing)) - 1]
+    basis = basis or principal(warped)
+    scores = basis.components(warped)
+    few = _spread(packing)
     parts = []
-    for c in range(len(axes)):
-        y = scores[:, c] / deviation[c]
+    for c, y in enumerate(scores.T):
         known = None if kernels is None else kernels[c]
         kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
         parts.append(_component(kernel, x, s, packing, y))
-    fitted = [covariance(c.kernel, x, s, x, s) @ c.weights for c in parts]
-    loadings = axes * spread
-    residuals = warped - mean - np.array(fitted).T @ (loadings * deviation[:, None])
-    return FeatureEmulator(x, s, scale, mean, loadings, deviation, tuple(parts), residuals)
+    left = np.array([
+        _as_large_as_stated(c.kernel, y - covariance(c.kernel, x, s, x, s) @ c.weights)
+        for c, y in zip(parts, scores.T, strict=True)
+    ])  # fmt: skip
+    dropped = warped - basis.mean - scores @ basis.carried.T
+    residuals = dropped + left.T @ basis.carried.T
+    return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals)
+
+
+def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray) -> np.ndarray:
+    """Residuals (n,) of a component with the variance that its process gives to packings and
+    rest: those of a fit are smaller, as some of the scatter is fitted."""
+    return residuals * np.sqrt(kernel.scatter / max(float(residuals.var()), 1e-300))
+
+
+def _spread(packing: np.ndarray) -> np.ndarray:
+    """Mask of at most about MOST_ROWS rows: whole packings, evenly from first to last."""
+    every = np.unique(packing)
+    share = min(MOST_ROWS / len(packing), 1.0)
+    kept = every[np.unique((np.arange(len(every)) * share).astype(int), return_index=True)[1]]
+    return np.isin(packing, kept)
 
 
 def _component(kernel: Kernel, x, s, packing, y) -> Component:

@@ -38,6 +38,7 @@ SHAPE_TOLERANCE = 0.12  # of height over diameter, and of the largest stress
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
+STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
 TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 
@@ -149,10 +150,39 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
     if not found.channels:
         return d
     rng = np.random.default_rng(seed)
-    reference = {test: bank.reference[test] for test in found.channels}
-    shift, sensor = recording(d.features, reference, found.channels, rng)
+    reference = typical(bank, found)
+    shift, sensor, either = recording(d.features, reference, found.channels, rng)
     emulator = None if d.emulator is None else Shifted(d.emulator, shift)
-    return replace(d, mean=d.mean + shift, sensor=d.sensor + sensor, emulator=emulator)
+    wrong = np.column_stack([d.wrong, either])
+    return replace(d, mean=d.mean + shift, sensor=d.sensor + sensor, wrong=wrong, emulator=emulator)
+
+
+def typical(bank: Bank, found: LabCurves) -> Curves:
+    """The bank's reference curves, stretched to the size of what the lab measured: travel above
+    half the largest force; force and displacement of the peak."""
+    high = f"displacement at {0.99 * bank.cylinder.force_high:g} N, loading"
+    axes = {
+        CONFINED: (high, ""),
+        UNCONFINED: ("peak displacement, unconfined", "peak force, unconfined"),
+    }
+    curves = {}
+    for test in found.channels:
+        (displacement, force), (along, up) = bank.reference[test], axes[test]
+        curves[test] = (
+            displacement * _ratio(bank, found, along), force * _ratio(bank, found, up)
+        )  # fmt: skip
+    return curves
+
+
+def _ratio(bank: Bank, found: LabCurves, name: str) -> float:
+    """A measured feature over that of the reference curves, 1 where it is not known."""
+    names = [f.name for f in found.measured.features]
+    if name not in names:
+        return 1.0
+    feature = found.measured.features[names.index(name)]
+    ratio = found.measured.mean[names.index(name)] / vector([feature], bank.reference)[0]
+    least, most = STRETCHED
+    return float(np.clip(ratio, least, most)) if np.isfinite(ratio) else 1.0
 
 
 def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
@@ -195,6 +225,7 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         packing_residuals=np.hstack([d.packing_residuals, empty]),
         effect_errors=taller(d.effect_errors), extra=wider(d.extra),
         sensor=wider(d.sensor, variance), tolerance=taller(d.tolerance),
+        wrong=taller(d.wrong),
         emulator=None if d.emulator is None else Taller(d.emulator, rows),
     )  # fmt: skip
 

@@ -21,6 +21,8 @@ from calibrate.parameters import base_soil, with_values
 from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
 from calibrate.progress import AbstractProgress, Silent
 from jdem.effects.base import AbstractEffect
+from jdem.effects.capillary import CapillaryTension
+from jdem.effects.cementation import Cementation
 from jdem.effects.composite import EFFECTS, with_strengths
 from jdem.experiments.composite import VirtualLab
 from jdem.packing import neutral_soil
@@ -28,20 +30,23 @@ from jdem.smooth import Smoothing
 from jdem.soil import SoilParameters
 
 Numbers = Sequence[float] | np.ndarray
+COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
 
 
 @dataclass(eq=False)
 class Simulator:
     """Runs single specimens of a lab's tests with effects and settings of any strength.
 
-    One compiled program serves all that have the same number of spheres.
+    One compiled program serves all that have the same number of spheres, a second one those
+    without costly effects: strength 0 changes no bit.
     """
 
     lab: Lab
     folder: Path
     effects: tuple[AbstractEffect, ...] = ()
+    costly: tuple[type[AbstractEffect], ...] = COSTLY
     dtype: str = "float32"
-    _campaigns: dict[int, Campaign] = field(default_factory=dict)
+    _campaigns: dict[tuple[int, bool], Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
         self.effects = self.effects or switched_off(EFFECTS)
@@ -55,23 +60,28 @@ class Simulator:
         setting: smoothing factor - 1 and ln of the preparation friction's factor; strengths
         in SI in the order of `effects`; seed of the packing.
         """
-        shared = self._campaign(spheres)
+        pairs = list(zip(self.effects, map(float, strengths), strict=True))
+        lean = not any(strength and isinstance(effect, self.costly) for effect, strength in pairs)
+        shared = self._campaign(spheres, lean)
         smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
         numerics = replace(shared.lab.numerics, smoothing=smoothing)
-        changed = with_strengths(self.effects, [float(s) for s in strengths])
+        kept = [s for effect, s in pairs if not (lean and isinstance(effect, self.costly))]
+        changed = with_strengths(shared.lab.effects, kept)
         lab = replace(shared.lab, numerics=numerics, effects=changed)
         settling = prepared_with(setting[1])
         one = replace(shared, lab=lab, preparation=settling, progress=Silent(), workers=1)
         return one.each([[soil]], [seed], "")[0][0]
 
-    def _campaign(self, spheres: int) -> Campaign:
-        if spheres not in self._campaigns:
+    def _campaign(self, spheres: int, lean: bool) -> Campaign:
+        if (spheres, lean) not in self._campaigns:
             preset = replace(PRESETS["quick"], spheres=spheres)
             cylinder = specimen(self.lab, preset)
             plain = virtual_lab(self.lab, preset, numerics_for(cylinder, dtype=self.dtype))
-            lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, self.effects)
-            self._campaigns[spheres] = Campaign(lab, cylinder, self.folder / str(spheres))
-        return self._campaigns[spheres]
+            kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
+            lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, kept)
+            folder = self.folder / str(spheres)
+            self._campaigns[spheres, lean] = Campaign(lab, cylinder, folder)
+        return self._campaigns[spheres, lean]
 
 
 def switched_off(

@@ -7,7 +7,7 @@ engine made it, for which cylinder and forces, and how far its points reach.
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import xarray as xr
 
 from calibrate.bank.design import Design
 from calibrate.bank.emulator import FeatureEmulator, Kernel, fit_emulator
+from calibrate.bank.left_out import Missed, Points, missed
 from calibrate.campaign import Run, engine_hash
 from calibrate.diagnosis.features import Curves, Feature, declare, declare_targets, vector
 from calibrate.errors import InputError
@@ -24,7 +25,6 @@ from calibrate.measurements import Lab
 PEAK_MM, PEAK_N = 4.0, 250.0  # usual place of the peak, by which crushing features are declared
 TARGETS = ("depression_depth_mm", "crushing_force_n")
 NETCDF = "h5netcdf"
-FOLDS = 4  # of packings, left out in turn
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Cylinder:
 @dataclass(frozen=True, eq=False)
 class Bank:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves; once fitted, kernels and what predictions of
-    left-out packings are wrong by beyond what the emulator says (m,), warped."""
+    all features (n, m), a reference specimen's curves; once fitted, kernels, and what left-out
+    packings show them to miss."""
 
     design: Design
     cylinder: Cylinder
@@ -59,7 +59,7 @@ class Bank:
     values: np.ndarray
     reference: Curves
     kernels: tuple[Kernel, ...] = ()
-    tolerance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    missed: Missed | None = None
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -67,8 +67,8 @@ class Bank:
         return declared(self.cylinder.force_high)
 
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points as the emulator takes them: over prior deviations, over limits."""
-        return self.base / self.design.prior_sd(), self.strengths / limits(self.design)
+        """Points as the emulator takes them: over their spread, over limits."""
+        return self.base / self.design.spread(), self.strengths / limits(self.design)
 
     def emulator(self) -> FeatureEmulator:
         """The emulator of all features."""
@@ -80,29 +80,10 @@ class Bank:
         return np.array([_scale(feature) for feature in self.features])
 
     def fitted(self) -> "Bank":
-        """The bank with its kernels and tolerance; takes minutes."""
+        """The bank with its kernels and what they miss; takes minutes."""
         known = replace(self, kernels=tuple(c.kernel for c in self.emulator().components))
-        return replace(known, tolerance=known._excess())
-
-    def _excess(self) -> np.ndarray:
-        """Root of the mean square by which left-out packings with at most one effect differ from
-        their prediction, less what scatter and the emulator's own error explain (m,)."""
-        x, s = self.scaled()
-        few, squares = (s != 0).sum(axis=1) <= 1, []
-        for fold in range(FOLDS):
-            out = self.packing % FOLDS == fold
-            if not (out & few).any():
-                continue
-            learned = fit_emulator(
-                x[~out], s[~out], self.packing[~out], self.values[~out], self.scale(), self.kernels
-            )
-            squares += [
-                (learned.warped(at, strength) - np.arcsinh(value / self.scale())) ** 2
-                - learned.residuals.var(axis=0) - learned.uncertainty(at, strength)
-                for at, strength, value in zip(x[out & few], s[out & few], self.values[out & few],
-                                               strict=True)
-            ]  # fmt: skip
-        return np.sqrt(np.maximum(np.mean(squares, axis=0), 0.0))
+        points = Points(*self.scaled(), self.packing, self.values, self.scale(), known.kernels)
+        return replace(known, missed=missed(points))
 
 
 SCALES = {"largest force": 100.0, "peak displacement": 1.0}  # by kind, else by unit
@@ -158,8 +139,10 @@ def save(bank: Bank, path: Path) -> None:
     for name in Kernel._fields if bank.kernels else ():
         rows = np.array([np.atleast_1d(getattr(k, name)) for k in bank.kernels])
         data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
-    if len(bank.tolerance):
-        data["tolerance"] = (("feature",), bank.tolerance)
+    if bank.missed is not None:
+        data["tolerance"] = (("feature",), bank.missed.tolerance)
+        data["widening"] = (("component",), bank.missed.widening)
+        data["scatter"] = (("component",), bank.missed.scatter)
     names = {
         "coordinate": list(bank.design.base_names),
         "effect": list(bank.design.effect_names),
@@ -216,5 +199,7 @@ def _read(stored: xr.Dataset) -> Bank:
         values=stored["values"].values.astype(float),
         reference=reference,
         kernels=kernels,
-        tolerance=stored["tolerance"].values if "tolerance" in stored else np.zeros(0),
+        missed=Missed(*(stored[name].values for name in ("widening", "scatter", "tolerance")))
+        if "tolerance" in stored
+        else None,
     )

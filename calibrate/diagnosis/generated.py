@@ -93,7 +93,7 @@ class World:
         return (
             self.specimen * weights
             + self.packing / self.description.mean_specimens
-            + np.diag(self.description.tolerance**2)
+            + self.description.own_error
         )
 
     def _wrong_by(self, rng: np.random.Generator, delta: np.ndarray) -> np.ndarray:
@@ -103,7 +103,8 @@ class World:
         mean = normal(rng, self.packing_root, 1)[0] / np.sqrt(d.mean_specimens)
         shared = normal(rng, self.packing_root / deviation[:, None], len(delta)).T
         slopes = (d.base_errors * shared) @ delta
-        return mean + slopes + d.tolerance * rng.standard_normal(len(d.mean))
+        alone = d.tolerance * rng.standard_normal(len(d.mean))
+        return mean + slopes + alone + d.wrong @ rng.standard_normal(d.wrong.shape[1])
 
 
 def normal(rng: np.random.Generator, root: np.ndarray, count: int) -> np.ndarray:

@@ -47,7 +47,8 @@ class Linearised:
     shapes; packing_residuals (n, m) are features of n simulated specimens minus their mean;
     extra (m, m) covariances of a specimen that simulations of packings do not contain
     (density, moisture); sensor (m, m) that of the instruments; tolerance (m,) standard
-    deviation of what the description itself may be wrong by.
+    deviation of what the description itself may be wrong by in each feature alone, and
+    wrong (m, q) directions in which it may be wrong in all, one standard deviation each.
     """
 
     features: tuple[Feature, ...]
@@ -64,6 +65,7 @@ class Linearised:
     extra: np.ndarray
     sensor: np.ndarray
     tolerance: np.ndarray
+    wrong: np.ndarray
     emulator: Emulator | None = field(default=None)
 
     def __post_init__(self):
@@ -82,8 +84,15 @@ class Linearised:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+        if self.wrong.shape[:1] != (m,) or self.wrong.ndim != 2:
+            raise ValueError(f"wrong has shape {self.wrong.shape}, not ({m}, q)")
         if self.packing_residuals.shape[1:] != (m,) or len(self.packing_residuals) < 8:
             raise ValueError(f"packing_residuals must have at least 8 rows of {m} features")
+
+    @property
+    def own_error(self) -> np.ndarray:
+        """Covariance (m, m) of what the description itself is wrong by, beside its slopes."""
+        return np.diag(self.tolerance**2) + self.wrong @ self.wrong.T
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -127,6 +136,7 @@ class Linearised:
             extra=self.extra[block],
             sensor=self.sensor[block],
             tolerance=self.tolerance[index],
+            wrong=self.wrong[index],
             emulator=None if self.emulator is None else _Rows(self.emulator, index),
         )
 
@@ -162,6 +172,7 @@ def simple(
         extra=np.zeros((m, m)),
         sensor=np.zeros((m, m)),
         tolerance=np.zeros(m),
+        wrong=np.zeros((m, 0)),
     )
 
 

@@ -1,12 +1,19 @@
 """How far specimens scatter: the covariance of one specimen's features, and of their mean.
 
     S(a) = A (S_packing + S_extra) A + S_sensor + T          A = diag(a of the feature's test)
-    Sigma = S(a) * shared/(n n') + A S_packing A / n_mean + slope errors + T
+    Sigma = S(a) * shared/(n n') + A S_packing A / n_mean + slope errors + T + W W'
 
 S_packing comes from simulated specimens, as factors and a diagonal or shrunk towards its
-diagonal, whichever predicts left-out specimens best.  Only the amplitudes a, one for each
-test, are estimated from repeats (restricted likelihood with a log-normal prior about 1).
-T is the square of the description's tolerance.
+diagonal, whichever predicts left-out specimens best.  From repeats come the amplitudes a, one
+for each test (restricted likelihood with a log-normal prior about 1), and then, along each
+principal direction of a test's S by itself, a factor on the variance:
+
+    (PRIOR_FREEDOM + sum of squares of repeats over S)/(PRIOR_FREEDOM + their freedom)
+
+the posterior mean scale of a Student distribution with that freedom (Gelman et al., Bayesian data
+analysis, section 2.6, conjugate prior of a variance): some specimens slip where most do not, and
+a mean that one of them has pulled is no gap.
+T is the square of the description's tolerance, W the directions in which it may be wrong.
 """
 
 from collections.abc import Sequence
@@ -22,7 +29,9 @@ from calibrate.diagnosis.repeats import Measured, Scatter
 PRIOR_SD_LN_AMPLITUDE = 0.5
 FOLDS = 5
 SMALLEST_UNIQUENESS = 1e-3  # share of a feature's variance that no factor explains, at least
+SMALLEST = 1e-9  # variance along a direction, of a correlation matrix
 CARRYING = 0.98  # of the scatter's variance: the modes from which the amplitude is judged
+PRIOR_FREEDOM = 4.0  # of the variance along one direction
 GRID = np.linspace(-1.6, 1.6, 161)  # of ln a
 
 
@@ -120,11 +129,28 @@ def estimate(
         value, sd = amplitude_of(scattering[block], fixed[block], scatter)
         amplitude[mine], spread[test] = value, sd
     scale = np.outer(amplitude, amplitude)
-    specimen = scale * scattering + fixed
+    specimen = _as_repeats_scatter(scale * scattering + fixed, tests, measured)
     model = packing / description.mean_specimens + slope_error(description, packing, delta_variance)
-    mean = specimen * measured.weights() + model + np.diag(description.tolerance**2)
+    mean = specimen * measured.weights() + model + description.own_error
     found = {test: float(amplitude[tests == test][0]) for test in dict.fromkeys(tests)}
     return Noise(specimen, mean, found, spread)
+
+
+def _as_repeats_scatter(specimen: np.ndarray, tests: np.ndarray, measured: Measured) -> np.ndarray:
+    """The covariance (m, m) of a specimen with the variances along each test's principal
+    directions as its repeats show them."""
+    change = np.eye(len(tests))
+    for test, scatter in measured.scatter.items():
+        mine = np.flatnonzero(tests == test)
+        block = specimen[np.ix_(mine, mine)]
+        deviation = np.sqrt(np.diag(block))
+        values, axes = np.linalg.eigh(block / np.outer(deviation, deviation))
+        standard = scatter.products / np.outer(deviation, deviation)
+        seen = np.einsum("ij,ik,kj->j", axes, standard, axes) / np.maximum(values, SMALLEST)
+        factor = (PRIOR_FREEDOM + seen) / (PRIOR_FREEDOM + scatter.freedom)
+        turned = (axes * np.sqrt(factor)) @ axes.T
+        change[np.ix_(mine, mine)] = deviation[:, None] * turned / deviation
+    return change @ specimen @ change.T
 
 
 def amplitude_of(

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.bank.simulate import Simulator, switched_off
+from calibrate.bank.simulate import COSTLY, Simulator, switched_off
 from calibrate.campaign import Run
 from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.output import write_text
 from calibrate.parameters import base_soil, with_values
-from calibrate.withheld.outside import CARRIED, air_force
+from calibrate.withheld.outside import CARRIED, AggregateCrushing, air_force
 from calibrate.withheld.plan import (
     ACCEPTED_CRUSHING,
     ACCEPTED_DEPTH,
@@ -32,7 +32,6 @@ from jdem.effects.composite import EFFECTS
 DENSITY_SD = 0.004  # of density, from specimen to specimen
 MOISTURE_SD = 0.03  # of stiffness and surface energy together
 FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
-COSTLY = ("capillary_tension", "cementation", "aggregate_crushing")  # longer lists or memories
 READINGS = 160  # of a curve
 GAP_MM = (0.3, 1.0)  # way through the air
 ZERO_MM = 0.5  # the displacement's zero lies within
@@ -86,7 +85,9 @@ class Laboratory:
     def __init__(self, folder: Path, centre: dict[str, float]):
         self.lab: Lab = load_lab(bundled_lab())
         self.folder, self.centre = folder, centre
-        self._simulators: dict[bool, tuple[tuple[str, ...], Simulator]] = {}
+        self._effects = {**EFFECTS, **CARRIED}
+        costly = (*COSTLY, AggregateCrushing)
+        self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
 
     def specimens(self, case: Case, numbers: range = range(SPECIMENS)) -> list[Specimen] | None:
         """The case's specimens, measured; None if one fails or they lie out of range."""
@@ -122,19 +123,8 @@ class Laboratory:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         level = PREPARATIONS.index(case.preparation)
         seed = FIRST_SEED + 1000 * (3 * SPHERES.index(case.spheres) + level) + case.packings[number]
-        names, simulator = self._simulator(any(strengths.get(name) for name in COSTLY))
-        vector = [strengths.get(name, 0.0) for name in names]
-        return simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
-
-    def _simulator(self, costly: bool) -> tuple[tuple[str, ...], Simulator]:
-        """Effects' names and a simulator that carries them; strength 0 changes no bit, so those
-        that cost time are left out where they are not at work."""
-        if costly not in self._simulators:
-            every = {**EFFECTS, **CARRIED}
-            names = tuple(n for n in every if costly or n not in COSTLY)
-            simulator = Simulator(self.lab, self.folder, switched_off({n: every[n] for n in names}))
-            self._simulators[costly] = (names, simulator)
-        return self._simulators[costly]
+        vector = [strengths.get(name, 0.0) for name in self._effects]
+        return self._simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
 
     def _with_air(self, case: Case, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
