@@ -24,7 +24,7 @@ from calibrate.diagnosis.noise import Shape, amplitude_of, best_shape, estimate,
 from calibrate.diagnosis.opinion import Facts, Opinion, fitted, log_probabilities
 from calibrate.diagnosis.projection import Projected, fitted_shift, project
 from calibrate.diagnosis.refit import best_strengths
-from calibrate.diagnosis.repeats import Scatter
+from calibrate.diagnosis.repeats import Scatter, from_vectors
 from calibrate.diagnosis.score import scores
 from calibrate.diagnosis.sets import explanations, threshold
 
@@ -88,10 +88,32 @@ def test_without_repeats_the_amplitude_is_the_prior():
 def test_the_mean_of_four_and_the_simulated_mean_add_up():
     packing = packing_covariance(KNOWN)
     noise = estimate(KNOWN, world.case(1), packing, np.zeros(5))
-    i = 0
-    a2 = noise.amplitudes["confined"] ** 2
-    expected = packing[i, i] * (a2 / 4 + 1 / KNOWN.mean_specimens)
-    assert noise.mean[i, i] == pytest.approx(expected, rel=1e-9)
+    expected = noise.specimen[0, 0] / 4 + packing[0, 0] / KNOWN.mean_specimens
+    assert noise.mean[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_mean_that_one_slipping_specimen_pulled_is_no_gap():
+    """Eight deviations of one of four specimens: four of the mean, less once repeats have spoken;
+    directions along which nobody slips keep about their variance."""
+    packing = packing_covariance(KNOWN)
+    mine = np.flatnonzero(world.CONFINED_ONES)
+    sd = np.sqrt(np.diag(packing))[mine]
+    values, axes = np.linalg.eigh(packing[np.ix_(mine, mine)] / np.outer(sd, sd))
+    local, broad = (np.zeros(M), np.zeros(M))
+    local[mine], broad[mine] = (sd * axes[:, i] * np.sqrt(values[i]) for i in (2, -1))
+
+    def deviations(slip: float) -> np.ndarray:
+        rows = KNOWN.mean + world.draws(packing, 4, 3)
+        rows[0] += slip * local
+        noise = estimate(KNOWN, from_vectors(world.FEATURES, rows), packing, np.zeros(5))
+        inverse = np.linalg.inv(noise.specimen / 4)
+        return np.array([1 / np.sqrt(d @ inverse @ d) for d in (local, broad)])
+
+    calm, slipping = deviations(0.0), deviations(8.0)
+    pulled = 2.0  # deviations of a specimen, by which the mean moves
+    assert pulled / calm[0] > 3.0
+    assert pulled / slipping[0] < 2.0
+    assert slipping[1] == pytest.approx(calm[1], rel=0.4)
 
 
 # ------------------------------------------------------------------ projection and scores
