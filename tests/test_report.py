@@ -11,7 +11,7 @@ import shutil
 import sys
 from collections import Counter
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from operator import getitem
 from pathlib import Path
 
@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas
 
-from calibrate import cli, output, workflow
+from calibrate import output, workflow
 from calibrate.audit import audit, audit_json
 from calibrate.designed import design
 from calibrate.errors import InputError
@@ -86,21 +86,9 @@ def pages(folders) -> dict[str, str]:
 
 
 @pytest.fixture
-def report(monkeypatch, tmp_path, capfd):
+def report(calibrate):
     """Runs `calibrate report` in tmp_path; returns exit status, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", "report", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
+    return partial(calibrate, "report")
 
 
 def page_of(folder: Path) -> str:

@@ -5,12 +5,11 @@ squares by numpy, sums by hand); none is copied from the program's output.
 """
 
 import json
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
-from calibrate import cli
 from calibrate.doe import designs
 from calibrate.doe.factors import Factor
 from calibrate.report import reproduction as report
@@ -481,25 +480,13 @@ def test_numbers_for_reading(value, words):
 
 
 @pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
+def reproduce(calibrate):
     """Runs `calibrate reproduce` in tmp_path; returns exit status, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", "reproduce", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
+    return partial(calibrate, "reproduce")
 
 
-def test_the_command_writes_page_and_json(calibrate, tmp_path):
-    status, out, error = calibrate("--out", "here", "--json", "there/r.json")
+def test_the_command_writes_page_and_json(reproduce, tmp_path):
+    status, out, error = reproduce("--out", "here", "--json", "there/r.json")
     assert (status, error) == (0, "")
     content = json.loads((tmp_path / "there" / "r.json").read_text())
     assert {"table", "name", "published", "computed", "verdict", "correction"} <= set(
@@ -515,18 +502,18 @@ def test_the_command_writes_page_and_json(calibrate, tmp_path):
 
 
 @pytest.mark.parametrize("option", ["--out", "--json"])
-def test_a_place_that_cannot_be_written_is_refused(calibrate, tmp_path, option):
+def test_a_place_that_cannot_be_written_is_refused(reproduce, tmp_path, option):
     (tmp_path / "file").write_text("in the way")
     for place in ("file/below", "/proc/nowhere/x"):
-        status, out, error = calibrate(option, place)
+        status, out, error = reproduce(option, place)
         assert (status, out) == (2, "")
         assert error.count("\n") == 1
         assert option in error
         assert "Traceback" not in error
 
 
-def test_help_names_the_options(calibrate):
-    status, out, error = calibrate("--help")
+def test_help_names_the_options(reproduce):
+    status, out, error = reproduce("--help")
     assert (status, error) == (0, "")
     assert all(option in out for option in ("--out", "--json"))
 
