@@ -133,7 +133,7 @@ def simulated(calibrate, monkeypatch, tmp_path):
 
 EVIL = [
     "../../evil",
-    "/tmp/evil-{}",
+    "{elsewhere}/evil",
     "..\\\\evil",
     "a\\u0000b",
     "x" * 900,
@@ -145,6 +145,7 @@ EVIL = [
 @pytest.mark.parametrize("name", EVIL)
 def test_names_in_a_lab_file_write_nothing_outside_the_output_folder(simulated, tmp_path, name):
     """Of the soil, of its source, and of a set of parameters."""
+    name = name.format(elsewhere=tmp_path)
     text = bundled_lab().read_text(encoding="utf-8")
     text = text.replace("wheat after rice, Lishui, Jiangsu", name)
     text = text.replace("named_sets.paper_optimum", f'named_sets."{name}"')
