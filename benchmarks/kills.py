@@ -273,6 +273,19 @@ def tried(verb: str, kills: int, seed: int, dem: bool) -> dict:
     return {"processor_s": whole.processor_s, "pieces": len(whole.pieces), **vars(tally)}
 
 
+def write(name: str, origin: dict, rows: dict[str, dict]) -> None:
+    """What is known so far, commands of earlier calls included."""
+    header = ["command", "processor time (s)", "pieces", "kills", "runs that got through"]
+    header += ["pieces lost", "repeated", "results that differ", "made by"]
+    lines = [
+        [verb, f"{row['processor_s']:.0f}", *(str(row[key]) for key in list(row)[1:])]
+        for verb, row in rows.items()
+    ]
+    text = "# Kills at random moments\n\nPieces: finished simulations, cases and verdicts.\n\n"
+    text += reporting.table(header, lines)
+    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--kills", type=int, default=20, help="of each verb")
@@ -282,17 +295,11 @@ def main() -> None:
     chosen = options.parse_args()
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     name = "kills_dem" if chosen.dem else "kills"
-    rows = {verb: tried(verb, chosen.kills, chosen.seed, chosen.dem) for verb in chosen.verbs}
-    origin = reporting.provenance()
-    header = ["command", "processor time (s)", "pieces", "kills", "runs that got through"]
-    header += ["pieces lost", "repeated", "results that differ"]
-    lines = [
-        [verb, f"{row['processor_s']:.0f}", *(str(row[key]) for key in list(row)[1:])]
-        for verb, row in rows.items()
-    ]
-    text = "# Kills at random moments\n\nPieces: finished simulations, cases and verdicts.\n\n"
-    text += reporting.table(header, lines)
-    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
+    origin, rows = reporting.provenance(), reporting.earlier(name, "verbs")
+    for verb in chosen.verbs:
+        found = tried(verb, chosen.kills, chosen.seed, chosen.dem)
+        rows[verb] = {**found, "made_by": origin["command"]}
+        write(name, origin, rows)
     bad = ("lost", "repeated", "different")
     raise SystemExit(any(row[key] for row in rows.values() for key in bad))
 
