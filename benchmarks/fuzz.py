@@ -206,7 +206,7 @@ def main() -> None:
     chosen = options.parse_args()
     reporting.configure()
     shutil.rmtree(STRANGE, ignore_errors=True)
-    rows = reporting.earlier("fuzz", "kinds")
+    origin, rows = reporting.provenance(), reporting.earlier("fuzz", "kinds")
     for number, kind in enumerate(KINDS):
         if kind not in chosen.kinds:
             continue
@@ -219,11 +219,11 @@ def main() -> None:
             "strange": counts["strange"],
             "processes": sum(real.values()),
             "processes_refused": real["refused"],
+            "command": origin["command"],
         }
         print(kind, rows[kind], file=sys.stderr)
-    origin = reporting.provenance()
     header = ["file", "made", "refused (status 2, one line)", "still usable (status 0)"]
-    header += ["traceback or other status", "real processes", "of these refused"]
+    header += ["traceback or other status", "real processes", "of these refused", "made by"]
     lines = [[kind, *(str(number) for number in row.values())] for kind, row in rows.items()]
     text = "# Malformed files\n\n" + reporting.table(header, lines) + reporting.footer(origin)
     reporting.write("fuzz", {**origin, "kinds": rows}, text)

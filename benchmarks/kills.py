@@ -1,22 +1,25 @@
 """Kill -9 at random moments: is anything lost, repeated or different in the end?
 
-Each verb runs once without interruption.  In another folder it is killed after a random amount
-of processor time and given again, until it ends; then once more in a fresh folder, until
+Each command runs once without interruption.  In another folder it is killed after a random
+amount of processor time and given again, until it ends; then once more in a fresh folder, until
 `--kills` kills are done.  After every kill:
 
-    kept        every finished simulation is still there and readable
-    unrepeated  no finished simulation was written anew (same file, same time)
+    kept        every finished simulation, case and verdict is still there and readable
+    unrepeated  none of them was written anew (same file, same time)
 
-and whenever a command got through, its result.json must equal that of the first run, but for
-counts of simulations and times.  A verb is one line of `VERBS`.
+and whenever a command got through, its result must equal that of the first run, but for
+counts of simulations and times.  A command is one line of `VERBS`.
 
 By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
-part of a command and not only into the simulation; --dem simulates 48 spheres.
+part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
+The bank is the smallest there is, `withheld` has two cases that the bundled bank diagnoses after
+a short rehearsal; its seed, otherwise secret, is given, so that results can be compared.
 
-    python benchmarks/kills.py                       some 5 minutes on one core
-    python benchmarks/kills.py --dem --verbs fit     some 10 minutes on one core
+    python benchmarks/kills.py
+    python benchmarks/kills.py --dem --verbs fit
 
-Writes benchmarks/results/kills.json and .md (kills_dem with --dem).
+Writes benchmarks/results/kills.json and .md (kills_dem with --dem); what was killed lies in
+results/benchmarks/kills, with a log of each folder.
 """
 
 import argparse
@@ -29,30 +32,53 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import reporting
+import xarray as xr
 
-from calibrate import cli, output, presets
+from calibrate import cli, diagnosed, output, presets
+from calibrate.bank import simulate
+from calibrate.campaign import NETCDF, Campaign
 from calibrate.campaign.places import AbstractPlace
 from calibrate.campaign.store import Store
 from calibrate.measurements import bundled_lab
 from calibrate.presets import Preset
 from calibrate.report import study
+from calibrate.report import withheld as withheld_report
+from calibrate.withheld import plan, run, trial
 from jdem.packing import Packing
 from jdem.particles import Spheres
 from jdem.vector import Vector
 
+
+@dataclass(frozen=True)
+class Verb:
+    """A command without --out, what --out names in its folder, its result there."""
+
+    command: tuple[str, ...]
+    result: str
+    out: str = "."
+    takes_lab: bool = True
+
+
 VERBS = {
-    "fit": ["fit", "--free", "shear_modulus,surface_energy"],
-    "doe": ["doe"],
+    "fit": Verb(("fit", "--free", "shear_modulus,surface_energy"), "result.json"),
+    "doe": Verb(("doe",), "result.json"),
+    "bank": Verb(("bank", "--packings", "8", "--spheres", "60"), "bank.nc", out="bank.nc"),
+    "withheld": Verb(("withheld",), "withheld.json", takes_lab=False),
 }
-RESULTS = ("result.json", "audit.json", "diagnosis.json")  # what a verb ends with
+PIECES = ("runs/*.nc", "sealed/*.attempt", "verdicts/*.json")  # simulations, cases, verdicts
 DIFFERS = ("simulations", "runtime_s", "particle_steps_per_s", "command")
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
+SEED = 1  # of the withheld cases
+CASES = {"none": 1, "above 6": 1}  # 305 in earnest
+REHEARSAL = {"DRAWS": 60, "REHEARSED": 24, "TRAINING": 60}  # 300, 240, 800 in earnest
 FOLDER = reporting.CACHE / "kills"
-LOADED = (study,)  # imported before forking, as all of the above
+LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all of the above
 
 
 class FormulaPlace(AbstractPlace):
@@ -86,11 +112,10 @@ def started(verb: str, folder: Path, dem: bool) -> int:
         with (folder.parent / f"{folder.name}.log").open("a") as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
-            presets.PRESETS["quick"] = TINY
-            if not dem:
-                output.HERE = FormulaPlace()
-            lab = [str(low_lab(folder.parent / "low.toml"))] if dem else []
-            sys.argv = ["calibrate", *VERBS[verb], *lab, "--out", str(folder)]
+            prepare_process(dem)
+            chosen = VERBS[verb]
+            lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
+            sys.argv = ["calibrate", *chosen.command, *lab, "--out", str(folder / chosen.out)]
             cli.main()
             sys.stdout.flush()
         os._exit(0)
@@ -99,6 +124,18 @@ def started(verb: str, folder: Path, dem: bool) -> int:
     except BaseException:
         sys.excepthook(*sys.exc_info())
         os._exit(70)
+
+
+def prepare_process(dem: bool) -> None:
+    """Small specimens, few cases, a short rehearsal, a known seed, and formulas unless `dem`."""
+    presets.PRESETS["quick"] = TINY
+    for name, count in REHEARSAL.items():
+        setattr(trial, name, count)
+    plan.COUNTS = CASES
+    run.secrets = SimpleNamespace(randbits=lambda bits: SEED)
+    if not dem:
+        output.HERE = FormulaPlace()
+        simulate.Campaign = partial(Campaign, place=FormulaPlace())
 
 
 def low_lab(path: Path) -> Path:
@@ -146,25 +183,40 @@ class Tally:
 
 
 def written(folder: Path) -> dict[str, tuple[int, int]]:
-    """Finished simulations, each with what would change if its file were written again."""
+    """Finished pieces by path, each with what would change if its file were written again."""
     return {
-        path.stem: (path.stat().st_ino, path.stat().st_mtime_ns)
-        for path in (folder / "runs").glob("*.nc")
+        str(path.relative_to(folder)): (path.stat().st_ino, path.stat().st_mtime_ns)
+        for piece in PIECES
+        for path in folder.rglob(piece)
     }
+
+
+def readable(path: Path) -> bool:
+    """Whether a finished piece is whole."""
+    if path.suffix == ".nc":
+        return Store(path.parents[1]).run(path.stem) is not None
+    try:
+        json.loads(path.read_text(encoding="utf-8"))  # an attempt is a number
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def inspected(folder: Path, before: dict, tally: Tally) -> dict:
     """Counts what a kill has lost or a start repeated; what is finished now."""
-    after, store = written(folder), Store(folder)
-    tally.lost += sum(key not in after or store.run(key) is None for key in before)
-    tally.lost += sum(store.run(key) is None for key in after if key not in before)
-    tally.repeated += sum(key in after and after[key] != before[key] for key in before)
+    after = written(folder)
+    tally.lost += len(before.keys() - after.keys())
+    tally.lost += sum(not readable(folder / path) for path in after)
+    tally.repeated += sum(path in after and after[path] != before[path] for path in before)
     return after
 
 
-def result_of(folder: Path) -> dict:
-    name = next(name for name in RESULTS if (folder / name).exists())
-    return without(json.loads((folder / name).read_text(encoding="utf-8")))
+def result_of(path: Path) -> dict:
+    """What a command found, from its JSON or NetCDF file."""
+    if path.suffix == ".json":
+        return without(json.loads(path.read_text(encoding="utf-8")))
+    with xr.open_dataset(path, engine=NETCDF) as data:
+        return without(data.load().to_dict())
 
 
 def without(value):
@@ -174,32 +226,64 @@ def without(value):
     return [without(item) for item in value] if isinstance(value, list) else value
 
 
+@dataclass(frozen=True)
+class Whole:
+    """The undisturbed run: processor time (s), result, finished pieces."""
+
+    processor_s: float
+    result: dict
+    pieces: frozenset[str]
+
+    def equals(self, verb: str, folder: Path) -> bool:
+        """Whether a command that was killed ended with the same result and pieces."""
+        return self.pieces == written(folder).keys() and self.result == result_of(
+            folder / VERBS[verb].result
+        )
+
+
+def undisturbed(verb: str, folder: Path, dem: bool) -> Whole:
+    """Runs the verb without a kill."""
+    begun, child = os.times(), started(verb, folder, dem)
+    if os.waitpid(child, 0)[1]:
+        raise SystemExit(f"{verb} fails without being killed: see {folder}.log")
+    ended = os.times()
+    processor_s = sum(ended[2:4]) - sum(begun[2:4])
+    return Whole(processor_s, result_of(folder / VERBS[verb].result), frozenset(written(folder)))
+
+
 def tried(verb: str, kills: int, seed: int, dem: bool) -> dict:
     """All kills of one verb."""
     home = FOLDER / verb
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
-    begun, child = os.times(), started(verb, home / "whole", dem)
-    if os.waitpid(child, 0)[1]:
-        raise SystemExit(f"{verb} fails without being killed: see {home}/whole.log")
-    ended = os.times()
-    whole = sum(ended[2:4]) - sum(begun[2:4])
-    expected, reference = result_of(home / "whole"), written(home / "whole")
+    whole = undisturbed(verb, home / "whole", dem)
     luck, tally = random.Random(seed), Tally()
     while tally.kills < kills:
         folder = home / f"killed-{tally.finished}"
-        done: dict = {}
-        while True:
-            budget = luck.uniform(0.0, whole) if tally.kills < kills else float("inf")
+        done, was_killed = {}, True
+        while was_killed:
+            budget = luck.uniform(0.0, whole.processor_s) if tally.kills < kills else float("inf")
             was_killed = killed(started(verb, folder, dem), budget)
             done = inspected(folder, done, tally)
             tally.kills += was_killed
-            print(f"{verb}: {tally}, {len(done)} simulations on disk", file=sys.stderr)
-            if not was_killed:
-                same = result_of(folder) == expected and set(done) == set(reference)
-                tally.finished, tally.different = tally.finished + 1, tally.different + (not same)
-                break
-    return {"processor_s": whole, "simulations": len(reference), **vars(tally)}
+            print(f"{verb}: {tally}, {len(done)} pieces on disk", file=sys.stderr)
+        tally.finished += 1
+        tally.different += not whole.equals(verb, folder)
+        print(f"{verb}: got through, {tally}", file=sys.stderr)
+    return {"processor_s": whole.processor_s, "pieces": len(whole.pieces), **vars(tally)}
+
+
+def write(name: str, origin: dict, rows: dict[str, dict]) -> None:
+    """What is known so far, commands of earlier calls included."""
+    header = ["command", "processor time (s)", "pieces", "kills", "runs that got through"]
+    header += ["pieces lost", "repeated", "results that differ", "made by"]
+    lines = [
+        [verb, f"{row['processor_s']:.0f}", *(str(row[key]) for key in list(row)[1:])]
+        for verb, row in rows.items()
+    ]
+    text = "# Kills at random moments\n\nPieces: finished simulations, cases and verdicts.\n\n"
+    text += reporting.table(header, lines)
+    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
 
 
 def main() -> None:
@@ -211,18 +295,11 @@ def main() -> None:
     chosen = options.parse_args()
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     name = "kills_dem" if chosen.dem else "kills"
-    rows = {}
+    origin, rows = reporting.provenance(), reporting.earlier(name, "verbs")
     for verb in chosen.verbs:
-        rows[verb] = tried(verb, chosen.kills, chosen.seed, chosen.dem)
-    origin = reporting.provenance()
-    header = ["verb", "processor time (s)", "simulations", "kills", "commands that got through"]
-    header += ["simulations lost", "repeated", "results that differ"]
-    lines = [
-        [verb, f"{row['processor_s']:.0f}", *(str(row[key]) for key in list(row)[1:])]
-        for verb, row in rows.items()
-    ]
-    text = "# Kills at random moments\n\n" + reporting.table(header, lines)
-    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
+        found = tried(verb, chosen.kills, chosen.seed, chosen.dem)
+        rows[verb] = {**found, "made_by": origin["command"]}
+        write(name, origin, rows)
     bad = ("lost", "repeated", "different")
     raise SystemExit(any(row[key] for row in rows.values() for key in bad))
 

@@ -18,10 +18,10 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 @pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
-    """Runs a command line in tmp_path; returns exit status, standard output and error."""
+def command_line(monkeypatch, tmp_path, capfd):
+    """Runs a command line in tmp_path as the console script does, JAX's settings included;
+    returns exit status, standard output and error."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
@@ -33,3 +33,10 @@ def calibrate(monkeypatch, tmp_path, capfd):
         return status, *capfd.readouterr()
 
     return call
+
+
+@pytest.fixture
+def calibrate(command_line, monkeypatch):
+    """The same with JAX as it is set above."""
+    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+    return command_line

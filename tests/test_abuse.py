@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from test_fit import BASE, TINY, tiny_campaign, tiny_lab
 from toy_place import Toy
 
-from calibrate import cli, output
+from calibrate import output
 from calibrate.errors import InputError
 from calibrate.labfile import PARAMETER_RANGES
 from calibrate.measurements import bundled_lab, load_lab
@@ -123,28 +123,17 @@ def test_no_content_of_a_lab_file_or_curve_is_too_strange(tmp_path, content):
 
 
 @pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
-    """Runs a command line in tmp_path on formulas; exit status and standard error."""
+def simulated(calibrate, monkeypatch, tmp_path):
+    """Runs a command line in tmp_path/here on formulas; exit status and standard error."""
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
     monkeypatch.setattr(output, "HERE", Toy(tmp_path / "here" / "notes"))
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, capfd.readouterr().err
-
-    return call
+    return lambda *arguments: calibrate(*arguments)[::2]
 
 
 EVIL = [
     "../../evil",
-    "/tmp/evil-{}",
+    "{elsewhere}/evil",
     "..\\\\evil",
     "a\\u0000b",
     "x" * 900,
@@ -154,13 +143,14 @@ EVIL = [
 
 
 @pytest.mark.parametrize("name", EVIL)
-def test_names_in_a_lab_file_write_nothing_outside_the_output_folder(calibrate, tmp_path, name):
+def test_names_in_a_lab_file_write_nothing_outside_the_output_folder(simulated, tmp_path, name):
     """Of the soil, of its source, and of a set of parameters."""
+    name = name.format(elsewhere=tmp_path)
     text = bundled_lab().read_text(encoding="utf-8")
     text = text.replace("wheat after rice, Lishui, Jiangsu", name)
     text = text.replace("named_sets.paper_optimum", f'named_sets."{name}"')
     Path("lab.toml").write_text(text, encoding="utf-8")
-    status, _ = calibrate("simulate", "lab.toml", "--out", "out", "--json", "j/result.json")
+    status, _ = simulated("simulate", "lab.toml", "--out", "out", "--json", "j/result.json")
     assert status == 0
     written = {path.relative_to(tmp_path).parts[:2] for path in tmp_path.rglob("*")}
     allowed = {"lab.toml", "notes", "out", "j"}
@@ -169,12 +159,12 @@ def test_names_in_a_lab_file_write_nothing_outside_the_output_folder(calibrate, 
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EIO])
-def test_a_disk_that_refuses_a_result_is_one_line(calibrate, monkeypatch, code):
+def test_a_disk_that_refuses_a_result_is_one_line(simulated, monkeypatch, code):
     def refuse(*_, **__):
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(Path, "write_text", refuse)
-    status, error = calibrate("simulate", "--out", "out")
+    status, error = simulated("simulate", "--out", "out")
     last = error.splitlines()[-1]
     assert status == 1 and "Traceback" not in error
     assert os.strerror(code) in last and "goes on from here" in last

@@ -14,7 +14,6 @@ import jax
 import numpy as np
 import pytest
 
-from calibrate import cli
 from calibrate.measurements import bundled_lab
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
@@ -23,22 +22,11 @@ VERBS = ("simulate", "fit", "contact", "audit", "doe")
 
 
 @pytest.fixture
-def calibrate(monkeypatch, tmp_path, capfd):
-    """Runs a command line in tmp_path; returns exit status, standard output and error."""
+def calibrate(command_line):
+    """Runs a command line in tmp_path; JAX's settings are put back afterwards."""
     settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     before = {name: getattr(jax.config, name) for name in settings}
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    yield call
+    yield command_line
     for name, value in before.items():
         jax.config.update(name, value)
 

@@ -6,7 +6,7 @@ from scipy import optimize, stats
 
 from calibrate.doe import designs, terms
 from calibrate.doe.anova import anova
-from calibrate.doe.diagnostics import box_cox, diagnose, transformed
+from calibrate.doe.diagnostics import box_cox, diagnose, transformed, without_profile
 from calibrate.doe.factors import Factor
 from calibrate.doe.gradients import fit_with_gradients
 from calibrate.doe.selection import aicc, select_backward, without
@@ -324,6 +324,16 @@ def test_box_cox_finds_the_power_that_makes_a_surface_linear(power, inverse):
     assert found.suggestion == power
     with pytest.raises(BadValue, match="not positive"):
         box_cox(fit_surface(X, y - 100, terms.linear(2)))
+
+
+@pytest.mark.parametrize("slope", [0.0, 2.0])
+def test_a_response_without_scatter_has_no_box_cox_profile(slope):
+    """One that no factor changes, and one that the terms give exactly."""
+    X = designs.full_factorial((Factor("A", 0, 1),), 7).coded
+    surface = fit_surface(X, 213.037143 + slope * X[:, 0], terms.quadratic(1))
+    assert "exactly" in without_profile(surface)
+    with pytest.raises(BadValue, match="exactly"):
+        box_cox(surface)
 
 
 def test_box_cox_powers_join_smoothly_at_zero():

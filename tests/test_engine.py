@@ -1,7 +1,6 @@
-"""The engine against mechanics: conservation, closed forms, neighbour lists, restarts.
+"""The engine against mechanics: conservation, closed forms, restarts, energy, precision.
 
-Beds of one to a few spheres, made by hand, are advanced by `jdem.dynamics.step` or by
-`jdem.simulate.run`.  Spheres of one material; what a test does not need is switched off.
+Beds are those of hand_made_beds; lists of neighbours are in test_neighbour_lists.
 """
 
 import equinox as eqx
@@ -9,107 +8,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hand_made_beds import (
+    CAPACITY,
+    GRAVITY,
+    RADIUS,
+    SHARP,
+    STEPS,
+    WIDE,
+    advanced,
+    bed_of,
+    last,
+    ran,
+    simulate,
+    soil_of,
+    spheres_of,
+    state_of,
+)
 
-from jdem.bed import Numerics, build_bed
-from jdem.contact import ContactHistory
 from jdem.dynamics import LOADED, Command, step
 from jdem.fusion import boundaries, once
-from jdem.neighbors import ContactList, Demand, Grid, rebuild
-from jdem.particles import Motion, Spheres, kinetic_energy
-from jdem.simulate import FAR, Segment, run, stack, start
+from jdem.neighbors import Demand, rebuild
+from jdem.particles import kinetic_energy
+from jdem.simulate import Segment, run, stack
 from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters
 from jdem.vector import Vector
-from jdem.walls import BASE, Walls
-
-RADIUS, DENSITY, GRAVITY = 2.5e-3, 2650.0, 9.81
-WIDE = 40.0  # mean diameters; a skin that a single sphere does not leave
-SHARP = Smoothing.sharp()
-STEPS = 3000  # of every single sphere, and CAPACITY of every record: shapes are compiled in
-CAPACITY = 64
-
-# Every bed that `ran` advances has four spheres, so one program must serve them all.
-simulate = eqx.filter_jit(eqx.debug.assert_max_traces(run, max_traces=1))
-
-
-# ------------------------------------------------------------------ hand-made beds
-
-
-def soil_of(**values):
-    """Soft, elastic, without rolling resistance and adhesion, unless told otherwise."""
-    plain = {
-        "restitution": 0.9,
-        "surface_energy": 0.0,
-        "plasticity_ratio": 1e-6,
-        "rolling_friction": 0.0,
-        "shear_modulus": 1e6,
-        "platen_friction": 0.3,
-        "reference_diameter": 2 * RADIUS,
-    }
-    return SoilParameters(**{**plain, **values})
-
-
-def spheres_of(count, spread=0.0):
-    radius = RADIUS * np.linspace(1 - spread, 1 + spread, count)
-    return Spheres(radius, DENSITY * 4 / 3 * np.pi * radius**3)
-
-
-def bed_of(spheres, soil, *, gravity=GRAVITY, smoothing=SHARP, skin=1.0, **numerics):
-    """`skin` is in mean diameters; every list has room for all there is."""
-    count, gap = spheres.count, skin * 2 * RADIUS
-    grid = Grid(
-        shape=(3, 3, 3),
-        per_cell=count,
-        pairs=count * count,
-        wall_contacts=3 * count,
-        cell=2.4 * RADIUS + gap,
-        skin=gap,
-    )
-    bed = build_bed(spheres, soil, grid, Numerics(smoothing=smoothing, **numerics))
-    return eqx.tree_at(lambda b: b.gravity, bed, jnp.asarray(gravity, bed.time_step.dtype))
-
-
-def state_of(bed, position, velocity=None, spin=None, mould_radius=FAR):
-    """No platen, and a mould only if a radius is given."""
-    dtype = bed.time_step.dtype
-    zeros = np.zeros_like(position)
-    rows = [zeros if given is None else given for given in (velocity, spin)]
-    motion = Motion(*(Vector.from_rows(jnp.asarray(r, dtype)) for r in (position, *rows)))
-    state = start(bed, motion.position, FAR, mould_radius)
-    return eqx.tree_at(lambda s: s.motion, state, motion)
-
-
-@eqx.filter_jit
-def advanced(bed, state, steps, damping=0.0):
-    """The motion after each of `steps` steps of one list (the skin must outlast them)."""
-    pairs, contacts, _ = rebuild(
-        bed.grid, bed.spheres, state.walls, state.motion.position, state.pairs, state.wall_contacts
-    )
-    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
-    zero = jnp.zeros((), bed.time_step.dtype)
-    command = Command(zero, zero, zero + damping, zero)
-
-    def advance(state, _):
-        state = step(bed, state, command)
-        return state, (state.motion, state.wall_force)
-
-    return jax.lax.scan(advance, state, None, length=steps)
-
-
-def ran(bed, state, samples, steps=100, damping=0.0):
-    """The record of a bed left to itself for `samples` intervals of `steps` steps."""
-    duration = (samples - 0.25) * steps * bed.time_step
-    programme = stack([Segment(duration=duration, damping=damping)])
-    record = simulate(bed, state, programme, jnp.asarray(steps), CAPACITY)
-    assert not record.overflow_of(bed.grid), record.explain_overflow(bed.grid)
-    return record
-
-
-def last(samples):
-    """The last interval that was recorded."""
-    row = np.flatnonzero(np.asarray(samples.segment) >= 0)[-1]
-    return jax.tree.map(lambda leaf: float(leaf[row]), samples)
-
+from jdem.walls import BASE
 
 # ------------------------------------------------------------------ action = reaction
 
@@ -334,124 +257,7 @@ def test_segments_last_as_long_as_they_say():
         assert int(np.sum(record.samples.segment == 0)) == samples
 
 
-# ------------------------------------------------------------------ neighbour lists
-
-CLOUD = 60
-
-
-def cloud(seed, jitter=0.0):
-    rng = np.random.default_rng(seed)
-    place = rng.uniform([-0.012, -0.012, 0.0], [0.012, 0.012, 0.03], (CLOUD, 3))
-    return place + np.random.default_rng(seed + 1).normal(0.0, 1.0, place.shape) * jitter
-
-
-def cloud_grid(**capacities):
-    sizes = {"per_cell": 30, "pairs": 800, "wall_contacts": 120, **capacities}
-    return Grid(shape=(4, 3, 5), cell=2 * RADIUS * 1.2 + 1e-3, skin=1e-3, **sizes)
-
-
-CLOUD_SPHERES = spheres_of(CLOUD, 0.2)
-CLOUD_WALLS = Walls(*(jnp.asarray(x) for x in (0.03, 0.0, 0.014, 0.0)))
-relisted = eqx.filter_jit(rebuild)
-
-
-def empty_lists(grid):
-    return ContactList.empty(grid.pairs, float), ContactList.empty(grid.wall_contacts, float)
-
-
-def listed(grid, place, lists):
-    return relisted(grid, CLOUD_SPHERES, CLOUD_WALLS, Vector.from_rows(jnp.asarray(place)), *lists)
-
-
-def entries(contacts):
-    """{(first, second): what the history remembers} of the live entries, each listed once."""
-    live = np.flatnonzero(contacts.alive)
-    history = contacts.history
-    columns = (contacts.first, contacts.second, history.max_overlap, history.stretch.z)
-    rows = zip(*(np.asarray(column)[live].tolist() for column in columns), strict=True)
-    found = {(i, j): (most, stretch) for i, j, most, stretch in rows}
-    assert len(found) == len(live)
-    return found
-
-
-def pairs_by_force(place, reach):
-    radius = np.asarray(CLOUD_SPHERES.radius)
-    distance = np.linalg.norm(place[:, None] - place[None], axis=-1)
-    near = distance < radius[:, None] + radius[None] + reach
-    return {(i, j) for i in range(CLOUD) for j in range(i + 1, CLOUD) if near[i, j]}
-
-
-def walls_by_force(place, reach):
-    off_axis = np.hypot(place[:, 0], place[:, 1])
-    distance = np.stack([place[:, 2], 0.03 - place[:, 2], 0.014 - off_axis], axis=1)
-    near = distance - np.asarray(CLOUD_SPHERES.radius)[:, None] < reach
-    return {(int(i), int(w)) for i, w in np.argwhere(near)}
-
-
-def mark_of(first, second):
-    return 1.0 + 1000 * first + second
-
-
-def marked(contacts):
-    """Each entry remembers its own key."""
-    mark = mark_of(contacts.first, contacts.second) * contacts.alive
-    history = ContactHistory(mark, -mark, Vector(mark, mark, -mark))
-    return eqx.tree_at(lambda c: c.history, contacts, history)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_lists_hold_all_neighbours_and_history_travels_with_them(seed):
-    grid = cloud_grid()
-    before, after = cloud(seed), cloud(seed, jitter=1e-3)
-    lists = [marked(c) for c in listed(grid, before, empty_lists(grid))[:2]]
-    relists = listed(grid, after, lists)
-    for old, new, brute in zip(lists, relists, (pairs_by_force, walls_by_force), strict=False):
-        were, are = entries(old), entries(new)
-        assert set(were) == brute(before, grid.skin)
-        assert set(are) == brute(after, grid.skin)
-        kept = were.keys() & are.keys()
-        assert 10 < len(kept) < len(are)
-        for key, remembered in are.items():
-            mark = mark_of(*key) if key in kept else 0.0
-            assert remembered == (mark, -mark)
-
-
-def test_a_sphere_may_leave_the_grid():
-    """Space is wrapped around the grid: far away, and across zero, neighbours are the same."""
-    grid, shift = cloud_grid(), np.array([3.7, -8.1, 40.0])
-    found = listed(grid, cloud(0) + shift, empty_lists(grid))[0]
-    assert set(entries(found)) == pairs_by_force(cloud(0), grid.skin)
-
-
-@pytest.mark.parametrize("names", [("pairs", "wall_contacts"), ("per_cell",)])
-def test_an_overflow_is_detected_with_the_capacity_that_would_do(names):
-    small = cloud_grid(**dict.fromkeys(names, 3))
-    demand = listed(small, cloud(0), empty_lists(small))[2]
-    assert demand.exceeds(small)
-    needed = {name: int(getattr(demand, name)) for name in names}
-    for name, capacity in needed.items():
-        assert capacity > 3
-        assert demand.exceeds(cloud_grid(**{**needed, name: capacity - 1}))
-    enough = cloud_grid(**needed)
-    pairs, contacts, demand = listed(enough, cloud(0), empty_lists(enough))
-    assert not demand.exceeds(enough)
-    assert set(entries(pairs)) == pairs_by_force(cloud(0), enough.skin)
-    assert set(entries(contacts)) == walls_by_force(cloud(0), enough.skin)
-
-
-def test_an_overflowing_list_keeps_only_true_neighbours():
-    small = cloud_grid(pairs=20)
-    pairs = listed(small, cloud(0), empty_lists(small))[0]
-    assert len(entries(pairs)) == 20
-    assert set(entries(pairs)) <= pairs_by_force(cloud(0), small.skin)
-
-
-def test_rebuilding_twice_changes_nothing():
-    grid = cloud_grid()
-    once = [marked(c) for c in listed(grid, cloud(3), empty_lists(grid))[:2]]
-    again = listed(grid, cloud(3), once)[:2]
-    for a, b in zip(jax.tree.leaves(once), jax.tree.leaves(list(again)), strict=True):
-        assert np.array_equal(a, b)
+# ------------------------------------------------------------------ lists that are too small
 
 
 def test_the_record_says_which_capacity_or_skin_was_too_small():

@@ -7,6 +7,7 @@ import json
 import math
 import shutil
 import sys
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -21,6 +22,7 @@ FOLDER = Path(__file__).parents[1] / "benchmarks" / "reality"
 sys.path.insert(0, str(FOLDER))
 
 import instrument  # noqa: E402
+import labfiles  # noqa: E402
 import referee  # noqa: E402
 from cases import plan  # noqa: E402
 from effects import BY_NAME, LIBRARY, OUTSIDE, Setup  # noqa: E402
@@ -45,6 +47,23 @@ def test_a_case_reads_as_a_lab_file(case):
             assert curve.displacement_mm.argmax() < len(curve.force_n) - 5  # it turns back
         else:
             assert np.ptp(curve.displacement_mm) > 8
+
+
+def test_a_case_is_written_as_the_committed_ones_were(tmp_path):
+    """Name, densities and height are the specimens' own; all else stands in every lab file."""
+    row = np.zeros(instrument.READINGS)
+    record = instrument.Record(row, row, row)
+    specimens = [labfiles.Specimen(300.0, height, record, record) for height in (90.0, 91.0, 92.0)]
+    labfiles.write_case("0a1b2c3d", specimens, tmp_path)
+    written, committed = (
+        tomllib.loads((folder / "lab.toml").read_text()) for folder in (tmp_path, CASES[0])
+    )
+    soil, cylinder = written.pop("soil"), written.pop("specimen")
+    assert soil["name"] == "soil 0a1b2c3d" and cylinder.pop("height") == "91.0 mm"
+    committed.pop("soil")
+    committed["specimen"].pop("height")
+    assert cylinder == committed.pop("specimen")
+    assert written == committed
 
 
 def test_all_cases_look_alike_from_outside():

@@ -11,7 +11,7 @@ import shutil
 import sys
 from collections import Counter
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from operator import getitem
 from pathlib import Path
 
@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas
 
-from calibrate import cli, output, workflow
+from calibrate import output, workflow
 from calibrate.audit import audit, audit_json
 from calibrate.designed import design
 from calibrate.errors import InputError
@@ -43,16 +43,8 @@ TARGETS = {
     "depression_depth_mm": Target(2.5, 0.1, 4),
     "crushing_force_n": Target(185.0, 8.0, 4),
 }
-QUALITY = {"inertial_number": 9e-4, "overflow": 0.0, "steps": 1e4, "spheres": 150, "runtime_s": 9}
 MEASURED = Curve("confined", np.linspace(0, 5, 9), np.linspace(0, 410, 9), "a <b>.csv")
 PRESET = PRESETS["quick"]
-
-
-class Soil(Formulas):
-    """Formulas with the checks that a simulation comes with."""
-
-    def _run(self, soil, seed):
-        return replace(super()._run(soil, seed), quality=QUALITY)
 
 
 def session(folder: Path, **changes) -> Session:
@@ -61,13 +53,13 @@ def session(folder: Path, **changes) -> Session:
 
 def written_fit(folder: Path, free=None, **changes) -> Path:
     opened = session(folder, **changes)
-    output.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Soil()), None)
+    output.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()), None)
     return folder
 
 
 def written_audit(folder: Path) -> Path:
     opened, seeds = session(folder), range(4)
-    found = audit(space(LAB, (*FACTORS, "shear_modulus")), Soil(), seeds, ["ensemble"])
+    found = audit(space(LAB, (*FACTORS, "shear_modulus")), Formulas(), seeds, ["ensemble"])
     settings = {"spheres": 300, "seeds": list(seeds), "parameters": workflow.soil_json(BASE)}
     content = {**origin_of(opened), **settings, **audit_json(found)}
     output.write_json(folder / "audit.json", content)
@@ -76,7 +68,7 @@ def written_audit(folder: Path) -> Path:
 
 def written_study(folder: Path) -> Path:
     opened = session(folder)
-    study.write(opened, design(opened.lab, PRESET, {}, 0, Soil()), None)
+    study.write(opened, design(opened.lab, PRESET, {}, 0, Formulas()), None)
     return folder
 
 
@@ -94,21 +86,9 @@ def pages(folders) -> dict[str, str]:
 
 
 @pytest.fixture
-def report(monkeypatch, tmp_path, capfd):
+def report(calibrate):
     """Runs `calibrate report` in tmp_path; returns exit status, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["calibrate", "report", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
+    return partial(calibrate, "report")
 
 
 def page_of(folder: Path) -> str:
@@ -192,7 +172,7 @@ def test_an_audit_shows_its_verdicts(folders, pages):
 
 def test_a_simulation_keeps_its_figure(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
-    runs = Soil().runs([BASE], range(3), "simulating")[0]
+    runs = Formulas().runs([BASE], range(3), "simulating")[0]
     output.write_simulation(opened, workflow.simulation_json(runs), runs, None)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "result.json").read_text())["engine"]
@@ -231,7 +211,7 @@ def test_a_failed_packing_is_named(tmp_path, folders):
 def test_curves_without_targets_have_a_page(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     opened = replace(opened, lab=replace(opened.lab, targets={}))
-    found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Soil())
+    found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Formulas())
     output.write_fit(opened, found, None)
     text = text_of(page_of(tmp_path))
     assert re.search(r"\d of \d numbers read from curves lie within 2 s\.d\.", text)

@@ -11,45 +11,15 @@ from instrument import CONFINED_SPEED, UNCONFINED_SPEED, Instrument, Record, app
 from soil import PRIOR, TENSILE_EXPONENT, Soil
 from specimen import Run
 
+from calibrate.withheld.laboratory import CURVE, TOML
+
 ZERO = 0.5e-3  # m; the displacement's zero is anywhere within
 BUNDLED_ROLLING = 0.1  # rolling friction of the bundled soil
 GIVEN = ("wall_friction", "platen_friction")  # what the laboratory believes of its apparatus
 GAP = (0.3e-3, 1.0e-3)  # m, the platen's way before it touches
 
-LAB = """[soil]
-name = "soil {name}"
-density = [{density}]
-
-[specimen]
-diameter = "50 mm"
-height = "{height:.1f} mm"
-mould_height = "150 mm"
-
-[confined]
-rate = "8 mm/s"
-force_low = "200 N"
-force_high = "400 N"
-greased = true
-
-[unconfined]
-rate = "0.01 mm/s"
-rest = "1 s"
-
-[particles]
-reference_diameter = "80 um"
-poisson_ratio = 0.3
-
-[parameters]
-{parameters}
-{curves}"""
-
-CURVE = """
-[[curves]]
-test = "{test}"
-file = "{test}_{number}.csv"
-displacement = {{ column = "displacement", unit = "mm" }}
-force = {{ column = "force", unit = "N" }}
-"""
+# As the project's own withheld cases, but for the title and a height that is measured.
+LAB = TOML.replace("withheld {name}", "soil {name}").replace('"100 mm"', '"{height:.1f} mm"')
 
 
 @dataclass(frozen=True)

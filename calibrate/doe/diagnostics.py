@@ -86,14 +86,24 @@ class BoxCox:
 
 
 REACH = 5.0  # of the search for powers, in both directions
+ROUNDING = 1e-12  # of the mean response; residuals below it are not scatter
+
+
+def without_profile(surface: Surface) -> str:
+    """Why a surface has no Box-Cox profile; "" if it has one."""
+    if np.any(surface.y <= 0):
+        return "a response is not positive"
+    if np.std(surface.fit.resid) < ROUNDING * np.mean(surface.y):
+        return "the surface fits every response exactly"
+    return ""
 
 
 def box_cox(surface: Surface, level: float = 0.95) -> BoxCox:
-    """The profile for the surface's own terms; `BadValue` unless all responses are positive."""
+    """The profile for the surface's own terms; `BadValue` where `without_profile` says why not."""
     y, rows = surface.y, matrix(surface.terms, surface.X)
-    if np.any(y <= 0):
-        problem = "a response is not positive"
-        raise BadValue(problem, "Box-Cox needs positive responses", "y")
+    problem = without_profile(surface)
+    if problem:
+        raise BadValue(problem, "Box-Cox needs positive responses that scatter", "y")
 
     def log_residual(power: float) -> float:
         z = transformed(y, power)

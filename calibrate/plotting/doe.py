@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from calibrate.doe.diagnostics import BoxCox, Diagnostics, box_cox, diagnose
+from calibrate.doe.diagnostics import BoxCox, Diagnostics, box_cox, diagnose, without_profile
 from calibrate.doe.factors import Factor
 from calibrate.doe.screening import Effect, Screening
 from calibrate.doe.surface import Surface
@@ -212,11 +212,12 @@ def residual_figure(surface: Surface, path: Path, response: str) -> None:
     normal_plot(axes[0, 0], found)
     residuals_against_predicted(axes[0, 1], found, response)
     cooks_distances(axes[1, 0], found)
-    if np.all(surface.y > 0):
-        box_cox_profile(axes[1, 1], box_cox(surface))
-    else:
+    problem = without_profile(surface)
+    if problem:
         axes[1, 1].set_axis_off()
-        axes[1, 1].text(0.5, 0.5, "no Box-Cox profile:\na response is not positive", ha="center")
+        axes[1, 1].text(0.5, 0.5, f"no Box-Cox profile:\n{problem}", ha="center")
+    else:
+        box_cox_profile(axes[1, 1], box_cox(surface))
     save(figure, path)
 
 

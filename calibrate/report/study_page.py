@@ -8,7 +8,7 @@ import numpy as np
 
 from calibrate.doe.anova import Anova, anova
 from calibrate.doe.comparison import Comparison, Ending
-from calibrate.doe.diagnostics import box_cox, diagnose
+from calibrate.doe.diagnostics import box_cox, diagnose, without_profile
 from calibrate.doe.screening import Screening
 from calibrate.doe.study import SIGNIFICANT
 from calibrate.doe.surface import Surface
@@ -238,7 +238,7 @@ def _residuals(surface: Surface, label: str) -> list[Picture]:
         ),
         (lambda axis: drawing.cooks_distances(axis, found), "Cook's distances"),
     ]
-    if np.all(surface.y > 0):
+    if not without_profile(surface):
         profile = box_cox(surface)
         drawn.append((lambda axis: drawing.box_cox_profile(axis, profile), "Box-Cox profile"))
     return [Picture(panel_svg(draw), f"{name}, {label}.", name) for draw, name in drawn]

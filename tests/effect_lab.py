@@ -1,0 +1,42 @@
+"""A small bed in which effects are tried: forces are half the paper's, crushing is short."""
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from calibrate.presets import numerics_for
+from jdem.experiments.composite import LabTests, VirtualLab
+from jdem.experiments.confined import ConfinedCompression
+from jdem.experiments.unconfined import UnconfinedCompression
+from jdem.packing import Specimen
+from jdem.soil import SoilParameters
+
+SMALL = Specimen(count=60, height=0.06)
+NUMERICS = numerics_for(SMALL)
+SOIL = SoilParameters()
+HOLD = 0.005  # s, simulated; the longest hold that the program has room for
+
+
+def both_tests(hold=0.0):
+    confined = ConfinedCompression(
+        simulated_rate=0.05,
+        force_low=100.0,
+        force_high=200.0,
+        stroke=0.2 * SMALL.height,
+        hold=hold,
+    )
+    return LabTests(confined, UnconfinedCompression(stroke=1e-3, rest=2e-3, opening=1e-4))
+
+
+def lab_with(*effects, hold=0.0):
+    lab = VirtualLab.of(SMALL, both_tests(HOLD), NUMERICS, effects)
+    return eqx.tree_at(lambda lab: lab.tests, lab, both_tests(hold))
+
+
+def arrays(tree):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+
+
+def assert_same(ours, theirs):
+    for a, b in zip(arrays(ours), arrays(theirs), strict=True):
+        np.testing.assert_array_equal(a, b)
