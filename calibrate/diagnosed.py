@@ -33,6 +33,7 @@ from calibrate.parameters import base_soil
 DRAWS = 400  # of null distributions
 REHEARSED = 300  # cases, from which it is learned how to state probabilities
 LEADING = 4  # explanations between which a further test is to decide
+LEAST_LIKELY = 0.01  # probability of such an explanation, but for the likeliest
 Say = Callable[[str], None]
 
 
@@ -139,6 +140,7 @@ def _proposals(d: Linearised, which: Which) -> list[Proposal]:
     """Further tests between the leading single explanations."""
     single = {n: p for n, p in which.probability.items() if n in d.effect_names}
     order = sorted(single, key=lambda n: -single[n])[:LEADING]
+    order = order[:1] + [n for n in order[1:] if single[n] >= LEAST_LIKELY]
     keys = [d.effect_names.index(n) for n in order]
     leading = {k: which.refits[(k,)] for k in keys if (k,) in which.refits}
     leading = {k: fit for k, fit in leading.items() if fit.strengths[k] != 0}

@@ -7,7 +7,7 @@ interval reaches zero is not called one, and numbers without curves are said to 
 """
 
 from calibrate.diagnosis.classes import SEPARABLE
-from calibrate.diagnosis.opinion import NONE, UNKNOWN
+from calibrate.diagnosis.opinion import ALPHA, NONE, UNKNOWN
 from calibrate.records.diagnosis import DiagnosisRecord, HowFar, NextTest, Segment
 from calibrate.report.effects import TOGETHER, members, plain, title
 from calibrate.report.html import number
@@ -130,7 +130,7 @@ def shrinkage(found: DiagnosisRecord) -> str:
     low, high = far.interval
     ends = f"90 % interval {percent(low)} to {percent(high)}"
     if not low <= far.shrinkage <= high:
-        ends = "its interval does not hold, as the effect is not all that is left out"
+        ends = _why_outside(found)
     elif low <= 0:
         return f"The data cannot show that adding “{name}” shrinks the gap ({ends})."
     share = f"{percent(far.shrinkage)} of the gap ({ends}{_fresh(far)})"
@@ -139,6 +139,13 @@ def shrinkage(found: DiagnosisRecord) -> str:
         "; the second effect is not counted in this." if TOGETHER in found.which.verdict else "."
     )
     return text + alone
+
+
+def _why_outside(found: DiagnosisRecord) -> str:
+    """What it means that the interval does not hold its estimate."""
+    if found.which.p_left_after_best < ALPHA:
+        return "its interval does not hold, as the effect is not all that is left out"
+    return "no interval: the gap is hardly larger than the scatter of specimens"
 
 
 def _fresh(far: HowFar) -> str:
@@ -222,4 +229,4 @@ def percent(value: float) -> str:
         return "under 1 %"
     if 0.995 < value < 1:
         return "over 99 %"
-    return f"{100 * value:.0f} %".replace("-", "−")
+    return f"{100 * value:.0f} %".replace("-0 %", "0 %").replace("-", "−")
