@@ -343,6 +343,7 @@ def test_scores_of_hand_made_cases():
     assert values["known_called_unknown"] == 1 / 5  # three clear single effects and two pairs
     assert values["two_both_named"] == 1 / 2 and values["two_one_named"] == 1
     assert values["wrong_and_confident"] == 2 / 10  # 0.8 counts
+    assert values["detection_auc"] == 15 / 16  # one of 8 x 2 pairs is the wrong way round
     assert values["set_coverage"] == 9 / 10
     assert values["shrinkage_within_10"] == 1 / 2
     by_snr = {name: found["accuracy_by_snr"][name]["value"] for name in found["accuracy_by_snr"]}

@@ -17,6 +17,7 @@ SCORES = {
     "gate_rejects_null": "nothing hidden, gate rejects at 5 %",
     "outside_noticed": "outside the library, something noticed",
     "outside_taken_for_an_effect": "outside the library, taken for an effect of it",
+    "detection_auc": "smaller p-value where something is hidden (area under the ROC curve)",
     "set_coverage": "truth within the stated set of explanations",
 }
 PERCENT = "\u00a0%"  # no line ends before the sign

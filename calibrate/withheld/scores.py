@@ -87,6 +87,19 @@ def share(values: Iterable[bool]) -> dict:
     return {"value": float(found.mean()), "low": low, "high": high, "n": len(found)}
 
 
+def area(hidden: Sequence[float], nothing: Sequence[float]) -> dict:
+    """How often a case that hides something has the smaller p-value of the two (ties half): the
+    area under the ROC curve, with the interval of Hanley and McNeil (1982, Radiology 143)."""
+    n, m = len(hidden), len(nothing)
+    if not n or not m:
+        return {"value": None, "low": None, "high": None, "n": 0}
+    a = float(stats.mannwhitneyu(nothing, hidden).statistic / (n * m))
+    first, second = a / (2 - a), 2 * a**2 / (1 + a)
+    variance = a * (1 - a) + (n - 1) * (first - a**2) + (m - 1) * (second - a**2)
+    reach = float(stats.norm.ppf(0.975) * np.sqrt(variance / (n * m)))
+    return {"value": a, "low": max(a - reach, 0.0), "high": min(a + reach, 1.0), "n": n + m}
+
+
 def scored(rows: Sequence[Row], seed: int = 0) -> dict:
     """All scores of a set of cases."""
     of = {k: [r for r in rows if r.kind == k] for k in (NONE, "single", "two", "outside")}
@@ -107,6 +120,9 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
             _name(s): share(r.p_before <= 0.05 for r in _in(of["single"], s)) for s in STRATA
         },
         "false_alarm": share(r.verdict != NONE for r in of[NONE]),
+        "detection_auc": area(
+            [r.p_before for r in rows if r.kind != NONE], [r.p_before for r in of[NONE]]
+        ),
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of[NONE]),
         "unknown_recall": share(r.verdict == UNKNOWN for r in of["outside"]),
         "outside_noticed": share(r.verdict != NONE for r in of["outside"]),
