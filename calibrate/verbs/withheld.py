@@ -20,7 +20,7 @@ def withheld_command(
         Path | None, typer.Option("--mismatch", help="What `calibrate mismatch` wrote.")
     ] = None,
     share: Annotated[
-        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 305 cases.")
+        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 309 cases.")
     ] = 1.0,
     fresh: Annotated[
         bool, typer.Option("--fresh/--no-fresh", help="Check shrinkage on fresh specimens.")
@@ -53,9 +53,8 @@ def withheld_command(
         run.generate(out, ready, counts, None, progress)
     source = out if given is None else given
     run.judge(source, out, ready, seed, progress, discrepancy)
-    result, rows = run.opened(
-        source, out, ready, seed, progress, fresh and given is None, discrepancy
-    )
+    repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
+    result, rows = run.opened(source, out, ready, seed, progress, fresh and repeatable, discrepancy)
     report.write(out, result, rows, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")
