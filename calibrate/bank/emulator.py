@@ -93,7 +93,7 @@ def _loss(kernel: Kernel, start: Kernel, x, s, same, y):
 _loss_and_slope = jax.jit(jax.value_and_grad(_loss))
 
 
-def fit_kernel(x, s, packing, y, progress=None) -> Kernel:
+def fit_kernel(x, s, packing, y) -> Kernel:
     """The kernel with the largest marginal likelihood of standardised values y (n,)."""
     start = Kernel.start(x.shape[1], s.shape[1])
     flat, unflatten = ravel_pytree(start)

@@ -10,8 +10,8 @@ principal direction of a test's S by itself, a factor on the variance:
 
     (PRIOR_FREEDOM + sum of squares of repeats over S)/(PRIOR_FREEDOM + their freedom)
 
-the posterior mean scale of a Student distribution with that freedom (Gelman et al., Bayesian data
-analysis, section 2.6, conjugate prior of a variance): some specimens slip where most do not, and
+the posterior scale of a variance under its conjugate prior, a scaled inverse chi-square about 1
+(Gelman et al., Bayesian data analysis, section 2.6): some specimens slip where most do not, and
 a mean that one of them has pulled is no gap.
 T is the square of the description's tolerance, W the directions in which it may be wrong.
 """
