@@ -40,6 +40,11 @@ class Bank:
     knots: np.ndarray
     pieces: np.ndarray
     cross: np.ndarray
+    either: np.ndarray
+
+    def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        """What machines of two kinds differ by, half of it, shape (m, 1)."""
+        return self.either[:, None]
 
     def __call__(self, delta: np.ndarray, strengths: np.ndarray):
         x = np.clip(np.concatenate([delta, strengths]), LOW, HIGH)
@@ -81,7 +86,7 @@ def description(seed: int, linear: bool = False) -> Linearised:
     }
     typical = toy.curves(toy.Soil(), toy.MIDDLE, FINE)
     shift, sensor, either = recording(toy.FEATURES, typical, channels, rng)
-    bank = replace(bank, value=bank.value + shift)
+    bank = replace(bank, value=bank.value + shift, either=either)
     _, slopes, strengths = bank(np.zeros(P), np.zeros(len(toy.EFFECTS)))
     base = {name: (slopes[:, i], sd) for i, (name, sd) in enumerate(toy.BASE.items())}
     effects = [(e, strengths[:, k]) for k, e in enumerate(toy.EFFECTS)]
@@ -111,7 +116,7 @@ def _bank(mean: np.ndarray) -> Bank:
             cross[:, i, j] = cross[:, j, i] = mixed
     knots = np.array([axis.x for axis in axes])
     pieces = np.array([axis.c.transpose(1, 0, 2) for axis in axes])
-    return Bank(mean, knots, pieces, cross)
+    return Bank(mean, knots, pieces, cross, np.zeros(len(mean)))
 
 
 def _tolerance(bank: Bank, rng: np.random.Generator) -> np.ndarray:

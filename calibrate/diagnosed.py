@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.bank.description import DENSITY_SD, Discrepancy, Ready, describe, point_of
+from calibrate.bank.description import DENSITY_SD, Discrepancy, Ready, describe, point_for
 from calibrate.bank.further import menu
 from calibrate.bank.lab import LabCurves, read, with_baseline, with_instruments
 from calibrate.diagnosis.generated import World, plan_of
@@ -28,7 +28,6 @@ from calibrate.diagnosis.verdict import as_json
 from calibrate.diagnosis.where import Where, where
 from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose, prepare
 from calibrate.measurements import Lab
-from calibrate.parameters import base_soil
 
 DRAWS = 400  # of null distributions
 REHEARSED = 300  # cases, from which it is learned how to state probabilities
@@ -76,11 +75,7 @@ def described(
     """What was measured, and the simulator about the best base fit to it; baseline: with the
     forces before contact."""
     found = read(lab, ready.bank)
-    soil = base_soil(lab)
-    names = ready.bank.design.soil_names
-    stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
-    values = {name: float(getattr(soil, name)) for name in names}
-    point = point_of(ready.bank, values, {n: s for n, s in stated.items() if n in names})
+    point = point_for(lab, ready.bank)
     density = lab.density_kg_m3
     scatter = float(np.std(density, ddof=1) / np.mean(density)) if len(density) > 1 else DENSITY_SD
     scatter = min(scatter, LARGEST_DENSITY_SD)

@@ -5,7 +5,8 @@ diagnosis only knows from sixty simulated specimens (`diagnosis_world`).
 """
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 
 import diagnosis_world as world
@@ -15,6 +16,7 @@ from scipy import stats
 
 from calibrate.diagnosis import baselines
 from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare_targets
+from calibrate.diagnosis.fits import fitted_base
 from calibrate.diagnosis.generated import plan_of
 from calibrate.diagnosis.how_far import (
     distortions,
@@ -25,12 +27,12 @@ from calibrate.diagnosis.how_far import (
 )
 from calibrate.diagnosis.linear import Effect, simple
 from calibrate.diagnosis.next_test import FurtherTest, next_tests
-from calibrate.diagnosis.refit import refit
+from calibrate.diagnosis.refit import best_refit, refit, start_at
 from calibrate.diagnosis.rehearsal import generated_case, rehearsed
 from calibrate.diagnosis.repeats import from_targets
 from calibrate.diagnosis.verdict import as_json, reports, status
 from calibrate.diagnosis.where import where
-from calibrate.diagnosis.which import Prepared, Which, diagnose, fitted_base, label, prepare
+from calibrate.diagnosis.which import Prepared, Which, diagnose, label, prepare
 
 KNOWN = world.description()
 NULLS, STRONG = 60, 24
@@ -44,6 +46,11 @@ def prepared() -> Prepared:
 def gap_of(effect: int, snr: float) -> np.ndarray:
     """What one effect does at a signal-to-noise."""
     return prepared().world.strength_of(effect, snr) * KNOWN.effect_slopes[:, effect]
+
+
+def base_of(ready: Prepared, sample):
+    """The noise of a sample and the fit without effects."""
+    return fitted_base(ready.description, sample, ready.world.packing, ready.null.inflation)
 
 
 @cache
@@ -117,12 +124,26 @@ def test_scalar_targets_alone_get_an_honest_answer():
     assert {r.status for r in reports(ready, found)} <= {"inconclusive", "absent"}
 
 
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """An emulator by formula, wrong by the same everywhere but for what `errors` adds."""
+
+    at: Callable
+    errors: Callable = lambda delta, strengths: np.zeros((len(KNOWN.mean), 0))
+
+    def __call__(self, delta, strengths):
+        return self.at(delta, strengths)
+
+    def wrong(self, delta, strengths):
+        return np.column_stack([KNOWN.wrong, self.errors(delta, strengths)])
+
+
 def test_an_emulator_that_is_linear_changes_nothing():
-    def emulator(delta, strengths):
+    def at(delta, strengths):
         values = KNOWN.mean + KNOWN.base_slopes @ delta + KNOWN.effect_slopes @ strengths
         return values, KNOWN.base_slopes, KNOWN.effect_slopes
 
-    bent = replace(KNOWN, emulator=emulator)
+    bent = replace(KNOWN, emulator=Formula(at))
     ready = replace(prepared(), world=replace(prepared().world, description=bent))
     sample = world.case(7, gap_of(5, 8.0))
     one, other = diagnose(prepared(), sample), diagnose(ready, sample)
@@ -131,19 +152,62 @@ def test_an_emulator_that_is_linear_changes_nothing():
 
 
 def test_gauss_newton_finds_a_bent_truth():
-    def emulator(delta, strengths):
+    def at(delta, strengths):
         bend = 1 + 0.3 * strengths[2]
         values = KNOWN.base_slopes @ delta + KNOWN.effect_slopes[:, 2] * strengths[2] * bend
         slopes = np.zeros_like(KNOWN.effect_slopes)
         slopes[:, 2] = KNOWN.effect_slopes[:, 2] * (1 + 0.6 * strengths[2])
         return values, KNOWN.base_slopes, slopes
 
-    bent = replace(KNOWN, emulator=emulator)
+    bent = replace(KNOWN, emulator=Formula(at))
     strengths = np.zeros(world.EFFECTS)
     strengths[2] = 1.5
-    truth = emulator(np.zeros(5), strengths)[0]
+    truth = at(np.zeros(5), strengths)[0]
     found = refit(bent, truth, 1e-4 * world.scatter(), [2])
     assert found.strengths[2] == pytest.approx(1.5, abs=0.01)
+
+
+def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_way():
+    """A one-sided effect that acts as e^2 - e: at strength 0 its slope points away."""
+    column = 30 * KNOWN.effect_slopes[:, 2]
+
+    def at(delta, strengths):
+        slopes = np.zeros_like(KNOWN.effect_slopes)
+        slopes[:, 2] = column * (2 * strengths[2] - 1)
+        value = strengths[2] ** 2 - strengths[2]
+        return KNOWN.base_slopes @ delta + column * value, KNOWN.base_slopes, slopes
+
+    positive = tuple(replace(effect, one_sided=True) for effect in KNOWN.effects)
+    bent = replace(KNOWN, emulator=Formula(at), effects=positive)
+    truth = at(np.zeros(5), np.eye(world.EFFECTS)[2] * 2.0)[0]
+    near, far = start_at(bent), start_at(bent, effect=2, strength=3.0)
+    stuck = refit(bent, truth, world.scatter(), [2], near)
+    found = best_refit(bent, truth, world.scatter(), [2], [near, far])
+    assert stuck.strengths[2] == 0.0
+    assert found.strengths[2] == pytest.approx(2.0, abs=0.1)
+    assert found.objective < 0.5 * stuck.objective
+
+
+def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
+    """Known values at strength 0, next to nothing known of effect 2 at strength 1."""
+
+    def at(delta, strengths):
+        values = KNOWN.mean + KNOWN.base_slopes @ delta + KNOWN.effect_slopes @ strengths
+        return values, KNOWN.base_slopes, KNOWN.effect_slopes
+
+    def errors(delta, strengths):
+        return 10 * strengths[2] * KNOWN.effect_slopes[:, [2]]
+
+    bent = replace(KNOWN, emulator=Formula(at, errors))
+    ready = replace(prepared(), world=replace(prepared().world, description=bent))
+    sample = world.case(7, gap_of(2, 12.0))
+    known, vague = diagnose(prepared(), sample), diagnose(ready, sample)
+    fit = vague.refits[(2,)]
+    excess = fit.covariance - vague.noise.mean
+    shape = np.outer(KNOWN.effect_slopes[:, 2], KNOWN.effect_slopes[:, 2])
+    np.testing.assert_allclose(excess / np.trace(excess), shape / np.trace(shape), atol=1e-6)
+    assert np.trace(excess) > np.trace(shape)
+    assert vague.facts.evidence.singles[2] < known.facts.evidence.singles[2]
 
 
 # ------------------------------------------------------------------ where
@@ -153,7 +217,7 @@ def test_the_segment_that_differs_is_flagged_and_holds_the_share():
     """A toe of the unconfined test that is off by six deviations of the mean."""
     toe = np.array([f.test == UNCONFINED and f.segment == "toe" for f in world.FEATURES])
     sample = world.case(21, 30.0 * toe)
-    noise, base = fitted_base(prepared(), sample)
+    noise, base = base_of(prepared(), sample)
     found = where(KNOWN, sample, noise, base, seed=0)
     rows = {(s.test, s.segment): s for s in found.segments}
     assert rows[UNCONFINED, "toe"].outside
@@ -166,7 +230,7 @@ def test_bands_hold_everything_at_once():
     outside = 0
     for seed in range(NULLS):
         sample = world.case(seed)
-        noise, base = fitted_base(prepared(), sample)
+        noise, base = base_of(prepared(), sample)
         found = where(KNOWN, sample, noise, base, seed=seed)
         outside += bool((np.abs(found.residual) > found.band).any())
     assert outside <= stats.binom.ppf(0.999, NULLS, 0.05)
@@ -178,7 +242,7 @@ def test_a_factor_on_one_test_shows_across_tests():
     ready = prepare(known, world.PLAN, seed=1, draws=30)
     weaker = np.where(world.CONFINED_ONES, 0.0, 2.0 * world.UNIT)
     sample = world.case(31, 10 * world.UNIT + weaker, off_centre=0.0)
-    noise, base = fitted_base(ready, sample)
+    noise, base = base_of(ready, sample)
     across = {c.predicted: c for c in where(known, sample, noise, base, seed=0).across}
     assert abs(across[UNCONFINED].factor - 1.2) < 4 * across[UNCONFINED].factor_se
     assert abs(across[CONFINED].factor - 1.0) < 4 * across[CONFINED].factor_se

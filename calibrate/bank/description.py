@@ -14,10 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from calibrate.bank.design import SHARP
-from calibrate.bank.emulator import FeatureEmulator
-from calibrate.bank.store import Bank, limits
+from calibrate.bank.emulator import FeatureEmulator, fit_emulator
+from calibrate.bank.store import Bank, Rows, limits
 from calibrate.diagnosis.linear import Effect, Linearised
 from calibrate.diagnosis.refit import refit
+from calibrate.measurements import Lab
+from calibrate.parameters import base_soil
 from jdem.effects.composite import EFFECTS
 
 SETTING_PRIOR_MEAN = (SHARP[0], 0.0, 0.15)  # soil has no roundings and more particles
@@ -61,6 +63,20 @@ class Ready:
     def of(bank: Bank) -> "Ready":
         return Ready(bank, bank.emulator())
 
+    def joined(self, rows: Rows, own: Bank) -> "Ready":
+        """With further simulations behind the rows of the bank's `own`, near which its errors are
+        taken for as wide as left-out packings have shown: their noise counts by that much less,
+        as errors are widened afterwards (`AtSoil.wrong`)."""
+        bank, emulator, missed = self.bank.joined(rows), self.emulator, self.bank.missed
+        noise = np.ones((len(bank.values), len(emulator.components)))
+        if missed is not None:
+            noise[len(own.values) :] = missed.scatter / missed.widening
+        fitted = fit_emulator(
+            *bank.scaled(), bank.packing, bank.values, bank.scale(), bank.kernels, emulator.basis,
+            noise,
+        )  # fmt: skip
+        return Ready(bank, fitted)
+
     @cached_property
     def specimens(self) -> np.ndarray:
         """Warped residuals (packings, m) of independent specimens: one row of each packing."""
@@ -74,40 +90,44 @@ class Ready:
         own = np.zeros(len(self.bank.features)) if missed is None else missed.tolerance
         return own if discrepancy is None else np.hypot(own, discrepancy.rest)
 
-    def wrong(self, x: np.ndarray) -> np.ndarray:
-        """Directions (m, c) in which the emulator may be wrong at a point, one standard deviation
-        each, warped; wider by what left-out packings have shown."""
-        roots = self.emulator.error_directions(x, np.zeros(len(self.bank.design.limits)))
-        missed = self.bank.missed
-        return roots if missed is None else roots * np.sqrt(missed.widening)
-
     def at(self, point: Point) -> "AtSoil":
         """The emulator in the coordinates of a diagnosis."""
-        design = self.bank.design
+        design, missed = self.bank.design, self.bank.missed
         return AtSoil(
-            self.emulator, point.offset, design.spread(), design.typical() / limits(design)
-        )
+            self.emulator, point.offset, design.spread(), design.typical() / limits(design),
+            np.ones(len(self.emulator.components)) if missed is None else missed.widening,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class AtSoil:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
-    typical strength; with a discrepancy, its directions are further base coordinates."""
+    typical strength; with a discrepancy, its directions are further base coordinates.  Its
+    errors are wider than it states by `widening` (c,), what left-out packings have shown."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
     scale: np.ndarray
     strength: np.ndarray
+    widening: np.ndarray
     discrepancy: Discrepancy | None = None
 
     def __call__(self, delta, strengths):
-        p = len(self.offset)
-        x = (self.offset + delta[:p]) / self.scale
-        values, base, effects = self.emulator(x, strengths * self.strength)
+        x, s = self._scaled(delta, strengths)
+        values, base, effects = self.emulator(x, s)
         base, effects = base / self.scale, effects * self.strength
         if self.discrepancy is None:
             return values, base, effects
-        return self._shifted(self.discrepancy, delta[p:], values, base, effects)
+        return self._shifted(self.discrepancy, delta[len(self.offset) :], values, base, effects)
+
+    def wrong(self, delta, strengths):
+        """Directions (m, c) in which the emulator may be wrong at a point."""
+        x, s = self._scaled(delta, strengths)
+        roots = self.emulator.error_directions(x, s) * np.sqrt(self.widening)
+        return self.emulator.steepness(x, s)[:, None] * roots
+
+    def _scaled(self, delta, strengths):
+        return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
 
     def _shifted(self, wrong: Discrepancy, share, values, base, effects):
         """The same with the discrepancy added to the warped features."""
@@ -143,6 +163,14 @@ def point_of(bank: Bank, soil: dict[str, float], soil_sd: dict[str, float] | Non
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
     return Point(np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD]))
+
+
+def point_for(lab: Lab, bank: Bank) -> Point:
+    """The prior about a lab's own starting soil, with the deviations that it states."""
+    soil, names = base_soil(lab), bank.design.soil_names
+    stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
+    values = {name: float(getattr(soil, name)) for name in names}
+    return point_of(bank, values, {n: s for n, s in stated.items() if n in names})
 
 
 def describe(
@@ -205,7 +233,7 @@ def _local(
         effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
         tolerance=steep * ready.tolerance(discrepancy),
-        wrong=steep[:, None] * ready.wrong(scaled),
+        wrong=d.wrong_at(delta, none),
     )  # fmt: skip
 
 

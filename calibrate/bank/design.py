@@ -6,11 +6,13 @@ A row is a point x of
     settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor);
               packings after the first ROUNDED crowd where roundings are small, as soils have none
     effects   strengths, uniform within their limits where they are at work: each in MANY of the
-              rows of the first CROWDED packings (so that pairs are seen), then in FEW
+              rows of the first CROWDED packings (so that pairs are seen), then in FEW; the rows of
+              packings after the first MIXED share one soil, the first has no effect at work and
+              the others one each, strong, in turn
 
 drawn from a Sobol sequence, so that every beginning of the list is a smaller bank.  Rows of one
-packing differ in all else: what packings have in common drops out of the slopes (common random
-numbers), and what they differ by is seen PACKINGS times.
+packing differ in all else, or in an effect alone: what packings have in common drops out of the
+slopes (common random numbers), and what they differ by is seen PACKINGS times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,6 +32,8 @@ SHARP = (-0.95, -0.5)  # crowd at the lower end of this
 PREPARATION_SD = 0.3  # of ln of the settling friction's factor
 LARGER = 4 / 3  # spheres of every fourth packing over those of the others
 SMALLER = 0.8  # the same of one in four after the first ROUNDED
+MIXED = 300  # packings whose rows differ in everything
+WEAKEST = 0.3  # of its limit, an effect by itself
 SETTINGS = ("smoothing", "preparation", "spheres")
 SETTING_SPREAD = (0.5, 0.2, 0.3)
 
@@ -81,7 +85,7 @@ class Design:
     packings x rows_each simulations of specimens of `spheres` spheres.
     """
 
-    packings: int = 300
+    packings: int = 390
     rows_each: int = 6
     spheres: int = 150
     seed: int = 20
@@ -127,7 +131,10 @@ class Design:
         smoothing = _smoothing(unit[:, len(self.soil_names)], of_packing >= ROUNDED)
         number = np.log([self.spheres_of(j) / self.spheres for j in range(self.packings)])
         settings = [smoothing, preparation[of_packing, 0], number[of_packing]]
-        return np.column_stack([soil, *settings]), self._strengths(unit[:, -len(self.limits) :])
+        base, strengths = np.column_stack([soil, *settings]), unit[:, -len(self.limits) :]
+        alone = of_packing >= MIXED
+        base[alone] = base[of_packing[alone] * self.rows_each]
+        return base, np.where(alone[:, None], self._single(strengths), self._strengths(strengths))
 
     def _soil(self, unit: np.ndarray) -> np.ndarray:
         log = _normal(unit) * np.array(list(self.soil_sd.values()))
@@ -143,6 +150,19 @@ class Design:
         active = np.where(crowded, MANY, FEW)[:, None]
         share = np.minimum(unit / active, 1.0)
         return np.where(unit < active, low + (high - low) * share, 0.0)
+
+    def _single(self, unit: np.ndarray) -> np.ndarray:
+        """Strengths (n, k) of rows with one effect each, in turn, but none in a packing's first."""
+        row, found = np.arange(len(unit)), np.zeros_like(unit)
+        number, of_packing = row % self.rows_each - 1, row // self.rows_each - MIXED
+        which = (of_packing * (self.rows_each - 1) + number) % unit.shape[1]
+        low, high = np.array(list(self.limits.values()))[which].T
+        drawn = unit[row, which]
+        downward = (low < 0) & (drawn < 0.5)
+        share = np.where(low < 0, 2 * drawn % 1, drawn)
+        strength = np.where(downward, low, high) * (WEAKEST + (1 - WEAKEST) * share)
+        found[row, which] = np.where(number >= 0, strength, 0.0)
+        return found
 
 
 def _smoothing(unit: np.ndarray, late: np.ndarray) -> np.ndarray:

@@ -77,8 +77,13 @@ def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
 
 
 def _total(kernel: Kernel, x, s, same, xp=np):
-    noise = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(x))
-    return covariance(kernel, x, s, x, s, xp) + xp.exp(2 * kernel.packing) * same + noise
+    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, same, xp)
+
+
+def _noise(kernel: Kernel, same, xp=np):
+    """Covariance (n, n) of what packings and rest add."""
+    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(same))
+    return xp.exp(2 * kernel.packing) * same + rest
 
 
 @jax.jit
@@ -211,9 +216,11 @@ class FeatureEmulator:
 def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
     kernels: Sequence[Kernel] | None = None, basis: Basis | None = None,
+    noise: np.ndarray | None = None,
 ) -> FeatureEmulator:  # fmt: skip
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
-    components already known are kept."""
+    components already known are kept.  noise (n, c): factors on the variance that rows scatter
+    with in each component."""
     warped = np.arcsinh(features / scale)
     basis = basis or principal(warped)
     scores = basis.components(warped)
@@ -222,7 +229,8 @@ def fit_emulator(
     for c, y in enumerate(scores.T):
         known = None if kernels is None else kernels[c]
         kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
-        parts.append(_component(kernel, x, s, packing, y))
+        factor = np.ones(len(y)) if noise is None else noise[:, c]
+        parts.append(_component(kernel, x, s, packing, y, factor))
     left = np.array([
         _as_large_as_stated(c.kernel, y - covariance(c.kernel, x, s, x, s) @ c.weights)
         for c, y in zip(parts, scores.T, strict=True)
@@ -246,9 +254,10 @@ def _spread(packing: np.ndarray) -> np.ndarray:
     return np.isin(packing, kept)
 
 
-def _component(kernel: Kernel, x, s, packing, y) -> Component:
+def _component(kernel: Kernel, x, s, packing, y, factor) -> Component:
     same = (packing[:, None] == packing).astype(float)
-    lower = np.linalg.cholesky(_total(kernel, x, s, same))
+    scatter = _noise(kernel, same) * np.sqrt(np.outer(factor, factor))
+    lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
     return Component(kernel, cho_solve((lower, True), y), lower)
 
 

@@ -152,7 +152,7 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
     rng = np.random.default_rng(seed)
     reference = typical(bank, found)
     shift, sensor, either = recording(d.features, reference, found.channels, rng)
-    emulator = None if d.emulator is None else Shifted(d.emulator, shift)
+    emulator = None if d.emulator is None else Shifted(d.emulator, shift, either)
     wrong = np.column_stack([d.wrong, either])
     return replace(d, mean=d.mean + shift, sensor=d.sensor + sensor, wrong=wrong, emulator=emulator)
 
@@ -232,14 +232,18 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
 
 @dataclass(frozen=True, eq=False)
 class Shifted:
-    """An emulator of values that all lie `shift` (m,) higher."""
+    """An emulator of values that all lie `shift` (m,) higher, give or take `either` (m,)."""
 
     emulator: Emulator
     shift: np.ndarray
+    either: np.ndarray
 
     def __call__(self, delta, strengths):
         values, base, effects = self.emulator(delta, strengths)
         return values + self.shift, base, effects
+
+    def wrong(self, delta, strengths):
+        return np.column_stack([self.emulator.wrong(delta, strengths), self.either])
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,3 +261,7 @@ class Taller:
             np.concatenate([base, more]),
             np.concatenate([effects, self.rows]),
         )
+
+    def wrong(self, delta, strengths):
+        known = self.emulator.wrong(delta, strengths)
+        return np.concatenate([known, np.zeros((len(self.rows), known.shape[1]))])

@@ -99,25 +99,52 @@ def prepared_with(ln_friction: float) -> SoilParameters:
 
 
 def run_design(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """All runs of a design, in the order of its rows; failed ones keep their place."""
+    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None,
+    first: int = 0,
+) -> list[Run]:  # fmt: skip
+    """Runs of a design from the packing `first` on, in the order of its rows; failed ones keep
+    their place."""
     base, strengths = design.rows()
+    packing = np.repeat(np.arange(design.packings), design.rows_each)
+    spheres = [design.spheres_of(j) for j in packing]
+    later = packing >= first
+    points = Points(
+        base[later], strengths[later], np.array(spheres)[later].tolist(),
+        1000 * design.seed + packing[later],
+    )  # fmt: skip
+    return run_points(design, points, simulator, progress, workers)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
+    (n,), seeds of packings (n,)."""
+
+    base: np.ndarray
+    strengths: np.ndarray
+    spheres: Sequence[int]
+    seeds: np.ndarray
+
+
+def run_points(
+    design: Design, points: Points, simulator: Simulator, progress: AbstractProgress,
+    workers: int | None = None,
+) -> list[Run]:  # fmt: skip
+    """Runs at points in the coordinates of a design; failed ones keep their place."""
     centre = with_values(base_soil(simulator.lab), dict(design.centre))
     wide = len(design.soil_names)
 
     def one(row: int) -> Run:
-        packing = row // design.rows_each
         values = {
-            name: design.centre[name] * math.exp(base[row, i])
+            name: design.centre[name] * math.exp(points.base[row, i])
             for i, name in enumerate(design.soil_names)
         }
         return simulator.run(
-            with_values(centre, values), base[row, wide : wide + 2], strengths[row],
-            design.spheres_of(packing), 1000 * design.seed + packing,
+            with_values(centre, values), points.base[row, wide : wide + 2],
+            points.strengths[row], points.spheres[row], int(points.seeds[row]),
         )  # fmt: skip
 
-    return _all(one, len(base), progress, workers or cores())
+    return _all(one, len(points.base), progress, workers or cores())
 
 
 def reference_run(design: Design, simulator: Simulator) -> Run:
@@ -129,7 +156,7 @@ def reference_run(design: Design, simulator: Simulator) -> Run:
 
 def _all(one, count: int, progress: AbstractProgress, workers: int) -> list[Run]:
     runs: dict[int, Run] = {}
-    progress.start("simulating the bank", count)
+    progress.start("simulating", count)
     try:
         with ThreadPoolExecutor(workers) as pool:
             waiting = {pool.submit(one, row): row for row in range(count)}

@@ -45,6 +45,30 @@ class Cylinder:
 
 
 @dataclass(frozen=True, eq=False)
+class Rows:
+    """Simulations: base coordinates (n, p), strengths in SI (n, k), packing (n,), from 0 on,
+    values of all features (n, m)."""
+
+    base: np.ndarray
+    strengths: np.ndarray
+    packing: np.ndarray
+    values: np.ndarray
+
+    @staticmethod
+    def of(
+        features: Sequence[Feature], base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
+        runs: Sequence[Run | None],
+    ) -> "Rows":  # fmt: skip
+        """The rows of runs (None: not simulated), without failed and incomplete ones."""
+        values = np.full((len(base), len(features)), np.nan)
+        for row, run in enumerate(runs):
+            if run is not None and not run.failure:
+                values[row] = vector(features, curves_of(run), run.observables())
+        good = np.isfinite(values).all(axis=1)
+        return Rows(base[good], strengths[good], packing[good], values[good])
+
+
+@dataclass(frozen=True, eq=False)
 class Bank:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
     all features (n, m), a reference specimen's curves; once fitted, kernels, and what left-out
@@ -74,6 +98,27 @@ class Bank:
         """The emulator of all features."""
         x, s = self.scaled()
         return fit_emulator(x, s, self.packing, self.values, self.scale(), self.kernels or None)
+
+    def grown(self, design: Design, runs: Sequence[Run | None]) -> "Bank":
+        """The bank with the runs of a larger design's further packings; not fitted."""
+        first = self.design.packings
+        packing = np.repeat(np.arange(design.packings), design.rows_each)
+        later = packing >= first
+        base, strengths = (part[later] for part in design.rows())
+        rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
+        return replace(self.joined(rows, first), design=design, kernels=(), missed=None)
+
+    def joined(self, rows: "Rows", first: int | None = None) -> "Bank":
+        """The bank with further simulations behind its own, their packings numbered from `first`
+        (after its own) on; kernels stay."""
+        packing = (self.packing.max() + 1 if first is None else first) + rows.packing
+        return replace(
+            self,
+            base=np.vstack([self.base, rows.base]),
+            strengths=np.vstack([self.strengths, rows.strengths]),
+            packing=np.concatenate([self.packing, packing]),
+            values=np.vstack([self.values, rows.values]),
+        )
 
     def scale(self) -> np.ndarray:
         """By what the emulator warps features, shape (m,)."""
@@ -112,18 +157,23 @@ def curves_of(run: Run) -> Curves:
 
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> Bank:
     """The bank of a design's runs (None: not simulated), without failed and incomplete ones."""
-    base, strengths = design.rows()
     packing = np.repeat(np.arange(design.packings), design.rows_each)
-    features = declared(lab.confined.force_high)
-    values = np.full((len(base), len(features)), np.nan)
-    for row, run in enumerate(runs):
-        if run is not None and not run.failure:
-            values[row] = vector(features, curves_of(run), run.observables())
-    good = np.isfinite(values).all(axis=1)
+    rows = Rows.of(declared(lab.confined.force_high), *design.rows(), packing, runs)
     return Bank(
         design, Cylinder.of(lab), engine_hash(),
-        base[good], strengths[good], packing[good], values[good], curves_of(reference),
+        rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
     )  # fmt: skip
+
+
+def check_extends(design: Design, lab: Lab, smaller: Bank, file: str) -> None:
+    """Refuses to grow a bank of another plan or cylinder."""
+    like = replace(design, packings=smaller.design.packings)
+    if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
+        problem = "this bank was made for another centre, cylinder or number of spheres"
+        raise InputError(file, "design", problem, "give the options that made it, or no --onto")
+    if design.packings <= smaller.design.packings:
+        problem = f"it has {smaller.design.packings} packings already"
+        raise InputError(file, "packings", problem, "ask for more with --packings")
 
 
 def save(bank: Bank, path: Path) -> None:

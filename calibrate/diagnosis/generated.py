@@ -79,11 +79,14 @@ class World:
 
     def snr(self, signatures: np.ndarray) -> np.ndarray:
         """Projected signal-to-noise of changes of features (m, k)."""
-        d = self.description
-        design = project(
-            np.zeros(len(d.mean)), d.base_slopes, d.prior_sd, signatures, self.mean_covariance
-        )
-        return lengths(design.effects)
+        return lengths(self.projected(signatures))
+
+    def projected(self, signatures: np.ndarray) -> np.ndarray:
+        """Changes of features (m, k) projected off the base parameters, in units of the scatter of
+        the measured means."""
+        d, none = self.description, np.zeros(len(self.description.mean))
+        covariance = self.mean_covariance
+        return project(none, d.base_slopes, d.prior_sd, signatures, covariance).effects
 
     def strength_of(self, effect: int, snr: float) -> float:
         """Strength of an effect that has this signal-to-noise."""

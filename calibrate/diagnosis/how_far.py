@@ -69,7 +69,7 @@ def how_far(
         name: max(shrinkage(before, _span_gap(base, measured, noise, columns, weight)), value)
         for name, columns in _spans(description, measured, noise, base).items()
     }
-    left_out = _left_out(description, measured, noise, best.chosen, base.delta, weight)
+    left_out = _left_out(description, measured, noise, (base, best), weight)
     return HowFar(
         before=_error(before),
         after=_error(after),
@@ -159,7 +159,7 @@ def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
     return np.array(drawn)
 
 
-def _left_out(description, measured, noise, chosen, start, weight) -> float | None:
+def _left_out(description, measured, noise, fits, weight) -> float | None:
     """Shrinkage on specimens left out of the fits, one after the other."""
     specimens = measured.specimens
     tests = tests_of(description.features)
@@ -169,10 +169,11 @@ def _left_out(description, measured, noise, chosen, start, weight) -> float | No
     sums = np.zeros(2)
     for number, specimen in enumerate(specimens):
         rest = measured.without(number)
-        covariance = noise.mean + noise.specimen * (rest.weights() - measured.weights())
+        fewer = noise.specimen * (rest.weights() - measured.weights())
         known = np.isfinite(specimen)
-        for i, key in enumerate(((), chosen)):
-            fit = refit(description, rest.mean, covariance, key, start)
+        for i, whole in enumerate(fits):
+            covariance, start = whole.covariance + fewer, (whole.delta, whole.strengths)
+            fit = refit(description, rest.mean, covariance, whole.chosen, start)
             error = np.where(known, specimen - fit.values, 0.0)
             sums[i] += weight @ error**2 / measured.counts[known].max()
     return shrinkage(float(sums[0] - 1), float(sums[1] - 1))

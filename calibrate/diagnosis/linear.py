@@ -31,11 +31,15 @@ class Effect:
 
 
 class Emulator(Protocol):
-    """Values (m,), slopes (m, p) and effects' slopes (m, k, per typical strength) at a point."""
+    """Values (m,), slopes (m, p) and effects' slopes (m, k, per typical strength) at a point;
+    `wrong` are directions (m, q) in which these values may be wrong, one standard deviation
+    each."""
 
     def __call__(
         self, delta: np.ndarray, strengths: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+
+    def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +113,10 @@ class Linearised:
             return self.emulator(delta, strengths)
         values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
         return values, self.base_slopes, self.effect_slopes
+
+    def wrong_at(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        """Directions (m, q) in which the values at a point may be wrong."""
+        return self.wrong if self.emulator is None else self.emulator.wrong(delta, strengths)
 
     def without_effects(self, names: Sequence[str]) -> "Linearised":
         """The same without some candidates."""
@@ -185,10 +193,16 @@ class _Fewer:
     whole: Linearised
 
     def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, self._every(strengths))
+        return values, base, effects[:, self.keep]
+
+    def wrong(self, delta, strengths):
+        return self.emulator.wrong(delta, self._every(strengths))
+
+    def _every(self, strengths):
         every = np.zeros(len(self.whole.effects))
         every[self.keep] = strengths
-        values, base, effects = self.emulator(delta, every)
-        return values, base, effects[:, self.keep]
+        return every
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,3 +215,6 @@ class _Rows:
     def __call__(self, delta, strengths):
         values, base, effects = self.emulator(delta, strengths)
         return values[self.index], base[self.index], effects[self.index]
+
+    def wrong(self, delta, strengths):
+        return self.emulator.wrong(delta, strengths)[self.index]

@@ -5,11 +5,13 @@ Gauss-Newton on the description's emulator.  Each step solves
     min |Sigma^-1/2 (y - f - B d - G e)|^2 + |(delta + d)/sd|^2 + |(e0 + e)/s|^2
 
 over the shift d of the base parameters and at most two strengths, which stay positive where
-the effect is one-sided; it is halved until the objective falls.
+the effect is one-sided; it is halved until the objective falls.  Objectives may have several
+hollows: the best of a few starts is taken.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -24,8 +26,9 @@ DONE = 1e-3  # fall of the objective that is not worth another step
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A fit: delta (p,), strengths (k,), simulated values (m,), slopes there, objective, and the
-    residual (m,) that the linearisation there is fitted to."""
+    """A fit: delta (p,), strengths (k,), simulated values (m,), slopes there, objective, the
+    residual (m,) that the linearisation there is fitted to, and the covariance (m, m) that
+    weighs it."""
 
     chosen: tuple[int, ...]
     delta: np.ndarray
@@ -35,6 +38,32 @@ class Refit:
     effect_slopes: np.ndarray
     objective: float
     working: np.ndarray
+    covariance: np.ndarray
+
+
+Start = tuple[np.ndarray, np.ndarray]  #: delta (p,) and strengths (k,)
+
+
+def start_at(
+    description: Linearised, delta: np.ndarray | None = None, effect: int = 0, strength: float = 0.0
+) -> Start:
+    """A start at a shift of the base parameters with one effect on."""
+    strengths = np.zeros(len(description.effects))
+    if strength:
+        strengths[effect] = strength
+    return np.zeros(len(description.prior_sd)) if delta is None else delta, strengths
+
+
+def best_refit(
+    description: Linearised,
+    measured: np.ndarray,
+    covariance: np.ndarray,
+    chosen: Sequence[int],
+    starts: Iterable[Start],
+) -> Refit:
+    """The fit with the least objective of those from all starts."""
+    fits = [refit(description, measured, covariance, chosen, start) for start in starts]
+    return min(fits, key=lambda fit: fit.objective)
 
 
 def refit(
@@ -42,16 +71,13 @@ def refit(
     measured: np.ndarray,
     covariance: np.ndarray,
     chosen: Sequence[int] = (),
-    start: np.ndarray | None = None,
+    start: Start | None = None,
 ) -> Refit:
     """The fit with the chosen effects on and all others at strength 0."""
-    delta = np.zeros(len(description.prior_sd)) if start is None else start
-    strengths = np.zeros(len(description.effects))
-    inverse = np.linalg.inv(covariance)
-    point = _point(description, measured, inverse, tuple(chosen), delta, strengths)
+    problem = _Problem(description, measured, covariance, tuple(chosen))
+    point = problem.at(*(start or start_at(description)))
     for _ in range(STEPS):
-        step = _step(description, inverse, point)
-        best = _shortened(description, measured, inverse, point, *step)
+        best = problem.shortened(point, *problem.step(point))
         gain = point.objective - best.objective
         point = best if gain > 0 else point
         if gain < DONE or description.emulator is None:
@@ -74,51 +100,62 @@ def best_strengths(gram: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) ->
     return best
 
 
-def _step(description: Linearised, inverse: np.ndarray, point: Refit):
-    """Full Gauss-Newton step: new delta (p,) and strengths (k,), from normal equations with
-    the base parameters eliminated."""
-    on, p = list(point.chosen), len(description.prior_sd)
-    columns = np.hstack([point.base_slopes, point.effect_slopes[:, on]])
-    weighted = inverse @ columns
-    prior = np.concatenate([description.prior_sd, np.full(len(on), STRENGTH_SD)])
-    normal = columns.T @ weighted + np.diag(prior**-2.0)
-    pull = weighted.T @ point.working
-    strengths = np.zeros_like(point.strengths)
-    if on:
-        eliminated = np.linalg.solve(normal[:p, :p], np.column_stack([normal[:p, p:], pull[:p]]))
-        gram = normal[p:, p:] - normal[p:, :p] @ eliminated[:, :-1]
-        left = pull[p:] - normal[p:, :p] @ eliminated[:, -1]
-        strengths[on] = best_strengths(gram, left, description.one_sided[on])
-    rest = pull[:p] - normal[:p, p:] @ strengths[on]
-    return np.linalg.solve(normal[:p, :p], rest), strengths
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What one fit minimises: measured (m,), weighed by covariance (m, m), chosen effects on."""
 
+    description: Linearised
+    measured: np.ndarray
+    covariance: np.ndarray
+    chosen: tuple[int, ...]
 
-def _shortened(description, measured, inverse, point: Refit, delta, strengths) -> Refit:
-    """The step, halved until the objective falls."""
-    share = 1.0
-    for _ in range(HALVINGS + 1):
-        trial = _point(
-            description,
-            measured,
-            inverse,
-            point.chosen,
-            point.delta + share * (delta - point.delta),
-            point.strengths + share * (strengths - point.strengths),
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        return np.linalg.inv(self.covariance)
+
+    def at(self, delta: np.ndarray, strengths: np.ndarray) -> Refit:
+        """The point at a shift and strengths."""
+        d, on = self.description, list(self.chosen)
+        values, base, effects = d.at(delta, strengths)
+        residual = self.measured - values
+        objective = (
+            residual @ self.inverse @ residual
+            + ((delta / d.prior_sd) ** 2).sum()
+            + ((strengths[on] / STRENGTH_SD) ** 2).sum()
         )
-        if trial.objective < point.objective:
-            return trial
-        share /= 2
-    return point
+        working = residual + base @ delta + effects[:, on] @ strengths[on]
+        return Refit(
+            self.chosen, delta, strengths, values, base, effects, float(objective), working,
+            self.covariance,
+        )  # fmt: skip
 
+    def step(self, point: Refit) -> tuple[np.ndarray, np.ndarray]:
+        """Full Gauss-Newton step: new delta (p,) and strengths (k,), from normal equations with
+        the base parameters eliminated."""
+        d, on, p = self.description, list(self.chosen), len(point.delta)
+        columns = np.hstack([point.base_slopes, point.effect_slopes[:, on]])
+        weighted = self.inverse @ columns
+        prior = np.concatenate([d.prior_sd, np.full(len(on), STRENGTH_SD)])
+        normal = columns.T @ weighted + np.diag(prior**-2.0)
+        pull = weighted.T @ point.working
+        strengths = np.zeros_like(point.strengths)
+        if on:
+            mixed = np.linalg.solve(normal[:p, :p], np.column_stack([normal[:p, p:], pull[:p]]))
+            gram = normal[p:, p:] - normal[p:, :p] @ mixed[:, :-1]
+            left = pull[p:] - normal[p:, :p] @ mixed[:, -1]
+            strengths[on] = best_strengths(gram, left, d.one_sided[on])
+        rest = pull[:p] - normal[:p, p:] @ strengths[on]
+        return np.linalg.solve(normal[:p, :p], rest), strengths
 
-def _point(description, measured, inverse, chosen, delta, strengths) -> Refit:
-    values, base, effects = description.at(delta, strengths)
-    residual = measured - values
-    on = list(chosen)
-    objective = (
-        residual @ inverse @ residual
-        + ((delta / description.prior_sd) ** 2).sum()
-        + ((strengths[on] / STRENGTH_SD) ** 2).sum()
-    )
-    working = residual + base @ delta + effects[:, on] @ strengths[on]
-    return Refit(chosen, delta, strengths, values, base, effects, float(objective), working)
+    def shortened(self, point: Refit, delta: np.ndarray, strengths: np.ndarray) -> Refit:
+        """The step to a new shift and strengths, halved until the objective falls."""
+        share = 1.0
+        for _ in range(HALVINGS + 1):
+            trial = self.at(
+                point.delta + share * (delta - point.delta),
+                point.strengths + share * (strengths - point.strengths),
+            )
+            if trial.objective < point.objective:
+                return trial
+            share /= 2
+        return point

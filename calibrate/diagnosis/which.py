@@ -17,6 +17,7 @@ from calibrate.diagnosis import evidence as evidences
 from calibrate.diagnosis.classes import Classes, classes
 from calibrate.diagnosis.discrepancy import Factors, kernel_factors, projected
 from calibrate.diagnosis.evidence import Evidence, evidence
+from calibrate.diagnosis.fits import all_fits, fitted_base
 from calibrate.diagnosis.generated import World
 from calibrate.diagnosis.lack_of_fit import (
     DRAWS,
@@ -26,7 +27,7 @@ from calibrate.diagnosis.lack_of_fit import (
     statistics_after,
 )
 from calibrate.diagnosis.linear import Linearised
-from calibrate.diagnosis.noise import Noise, estimate, packing_covariance
+from calibrate.diagnosis.noise import Noise, packing_covariance
 from calibrate.diagnosis.opinion import (
     ALPHA,
     NONE,
@@ -35,13 +36,11 @@ from calibrate.diagnosis.opinion import (
     hypotheses,
     log_probabilities,
 )
-from calibrate.diagnosis.projection import fitted_shift, project
-from calibrate.diagnosis.refit import Refit, refit
+from calibrate.diagnosis.projection import project
+from calibrate.diagnosis.refit import Refit
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.score import Scores, admissible, lengths, scores
+from calibrate.diagnosis.score import Scores, scores
 from calibrate.diagnosis.sets import explanations
-
-REFITTED = 3  # leading effects whose pairs are refitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +121,9 @@ def design_classes(world: World) -> Classes:
 def diagnose(prepared: Prepared, measured: Measured) -> Which:
     """Names the explanation of a sample's gap."""
     d = prepared.description
-    noise, base = fitted_base(prepared, measured)
-    covariance = prepared.null.inflation * noise.mean
+    inflation = prepared.null.inflation
+    noise, base = fitted_base(d, measured, prepared.world.packing, inflation)
+    covariance = inflation * noise.mean
     kernel = kernel_factors(d.features, noise.specimen)
     plain = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, noise.mean)
     shapes = projected(kernel, plain.operator)
@@ -136,12 +136,12 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
         base.base_slopes,
         base.effect_slopes,
         noise,
-        prepared.null.inflation,
+        inflation,
         kernel,
     )
-    refits = _refits(prepared, measured, covariance, base, first)
+    refits = all_fits(d, measured.mean, noise, inflation, base, first)
     found = first if d.emulator is None else _refined(prepared, noise, base, refits, first)
-    best, p_after = _left(prepared, noise, kernel, found, refits)
+    best, p_after = _left(prepared, kernel, found, refits)
     facts = Facts(d.effect_names, found, p_before, p_after)
     design = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, covariance)
     return _answer(
@@ -155,16 +155,6 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
     )
 
 
-def fitted_base(prepared: Prepared, measured: Measured) -> tuple[Noise, Refit]:
-    """The noise of a sample and the fit of the base parameters alone."""
-    d, world = prepared.description, prepared.world
-    noise = estimate(d, measured, world.packing, d.prior_sd**2)
-    base = refit(d, measured.mean, prepared.null.inflation * noise.mean)
-    spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
-    noise = estimate(d, measured, world.packing, base.delta**2 + np.diag(spread))
-    return noise, refit(d, measured.mean, prepared.null.inflation * noise.mean, start=base.delta)
-
-
 def label(classes_: Classes, hypothesis: tuple[str, ...]) -> str:
     """The name of an explanation by classes: that of a class, or of two classes with "+"."""
     return " + ".join(sorted({classes_.label(name) for name in hypothesis}))
@@ -174,40 +164,6 @@ def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray
     """Mask over the hypotheses: those that name the class, or classes, of the truth."""
     wanted = label(classes_, truth)
     return np.array([label(classes_, h) == wanted for h in hypotheses(facts)])
-
-
-def _refits(prepared, measured, covariance, base: Refit, first: Evidence):
-    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
-    the leading effects, the best one with its companions, and the leading pair."""
-    d = prepared.description
-
-    def with_effects(key: tuple[int, ...]) -> Refit:
-        return refit(d, measured.mean, covariance, key, base.delta)
-
-    order = [int(k) for k in np.argsort(-first.singles)]
-    alone = order if d.emulator is not None else order[:REFITTED]
-    fits = {(k,): with_effects((k,)) for k in alone}
-    lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
-    chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
-    if lead:
-        chosen += [(lead[0], j) for j in _companions(prepared, fits[(lead[0],)], covariance)]
-    if len(first.pairs):
-        i, j = first.pair_index[int(np.argmax(first.pairs))]
-        chosen.append((int(i), int(j)))
-    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
-    return fits | {key: with_effects(key) for key in pairs}
-
-
-def _companions(prepared, fit: Refit, covariance) -> list[int]:
-    """The two effects that would help most beside the fitted one."""
-    d, on = prepared.description, list(fit.chosen)
-    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, covariance)
-    unit = design.effects[:, on] / lengths(design.effects[:, on])
-    others = design.effects - unit @ (unit.T @ design.effects)
-    left = design.residual - unit @ (unit.T @ design.residual)
-    score = admissible(others.T @ left / lengths(others), d.one_sided)
-    score[on] = -np.inf
-    return [int(k) for k in np.argsort(-score)[:2] if k not in on]
 
 
 def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
@@ -224,6 +180,7 @@ def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Ev
 
 
 def _at(prepared, noise: Noise, fit: Refit) -> float:
+    """Evidence of a fit, with the noise at its own place."""
     d, on = prepared.description, list(fit.chosen)
     return evidences.at_a_fit(
         fit.working,
@@ -231,12 +188,12 @@ def _at(prepared, noise: Noise, fit: Refit) -> float:
         d.prior_sd,
         fit.effect_slopes[:, on],
         d.one_sided[on],
-        noise,
+        replace(noise, mean=fit.covariance),
         prepared.null.inflation,
     )
 
 
-def _left(prepared, noise: Noise, kernel: Factors, found: Evidence, refits):
+def _left(prepared, kernel: Factors, found: Evidence, refits):
     """The best refitted effect, and the p-value of what is left: the better of those after
     this effect and after the best refitted pair."""
     if not refits:
@@ -250,7 +207,9 @@ def _left(prepared, noise: Noise, kernel: Factors, found: Evidence, refits):
     p_values = []
     for key in keys:
         fit = refits[key]
-        design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, noise.mean)
+        design = project(
+            fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance
+        )
         shapes = projected(kernel, design.operator)
         left = statistics_after(design, list(key), d.one_sided, shapes)
         p_values.append(prepared.null.after.p_value(left))

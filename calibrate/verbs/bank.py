@@ -28,6 +28,10 @@ def bank_command(
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="The bank's file.")] = Path("bank.nc"),
     packings: Annotated[int, typer.Option("--packings", min=8, help=DESIGN)] = 136,
+    onto: Annotated[
+        Path | None,
+        typer.Option("--onto", help="A smaller bank: simulate only what it lacks, join both."),
+    ] = None,
     spheres: Annotated[int, typer.Option("--spheres", min=60, help="Spheres a packing.")] = 150,
     centred: Annotated[
         bool, typer.Option("--centred/--bundled-centre", help="Centre on the lab's own soil.")
@@ -44,6 +48,7 @@ def bank_command(
 
     measured = load_lab(bundled_lab() if lab is None else lab)
     make_folder(out.parent)
+    smaller = None if onto is None else store.load(onto)
     design = Design(packings=packings, spheres=spheres)
     if centred:
         soil = base_soil(measured)
@@ -51,9 +56,14 @@ def bank_command(
         design = replace(design, centre=centre)
     progress = for_terminal()
     simulator = Simulator(measured, out.parent / f"{out.stem}_runs")
-    runs = run_design(design, simulator, progress)
-    bank = store.collect(design, measured, runs, reference_run(design, simulator))
-    progress.say(f"{len(bank.values)} of {len(runs)} simulations have all features; fitting")
+    if smaller is None:
+        runs = run_design(design, simulator, progress)
+        bank = store.collect(design, measured, runs, reference_run(design, simulator))
+    else:
+        store.check_extends(design, measured, smaller, str(onto))
+        runs = run_design(design, simulator, progress, first=smaller.design.packings)
+        bank = smaller.grown(design, runs)
+    progress.say(f"{len(bank.values)} simulations have all features; fitting")
     store.save(bank.fitted(), out)
     print(f"bank of {len(bank.values)} simulations in {out}")
 

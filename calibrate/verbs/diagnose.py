@@ -19,6 +19,16 @@ def diagnose_command(
     mismatch: Annotated[
         Path | None, typer.Option("--mismatch", help="What `calibrate mismatch` wrote.")
     ] = None,
+    simulate: Annotated[
+        int,
+        typer.Option(
+            "--simulate",
+            min=0,
+            max=400,
+            metavar="N",
+            help="Simulate the leading explanations on N more packings; 0: the bank alone.",
+        ),
+    ] = 0,
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
     ] = 0,
@@ -35,6 +45,7 @@ def diagnose_command(
     from calibrate.bank.mismatch import load as load_mismatch
     from calibrate.bank.store import bundled_bank, load
     from calibrate.diagnosed import diagnosed
+    from calibrate.nearby import Nearby, refined
     from calibrate.progress import for_terminal
     from calibrate.report import diagnosis as report
 
@@ -46,6 +57,9 @@ def diagnose_command(
     say(f"bank of {len(simulated.values)} simulations: preparing its emulator")
     ready = Ready.of(simulated)
     known = None if mismatch is None else load_mismatch(mismatch, ready)
+    if simulate:
+        how = Nearby(simulate, out / RUNS, for_terminal())
+        ready = refined(session.lab, ready, seed, how, known, say)
     found = diagnosed(session.lab, ready, seed, discrepancy=known, say=say)
     origin = {
         **output.origin_of(session),
@@ -53,6 +67,7 @@ def diagnose_command(
         "settings": {
             "bank": source.name,
             "simulations": len(simulated.values),
+            "simulated_about_this_lab": len(ready.bank.values) - len(simulated.values),
             "packings": len(set(simulated.packing.tolist())),
             "seed": seed,
         },
@@ -61,4 +76,5 @@ def diagnose_command(
     print(f"result.json, {report.PAGE} and figures are in {out}")
 
 
+RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder
 NO_PRESET = "none: a bank stands for simulations"

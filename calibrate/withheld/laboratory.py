@@ -6,13 +6,15 @@ packing, density and moisture.  What leaves the laboratory are records as machin
 a way through the air before contact, any zero of displacement, noise, few digits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibrate.bank.simulate import COSTLY, Simulator, switched_off
+from calibrate.bank.store import TARGETS, curves_of, declared
 from calibrate.campaign import Run
+from calibrate.diagnosis.features import vector
 from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.output import write_text
 from calibrate.parameters import base_soil, with_values
@@ -103,6 +105,19 @@ class Laboratory:
         inside = ACCEPTED_DEPTH[0] <= depth <= ACCEPTED_DEPTH[1]
         inside &= ACCEPTED_CRUSHING[0] <= force <= ACCEPTED_CRUSHING[1]
         return measured if inside or len(numbers) < SPECIMENS else None
+
+    def changes(self, case: Case) -> np.ndarray:
+        """What the hidden effects do to the features of the curves (n, m), on each of the case's
+        packings where both simulations have all of them."""
+        features = declared(self.lab.confined.force_high)[: -len(TARGETS)]
+        found = []
+        for number in range(SPECIMENS):
+            runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
+            if None not in runs:
+                with_, without = (vector(features, curves_of(run)) for run in runs if run)
+                found.append(with_ - without)
+        changes = np.array(found).reshape(-1, len(features))
+        return changes[np.isfinite(changes).all(axis=1)]
 
     def _specimen(self, case: Case, number: int) -> tuple[Run | None, float]:
         """The run of one specimen and its relative density error."""

@@ -3,7 +3,9 @@
 Strata are in projected signal-to-noise: what is left of an effect's signature once calibration
 has absorbed what it can, in units of the scatter of four specimens.  An effect that cannot
 reach its stratum within the strengths that the bank holds gives way to another one, and the
-stratum stays; so weakly visible effects are rarer where the signal is large.
+stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
+signatures that the bank predicts, and prefers those that it takes for too large; what counts in
+the end is the change that the laboratory itself sees with and without the effect (`realised`).
 """
 
 from collections.abc import Sequence
@@ -45,7 +47,8 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Case:
-    """One case; `soil` values by name in SI; seeds of its specimens' packings."""
+    """One case; `soil` values by name in SI; seeds of its specimens' packings; snr as planned,
+    then as simulated."""
 
     name: str
     kind: str
@@ -170,6 +173,16 @@ class Visibility:
         zero = np.zeros(len(d.prior_sd))
         change = d.at(zero, given)[0] - d.at(zero, none)[0]
         return float(self.world.snr(change[:, None])[0])
+
+    def realised(self, changes: np.ndarray) -> float:
+        """Signal-to-noise of the mean of changes (n, m) of the curves' features, one for each of n
+        packings; what packings differ by is taken off:
+
+        E|mean P c|^2 = (|sum P c|^2 - sum |P c|^2)/(n (n - 1))        P: the projection
+        """
+        projected, count = self.world.projected(changes.T).T, len(changes)
+        total = (projected.sum(axis=0) ** 2).sum() - (projected**2).sum()
+        return float(np.sqrt(max(total / (count * (count - 1)), 0.0)))
 
     def strength(self, name: str, limit: float, snr: float) -> float | None:
         """The strength (SI) towards `limit` with this signal-to-noise; None if out of reach."""

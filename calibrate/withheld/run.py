@@ -11,7 +11,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +29,14 @@ from calibrate.withheld import seal
 from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
-from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner
+from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner, Visibility
 from calibrate.withheld.scores import Row, row, scored
 from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
 
 PLAN = "sealed/plan.json"
 VERDICTS = "verdicts"
 FRESH = range(SPECIMENS, 2 * SPECIMENS)  # specimens that no diagnosis sees
+FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
 CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
 
@@ -50,7 +51,7 @@ def generate(
     labels = []
     for case_attempts in attempts:
         case = _made(out, laboratory, case_attempts)
-        labels += [case.label()] if case else []
+        labels += [_as_realised(case, laboratory, ready).label()] if case else []
         progress.advance()
     progress.finish()
     seal.write_seal(labels, out)
@@ -92,6 +93,16 @@ def _made(out: Path, laboratory: Laboratory, attempts: Sequence[Case]) -> Case |
             return case
     write_text(kept, "-1")
     return None
+
+
+def _as_realised(case: Case, laboratory: Laboratory, ready: Ready) -> Case:
+    """The case with the signal-to-noise that its own simulations show."""
+    if not case.hidden:
+        return case
+    changes = laboratory.changes(case)
+    if len(changes) < FEWEST_CHANGES:
+        return case
+    return replace(case, snr=Visibility(ready, case.soil).realised(changes))
 
 
 def case_folders(out: Path) -> list[Path]:

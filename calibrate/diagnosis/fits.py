@@ -1,0 +1,127 @@
+"""Best fits of all explanations: none, each effect, pairs of the leading ones.
+
+Each is made twice: with the noise at the base fit, then with that at its own place, since an
+emulator knows least where an effect is strong.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibrate.diagnosis.evidence import Evidence
+from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.noise import Noise, estimate
+from calibrate.diagnosis.projection import fitted_shift, project
+from calibrate.diagnosis.refit import Refit, Start, best_refit, refit, start_at
+from calibrate.diagnosis.repeats import Measured
+from calibrate.diagnosis.score import admissible, lengths
+
+REFITTED = 3  # leading effects whose pairs are refitted
+BEGINNINGS = (1.0, 3.0)  # typical strengths from which leading effects are refitted too
+SCREENED = 5  # leading effects
+
+Fits = dict[tuple[int, ...], Refit]
+
+
+def fitted_base(
+    d: Linearised, measured: Measured, packing: np.ndarray, inflation: float
+) -> tuple[Noise, Refit]:
+    """The noise of a sample and the fit of the base parameters alone; packing (m, m): covariance
+    of simulated specimens."""
+    noise = estimate(d, measured, packing, d.prior_sd**2)
+    base = refit(d, measured.mean, inflation * noise.mean)
+    spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
+    noise = estimate(d, measured, packing, base.delta**2 + np.diag(spread))
+    starts = [start_at(d), start_at(d, base.delta)]
+    fit = best_refit(d, measured.mean, inflation * noise.mean, (), starts)
+    return noise, replace(fit, covariance=covariance_at(d, noise, fit))
+
+
+def covariance_at(d: Linearised, noise: Noise, fit: Refit) -> np.ndarray:
+    """Covariance (m, m) of measured minus simulated mean, with what the description is wrong by
+    at the fit in place of what it is wrong by at its own centre."""
+    here = d.wrong_at(fit.delta, fit.strengths)
+    return noise.mean - d.wrong @ d.wrong.T + here @ here.T
+
+
+def all_fits(
+    d: Linearised,
+    measured: np.ndarray,
+    noise: Noise,
+    inflation: float,
+    base: Refit,
+    first: Evidence,
+) -> Fits:
+    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
+    the leading effects, the best one with its companions, and the leading pair.
+
+    measured (m,): means; base: the fit without effects.
+    """
+    fitter = _Fitter(d, measured, noise, inflation, base)
+    order = [int(k) for k in np.argsort(-first.singles)]
+    alone = order if d.emulator is not None else order[:REFITTED]
+    fits: Fits = {(k,): fitter.alone(k, n < SCREENED) for n, k in enumerate(alone)}
+    lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
+    chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
+    if lead:
+        chosen += [(lead[0], j) for j in _companions(d, fits[(lead[0],)])]
+    if len(first.pairs):
+        i, j = first.pair_index[int(np.argmax(first.pairs))]
+        chosen.append((int(i), int(j)))
+    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
+    return fits | {key: fitter.pair(key, fits) for key in pairs}
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitter:
+    """Fits explanations to one sample."""
+
+    d: Linearised
+    measured: np.ndarray
+    noise: Noise
+    inflation: float
+    base: Refit
+
+    def alone(self, effect: int, thorough: bool) -> Refit:
+        """The fit with one effect; thorough: from several strengths."""
+        return self._fit((effect,), self._starts(effect, thorough))
+
+    def pair(self, key: tuple[int, int], fits: Fits) -> Refit:
+        """The fit with two effects, from the base fit and those with one of them."""
+        alone = [fits[(k,)] for k in key if (k,) in fits]
+        starts = [(fit.delta, fit.strengths) for fit in (self.base, *alone)]
+        return self._fit(key, starts)
+
+    def _starts(self, effect: int, thorough: bool) -> Iterator[Start]:
+        yield start_at(self.d, self.base.delta)
+        if not thorough or self.d.emulator is None:
+            return
+        for strength in BEGINNINGS:
+            yield start_at(self.d, self.base.delta, effect, strength)
+            if not self.d.effects[effect].one_sided:
+                yield start_at(self.d, self.base.delta, effect, -strength)
+
+    def _fit(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
+        d, covariance = self.d, self.noise.mean
+        first = best_refit(d, self.measured, self.inflation * covariance, key, starts)
+        own = covariance_at(d, self.noise, first)
+        start = (first.delta, first.strengths)
+        fit = (
+            first
+            if d.emulator is None
+            else refit(d, self.measured, self.inflation * own, key, start)
+        )
+        return replace(fit, covariance=own)
+
+
+def _companions(d: Linearised, fit: Refit) -> list[int]:
+    """The two effects that would help most beside the fitted one."""
+    on = list(fit.chosen)
+    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance)
+    unit = design.effects[:, on] / lengths(design.effects[:, on])
+    others = design.effects - unit @ (unit.T @ design.effects)
+    left = design.residual - unit @ (unit.T @ design.residual)
+    score = admissible(others.T @ left / lengths(others), d.one_sided)
+    score[on] = -np.inf
+    return [int(k) for k in np.argsort(-score)[:2] if k not in on]
