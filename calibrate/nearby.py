@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm, qmc
 
 from calibrate.bank.description import Discrepancy, Point, Ready, point_for
-from calibrate.bank.design import LIMITS, SETTINGS, SHARP, SMOOTHING
-from calibrate.bank.simulate import Points, Simulator, run_points
+from calibrate.bank.design import SETTINGS, SHARP, SMOOTHING
+from calibrate.bank.simulate import Points, Simulator, run_points, switched_off
 from calibrate.bank.store import Bank, Cylinder, Rows
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis.refit import Refit
@@ -25,6 +24,7 @@ from calibrate.diagnosis.which import Which, diagnose
 from calibrate.errors import InputError
 from calibrate.measurements import Lab, bundled_lab, load_lab
 from calibrate.progress import AbstractProgress, Silent
+from jdem.effects.composite import EFFECTS
 
 PLACES = 6  # explanations that are simulated about, in each round
 ROUNDS = 2
@@ -60,7 +60,8 @@ def refined(
     say: Say = lambda text: None,
 ) -> Ready:  # fmt: skip
     """The bank with simulations about this lab's leading explanations."""
-    simulator = Simulator(simulated_lab(lab, ready.bank), how.folder)
+    effects = switched_off({name: EFFECTS[name] for name in ready.bank.design.effect_names})
+    simulator = Simulator(simulated_lab(lab, ready.bank), how.folder, effects)
     per_round = how.packings // ROUNDS
     known = ready
     for number in range(ROUNDS):
@@ -113,7 +114,7 @@ def place_of(fit: Refit, point: Point, bank: Bank) -> Place:
     """A fit in the coordinates of a bank, within what it covers."""
     base = point.offset + fit.delta[: len(point.offset)]
     strengths = np.where(np.abs(fit.strengths) > LEAST_STRENGTH, fit.strengths, 0.0)
-    low, high = np.array([LIMITS[n] for n in bank.design.effect_names]).T
+    low, high = np.array(list(bank.design.limits.values())).T
     return Place(base, np.clip(strengths * bank.design.typical(), low, high))
 
 
@@ -123,9 +124,8 @@ def about(places: Sequence[Place], bank: Bank, packings: range, seed: int) -> Po
     wide, count = len(design.soil_names), len(packings) * len(places)
     base = np.array([place.base for _ in packings for place in places])
     strengths = np.array([place.strengths for _ in packings for place in places])
-    size = wide + strengths.shape[1]
-    scattered = qmc.Sobol(size, seed=np.random.default_rng([seed, packings.start])).random(count)  # pyright: ignore
-    normal = norm.ppf(np.clip(scattered, 1e-3, 1 - 1e-3))
+    random = np.random.default_rng([seed, packings.start])
+    normal = np.clip(random.standard_normal((count, wide + strengths.shape[1])), -2, 2)
     base[:, :wide] += SOIL_SPREAD * normal[:, :wide] * np.array(list(design.soil_sd.values()))
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
     factor = np.repeat([MORE if j % 2 else FEWER for j in packings], len(places))
