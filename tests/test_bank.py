@@ -7,9 +7,12 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import toy_bank
+from formulas import LAB
 
 from calibrate.bank import store
-from calibrate.bank.design import FURTHEST, LIMITS, ROUNDED, Design
+from calibrate.bank.description import Ready
+from calibrate.bank.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
 from calibrate.bank.emulator import FeatureEmulator, fit_emulator, principal
 from calibrate.bank.left_out import Points, missed
 from calibrate.bank.store import Bank, Cylinder, declared
@@ -67,6 +70,24 @@ def test_late_packings_are_sharp_and_of_three_sizes():
     assert np.median(smoothing[:ROUNDED]) > -0.5 and np.median(smoothing[ROUNDED:]) < -0.8
     sizes = {design.spheres_of(packing) for packing in range(ROUNDED, design.packings)}
     assert sizes == {120, 150, 200}
+
+
+def test_last_packings_show_each_effect_by_itself_on_one_soil():
+    design = Design(packings=MIXED + 26)
+    base, strengths = (
+        part.reshape(design.packings, design.rows_each, -1) for part in design.rows()
+    )
+    assert (base[MIXED:] == base[MIXED:, :1]).all()
+    assert not (base[:MIXED] == base[:MIXED, :1]).all(axis=(1, 2)).any()
+    assert not strengths[MIXED:, 0].any()
+    single = strengths[MIXED:, 1:]
+    assert ((single != 0).sum(axis=2) == 1).all()
+    assert (single != 0).sum(axis=(0, 1)).tolist() == [10] * len(LIMITS)
+    low, high = np.array(list(LIMITS.values())).T
+    assert (single >= low).all() and (single <= high).all()
+    reach = np.where(single < 0, low, np.where(single > 0, high, 1.0))
+    assert (single / reach)[single != 0].min() >= WEAKEST
+    assert ((single < 0).any(axis=(0, 1)) == (low < 0)).all()
 
 
 def test_emulator_predicts_new_points_within_packing_scatter(emulator):
@@ -158,6 +179,47 @@ def test_a_bank_survives_its_file(tmp_path: Path):
     assert again.design == bank.design and again.cylinder == bank.cylinder
     assert np.allclose(again.values, bank.values, rtol=1e-6)
     assert np.allclose(again.reference["confined"], bank.reference["confined"])
+
+
+def test_a_bank_grows_to_the_one_that_a_larger_design_gives():
+    """By the runs of further packings, one of which failed; kernels are to be fitted anew."""
+    larger = replace(toy_bank.DESIGN, packings=toy_bank.PACKINGS + 2)
+    runs = toy_bank.runs(larger)
+    whole = store.collect(larger, LAB, runs, toy_bank.run(np.zeros(2), np.zeros(3), 900))
+    later = [None, *runs[toy_bank.PACKINGS * toy_bank.ROWS + 1 :]]
+    grown = toy_bank.bank().grown(larger, later)
+    first = toy_bank.PACKINGS * toy_bank.ROWS
+    keep = np.delete(np.arange(len(whole.values)), first)
+    assert len(whole.values) == len(runs) and not grown.kernels and grown.missed is None
+    for part in ("base", "strengths", "packing", "values"):
+        np.testing.assert_array_equal(getattr(grown, part), getattr(whole, part)[keep])
+
+
+def test_a_bank_grows_only_by_more_of_the_same():
+    smaller = toy_bank.bank()
+    store.check_extends(replace(smaller.design, packings=20), LAB, smaller, "bank.nc")
+    with pytest.raises(InputError, match="14 packings already"):
+        store.check_extends(smaller.design, LAB, smaller, "bank.nc")
+    other = replace(smaller.design, packings=20, spheres=200)
+    with pytest.raises(InputError, match="another centre, cylinder or number of spheres"):
+        store.check_extends(other, LAB, smaller, "bank.nc")
+
+
+def test_further_rows_move_what_they_are_about_and_make_it_surer():
+    """Forty rows at one point, on packings of their own, twice as strong as the bank knows."""
+    ready = Ready.of(toy_bank.bank())
+    bank, count = ready.bank, 40
+    base, strengths = np.zeros((count, len(bank.design.base_names))), np.zeros((count, 3))
+    scatter = np.random.default_rng(0).normal(1, 0.05, size=(count, 1))
+    here, none = np.zeros(base.shape[1]), np.zeros(3)
+    values = 2 * ready.emulator(here, none)[0] * scatter
+    rows = store.Rows(base, strengths, np.arange(count), values)
+    better = ready.joined(rows, bank)
+    ratio = better.emulator(here, none)[0] / ready.emulator(here, none)[0]
+    assert np.median(ratio) == pytest.approx(2.0, rel=0.15)
+    errors = [np.linalg.norm(r.emulator.error_directions(here, none)) for r in (ready, better)]
+    assert errors[1] < 0.7 * errors[0]
+    assert len(better.specimens) == len(ready.specimens) + count
 
 
 @pytest.mark.parametrize("content", [b"", b"no bank", b"\x89HDF\r\n\x1a\n"])

@@ -6,14 +6,18 @@ No specimen is simulated: curves are formulas, verdicts are written by hand.
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import formulas
 import numpy as np
 import pytest
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
 from calibrate.bank.design import CENTRE
+from calibrate.bank.store import declared
 from calibrate.errors import InputError
 from calibrate.measurements import load_lab
 from calibrate.progress import Silent
@@ -21,6 +25,7 @@ from calibrate.withheld import laboratory, run
 from calibrate.withheld.canary import canary
 from calibrate.withheld.laboratory import READINGS, recorded, write_case
 from calibrate.withheld.outside import ATMOSPHERE, PORES, air_force
+from calibrate.withheld.plan import Case, Hidden, Visibility
 from calibrate.withheld.seal import HASHES, LABELS, digest, open_seal, write_seal
 
 # ---------------------------------------------------------------- recording
@@ -190,3 +195,40 @@ def test_the_canary_finds_a_planted_leak_and_no_other(tmp_path):
     assert caught["shuffled"] == pytest.approx(0.5, abs=0.1)
     shuffled = list(np.random.default_rng(1).permutation(kinds))
     assert canary(folders, shuffled, seed=0)["p_value"] > 0.05
+
+
+# ---------------------------------------------------------------- signal-to-noise
+
+
+def test_a_realised_signal_is_free_of_what_packings_differ_by():
+    """Changes of length 5, each packing off by a normal deviate of 3 in all of 40 directions: the
+    squared length of their mean is 25 + 9 40/4."""
+    random, truth = np.random.default_rng(2), np.zeros(40)
+    truth[:2] = 3.0, 4.0
+    plain: Any = SimpleNamespace(world=SimpleNamespace(projected=lambda changes: changes))
+    draws = [truth + 3 * random.standard_normal((4, 40)) for _ in range(400)]
+    squares = [Visibility.realised(plain, changes) ** 2 for changes in draws]
+    naive = [np.sum(changes.mean(axis=0) ** 2) for changes in draws]
+    assert np.mean(naive) == pytest.approx(25 + 9 * 40 / 4, rel=0.05)
+    assert np.mean(squares) == pytest.approx(25, abs=4)
+
+
+def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monkeypatch):
+    """An effect that doubles all forces; one packing does not stand without it."""
+    made = laboratory.Laboratory(tmp_path, CENTRE)
+    case = Case("a", "single", "2-6", 3.0, (Hidden("load_cell_gain", 1.0),), dict(CENTRE), 130, 0.0,
+                tuple(range(8)), 1, "")  # fmt: skip
+
+    def specimen(case, number):
+        run = formulas.specimen(formulas.BASE, number)
+        factor = 2.0 if case.hidden else 1.0
+        twice = replace(run, unconfined=run.unconfined * [1.0, factor])
+        return (None if number == 2 and not case.hidden else twice), 0.0
+
+    monkeypatch.setattr(made, "_specimen", specimen)
+    changes = made.changes(case)
+    peak = [f.name for f in declared(400.0)].index("peak force, unconfined")
+    expected = [formulas.specimen(formulas.BASE, n).unconfined[:, 1].max() for n in (0, 1, 3)]
+    assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # a peak is read off a parabola
+    confined = [i for i, f in enumerate(declared(400.0)[:-2]) if f.test == "confined"]
+    assert not changes[:, confined].any()

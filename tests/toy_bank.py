@@ -46,13 +46,17 @@ def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
     return replace(plain, **changed)
 
 
+def runs(design: Design) -> list[Run]:
+    """All runs of a design of this kind."""
+    base, strengths = design.rows()
+    rows = zip(base[:, :2], strengths, range(len(base)), strict=True)
+    return [run(soil, strength, row // ROWS) for soil, strength, row in rows]
+
+
 @cache
 def bank() -> Bank:
-    base, strengths = DESIGN.rows()
-    rows = zip(base[:, :2], strengths, range(len(base)), strict=True)
-    runs = [run(soil, strength, row // ROWS) for soil, strength, row in rows]
-    made = collect(DESIGN, LAB, runs, run(np.zeros(2), np.zeros(3), 900))
-    kernels = (Kernel.start(base.shape[1], strengths.shape[1]),) * COMPONENTS
+    made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
+    kernels = (Kernel.start(made.base.shape[1], made.strengths.shape[1]),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 
