@@ -229,6 +229,6 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
     changes = made.changes(case)
     peak = [f.name for f in declared(400.0)].index("peak force, unconfined")
     expected = [formulas.specimen(formulas.BASE, n).unconfined[:, 1].max() for n in (0, 1, 3)]
-    assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # a peak is read off a parabola
+    assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # averaged over a window
     confined = [i for i, f in enumerate(declared(400.0)[:-2]) if f.test == "confined"]
     assert not changes[:, confined].any()

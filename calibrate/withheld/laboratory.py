@@ -82,11 +82,12 @@ class Specimen:
 
 
 class Laboratory:
-    """Simulates and measures the specimens of cases; runs are cached in `folder`."""
+    """Simulates and measures the specimens of cases; runs are cached in `folder`, seeds of
+    packings begin at first_seed."""
 
-    def __init__(self, folder: Path, centre: dict[str, float]):
+    def __init__(self, folder: Path, centre: dict[str, float], first_seed: int = FIRST_SEED):
         self.lab: Lab = load_lab(bundled_lab())
-        self.folder, self.centre = folder, centre
+        self.folder, self.centre, self.first_seed = folder, centre, first_seed
         self._effects = {**EFFECTS, **CARRIED}
         costly = (*COSTLY, AggregateCrushing)
         self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
@@ -137,7 +138,8 @@ class Laboratory:
     def _run(self, case: Case, number: int, values, strengths) -> Run:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         level = PREPARATIONS.index(case.preparation)
-        seed = FIRST_SEED + 1000 * (3 * SPHERES.index(case.spheres) + level) + case.packings[number]
+        pool = 3 * SPHERES.index(case.spheres) + level
+        seed = self.first_seed + 1000 * pool + case.packings[number]
         vector = [strengths.get(name, 0.0) for name in self._effects]
         return self._simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
 

@@ -167,12 +167,14 @@ class Visibility:
 
     def snr(self, strengths: dict[str, float]) -> float:
         """Signal-to-noise of effects of these strengths (SI) together."""
+        return float(self.world.snr(self.change(strengths)[:, None])[0])
+
+    def change(self, strengths: dict[str, float]) -> np.ndarray:
+        """What the bank says that these effects do to the features (m,)."""
         d = self.description
         given = np.array([strengths.get(n, 0.0) / self.typical[n] for n in d.effect_names])
-        none = np.zeros(len(given))
         zero = np.zeros(len(d.prior_sd))
-        change = d.at(zero, given)[0] - d.at(zero, none)[0]
-        return float(self.world.snr(change[:, None])[0])
+        return d.at(zero, given)[0] - d.at(zero, np.zeros(len(given)))[0]
 
     def realised(self, changes: np.ndarray) -> float:
         """Signal-to-noise of the mean of changes (n, m) of the curves' features, one for each of n
