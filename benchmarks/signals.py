@@ -57,10 +57,10 @@ def chosen(plan: list[list[Case]], laboratory: Laboratory, each: int) -> Iterato
         if first.stratum != STRONG or taken[key] >= each:
             continue
         standing = (case for case in attempts if laboratory.specimens(case) is not None)
-        for case in standing:
+        case = next(standing, None)
+        if case is not None:
             taken[key] += 1
             yield case
-            break
 
 
 def compared(case: Case, laboratory: Laboratory, ready: Ready) -> dict:

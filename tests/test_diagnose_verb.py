@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import toy_bank
 
-from calibrate import cli
+from calibrate import cli, nearby
 from calibrate.errors import InputError
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.report import diagnosis as report
+from calibrate.report.diagnosis_words import shrinkage
 from calibrate.report.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 
@@ -153,6 +154,16 @@ def test_wrong_input_is_one_sentence(place, capfd, wrong):
     assert pair[0].name in last or pair[1].name in last
 
 
+def test_simulations_about_explanations_join_the_bank(place, monkeypatch):
+    monkeypatch.setattr(nearby, "run_points", toy_bank.run_points)
+    out, bank = place / "near", place / "bank.nc"
+    lab = place / "lab" / "lab.toml"
+    assert call("diagnose", lab, "--bank", bank, "--simulate", 4, "--out", out) == 0
+    settings = result(out)["settings"]
+    assert settings["simulations"] == len(toy_bank.bank().values)
+    assert settings["simulated_about_this_lab"] >= 4 * 3  # none, an effect, a pair
+
+
 def test_numbers_without_curves_are_called_mute(place, capsys):
     out = place / "numbers"
     lab = place / "lab" / "numbers.toml"
@@ -168,6 +179,16 @@ repeats = 3
     said = report.page(out / "result.json").sentence
     assert said.startswith("One number without curves")
     assert "record force and displacement" in said
+
+
+def test_an_effect_that_shrinks_nothing_is_not_credited(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    assert found.how_far is not None
+    for removed, said in ((0.6, "removes 60 % of the gap"), (-0.4, "does not shrink the gap")):
+        far = found.how_far.model_copy(
+            update={"shrinkage": removed, "interval": (removed - 0.1, removed + 0.1)}
+        )
+        assert said in shrinkage(found.model_copy(update={"how_far": far}))
 
 
 def test_a_damaged_result_is_refused(done, tmp_path):

@@ -8,7 +8,6 @@ import toy_bank
 
 from calibrate import nearby
 from calibrate.bank.description import Ready, point_for
-from calibrate.bank.simulate import Points
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis.which import diagnose
 from calibrate.errors import InputError
@@ -31,15 +30,9 @@ def lab(tmp_path_factory):
     return load_lab(toy_bank.write_lab(tmp_path_factory.mktemp("lab"), "toy", OFFSET))
 
 
-def by_formula(design, points: Points, simulator, progress, workers=None):
-    """`run_points` with the formulas of the toy bank."""
-    rows = zip(points.base, points.strengths, points.seeds, strict=True)
-    return [toy_bank.run(base[:WIDE], strengths, int(seed)) for base, strengths, seed in rows]
-
-
 @pytest.fixture
 def formulas(monkeypatch):
-    monkeypatch.setattr(nearby, "run_points", by_formula)
+    monkeypatch.setattr(nearby, "run_points", toy_bank.run_points)
 
 
 def places() -> list[Place]:

@@ -12,6 +12,7 @@ from formulas import BASE, LAB, specimen
 
 from calibrate.bank.design import Design
 from calibrate.bank.emulator import COMPONENTS, Kernel
+from calibrate.bank.simulate import Points
 from calibrate.bank.store import Bank, Cylinder, collect, curves_of, save
 from calibrate.campaign import Run
 from calibrate.diagnosis.features import Curves
@@ -58,6 +59,12 @@ def bank() -> Bank:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
     kernels = (Kernel.start(made.base.shape[1], made.strengths.shape[1]),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
+
+
+def run_points(design: Design, points: Points, *_) -> list[Run]:
+    """What `calibrate.bank.simulate.run_points` does, by formula."""
+    rows = zip(points.base[:, :2], points.strengths, points.seeds, strict=True)
+    return [run(soil, strength, int(seed)) for soil, strength, seed in rows]
 
 
 def write_bank(path: Path) -> Path:

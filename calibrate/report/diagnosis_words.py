@@ -127,6 +127,8 @@ def shrinkage(found: DiagnosisRecord) -> str:
     if found.how_far is None or not found.best:
         return ""
     far, name = found.how_far, " and ".join(plain(n).name for n in found.best)
+    if far.shrinkage <= 0:
+        return f"Adding “{name}” to the model does not shrink the gap."
     low, high = far.interval
     ends = f"90 % interval {percent(low)} to {percent(high)}"
     if not low <= far.shrinkage <= high:
