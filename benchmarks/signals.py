@@ -33,7 +33,7 @@ HEADER = ["effect", "planned", "by the bank at the soil that stood", "simulated"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Planned and simulated signal-to-noise.")
     parser.add_argument("--seed", type=int, default=4242, help="of the plan")
     parser.add_argument("--each", type=int, default=2, help="cases of an effect")
     parser.add_argument("--folder", type=Path, default=reporting.CACHE / "signals")

@@ -100,6 +100,7 @@ def leading_places(
 def leading_fits(which: Which) -> list[Refit]:
     """The base fit, then the likeliest refitted effects and the likeliest refitted pair."""
     evidence = which.facts.evidence
+    value: dict[tuple[int, ...], float]
     value = {(k,): float(v) for k, v in enumerate(evidence.singles)}
     pairs = map(tuple, evidence.pair_index.tolist())
     value |= {key: float(v) for key, v in zip(pairs, evidence.pairs, strict=True)}

@@ -106,7 +106,7 @@ def run_design(
     their place."""
     base, strengths = design.rows()
     packing = np.repeat(np.arange(design.packings), design.rows_each)
-    spheres = [design.spheres_of(j) for j in packing]
+    spheres = [design.spheres_of(int(j)) for j in packing]
     later = packing >= first
     points = Points(
         base[later], strengths[later], np.array(spheres)[later].tolist(),
