@@ -176,16 +176,36 @@ def test_a_boundary_changes_no_number():
         return once((jnp.sin(x), {"a": x * x}))
 
     @jax.jit
-    def kept_apart(x, time):
-        with boundaries(time >= 0):
+    def kept_apart(x):
+        with boundaries():
             return compute(x)
 
     x = jnp.linspace(0, 1, 5)
-    apart, plain = kept_apart(x, jnp.asarray(0.0)), compute(x)
-    jax.tree.map(np.testing.assert_array_equal, apart, plain)
-    slope = jax.jvp(lambda y: kept_apart(y, jnp.asarray(1.0))[1]["a"], (x,), (jnp.ones(5),))[1]
+    jax.tree.map(np.testing.assert_array_equal, kept_apart(x), compute(x))
+    slope = jax.jvp(lambda y: kept_apart(y)[1]["a"], (x,), (jnp.ones(5),))[1]
     np.testing.assert_allclose(slope, 2 * x)
     assert once(x) is x
+
+
+def looped(x):
+    """A boundary inside a loop, as the engine's are."""
+
+    def advance(_, y):
+        with boundaries():
+            return once(jnp.sin(y)) + 1
+
+    return jax.lax.fori_loop(0, 9, advance, x)
+
+
+@pytest.mark.parametrize("move", ["alone", "pushed", "batched"])
+def test_boundaries_stay_in_the_compiled_program(move):
+    moved = {
+        "alone": looped,
+        "pushed": lambda x: jax.jvp(looped, (x,), (x,)),
+        "batched": jax.vmap(looped),
+    }
+    compiled = jax.jit(moved[move]).lower(jnp.ones((3, 5))).compile().as_text()
+    assert (" call(" in compiled) == (jax.default_backend() == "cpu")
 
 
 def heap(raised=0.0):
