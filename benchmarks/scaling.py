@@ -19,6 +19,7 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import equinox as eqx
@@ -42,17 +43,22 @@ PARTS = ("spheres", "tangents", "batch", "floor")
 
 def column(copies: int) -> speed.Spread:
     """A settled bed of BED spheres, stacked."""
+    bed = settled()
+    lifted = [bed.centres + np.array([0.0, 0.0, k * bed.height]) for k in range(copies)]
+    return speed.Spread(
+        np.concatenate(lifted), np.tile(bed.radius, copies), np.tile(bed.mass, copies), "stacked"
+    )
+
+
+@cache
+def settled() -> speed.Spread:
+    """The bed that is stacked."""
     specimen = Specimen(
         diameter=2 * speed.MOULD_RADIUS, height=0.1, density=0.57 * speed.DENSITY, count=BED
     )
     packing = prepare(specimen, 0)
     centres, radius = np.asarray(packing.position.stack()), np.asarray(packing.spheres.radius)
-    height = float((centres[:, 2] + radius).max())
-    lifted = [centres + np.array([0.0, 0.0, k * height]) for k in range(copies)]
-    mass = np.asarray(packing.spheres.mass)
-    return speed.Spread(
-        np.concatenate(lifted), np.tile(radius, copies), np.tile(mass, copies), "stacked"
-    )
+    return speed.Spread(centres, radius, np.asarray(packing.spheres.mass), "packing 0 of jdem")
 
 
 class Steps:

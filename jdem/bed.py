@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jdem.dynamics import Bed
-from jdem.neighbors import Grid
+from jdem.neighbors import Grid, in_blocks
 from jdem.particles import Spheres
 from jdem.quantity import cast
 from jdem.simulate import Segment
@@ -117,7 +117,7 @@ def plan_grid(
     return Grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,
-        pairs=int(np.ceil(pairs_per_sphere * count)),
+        pairs=in_blocks(int(np.ceil(pairs_per_sphere * count))),
         wall_contacts=int(np.ceil(numerics.wall_layer * count * 2 * mean_radius / extent[0])) + 16,
         cell=cell,
         skin=skin,

@@ -20,7 +20,7 @@ from jdem.contact import Contact, ContactForce
 from jdem.energy import Ledger
 from jdem.fusion import boundaries, once
 from jdem.laws.base import AbstractContactLaw
-from jdem.neighbors import ContactList, Grid
+from jdem.neighbors import ContactList, Grid, block_count
 from jdem.particles import Motion, Spheres
 from jdem.quantity import Real, quantity
 from jdem.vector import Vector
@@ -83,7 +83,7 @@ class Loads(eqx.Module):
 
 def step(bed: Bed, state: BedState, command: Command) -> BedState:
     """The state one time step later."""
-    with boundaries(state.time >= 0):
+    with boundaries():
         return _step(bed, state, command)
 
 
@@ -121,15 +121,34 @@ def _step(bed: Bed, state: BedState, command: Command) -> BedState:
 
 
 def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
-    """Sphere-sphere contacts: loads on the spheres and the list with its new histories."""
-    one, two = jax.lax.optimization_barrier((rows[pairs.first], rows[pairs.second]))
+    """Sphere-sphere contacts: loads on the spheres and the list with its new histories.
+
+    Long lists are taken block by block, so that what is known of a contact while its force
+    is computed stays in the processor's cache.
+    """
+    count = block_count(pairs.first.shape[0])
+    entries = (pairs.first, pairs.second, pairs.alive, pairs.history)
+    blocks = jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), entries)
+
+    def add(loads: Loads, block):
+        return _block_loads(bed, rows, loads, block)
+
+    none = Loads(jnp.zeros((rows.shape[0], 8), rows.dtype), jnp.zeros(4, rows.dtype))
+    loads, history = jax.lax.scan(add, none, blocks)
+    history = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), history)
+    return loads, eqx.tree_at(lambda p: p.history, pairs, history)
+
+
+def _block_loads(bed: Bed, rows: Array, loads: Loads, block):
+    """Loads with those of a block of pairs added, and the block's new histories."""
+    first, second, alive, history = block
+    one, two = jax.lax.optimization_barrier((rows[first], rows[second]))
     one, two = once((one.T, two.T))
-    contact, levers = _pair_contacts(bed, one, two, pairs.alive)
-    force, history = _law_forces(bed.particle_law, contact, pairs.history)
+    contact, levers = _pair_contacts(bed, one, two, alive)
+    force, history = _law_forces(bed.particle_law, contact, history)
     on_first, on_second, power = once(_assembled(contact, force, levers))
-    total = jnp.zeros((rows.shape[0], 8), rows.dtype)
-    total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
-    return Loads(total, power), eqx.tree_at(lambda p: p.history, pairs, history)
+    total = loads.rows.at[first].add(on_first).at[second].add(on_second)
+    return Loads(total, loads.power + power), history
 
 
 def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList):

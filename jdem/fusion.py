@@ -2,8 +2,9 @@
 
 XLA's CPU compiler fuses by repetition: an intermediate quantity of a contact is computed
 again in the loop of every output that needs it, and an `optimization_barrier` is gone
-before that happens.  A conditional stays, so the identity inside an always-true one keeps
-what is before it apart from what follows (docs/decisions.md has the timings).
+before that happens.  A call that must not be inlined stays, so the identity behind one
+keeps what is before it apart from what follows, without copying anything (an always-true
+conditional does so too, but copies every array; docs/decisions.md has the timings).
 
 Laws say `once(...)` without knowing why; the engine opens `boundaries` around a time step.
 Outside of it, as for a single contact, `once` does nothing.
@@ -15,34 +16,36 @@ from contextvars import ContextVar
 from typing import TypeVar
 
 import jax
-import jax.numpy as jnp
-from jax import Array
+from jax.experimental.xla_metadata import set_xla_metadata
 
 Tree = TypeVar("Tree")
 
-_always: ContextVar[Array | None] = ContextVar("always", default=None)
+_bounded: ContextVar[bool] = ContextVar("bounded", default=False)
 
 
 @contextmanager
-def boundaries(always: Array) -> Iterator[None]:
+def boundaries() -> Iterator[None]:
     """Makes `once` a boundary while a step is traced.
 
-    `always` is a scalar that is true at run time, which the compiler must not find out: let
-    it depend on what a loop carries.  Elsewhere than on a CPU there are no boundaries, because
-    a conditional would wait for the host.
+    Elsewhere than on a CPU there are no boundaries: other backends fuse several outputs
+    into one loop by themselves.
     """
-    token = _always.set(always if jax.default_backend() == "cpu" else None)
+    token = _bounded.set(jax.default_backend() == "cpu")
     try:
         yield
     finally:
-        _always.reset(token)
+        _bounded.reset(token)
 
 
 def once(tree: Tree) -> Tree:
     """The tree of arrays, computed exactly once."""
-    always = _always.get()
-    if always is None:
+    if not _bounded.get():
         return tree
-    return jax.lax.cond(
-        always, lambda kept: kept, lambda kept: jax.tree.map(jnp.zeros_like, kept), tree
-    )
+    with set_xla_metadata(inlineable="false"):
+        return _kept(tree)
+
+
+@jax.jit
+def _kept(tree):
+    """The tree; the barrier keeps JAX from seeing that nothing happens here."""
+    return jax.lax.optimization_barrier(tree)

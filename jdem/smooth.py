@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.logarithm import logarithm
 from jdem.quantity import Real, quantity
 from jdem.vector import Vector
 
@@ -102,6 +103,6 @@ def power(base, exponent, floor) -> Array:
     (floor, floor**exponent): value 0 and slope floor**(exponent - 1) at zero.
     """
     above = jnp.maximum(base, floor)
-    curve = jnp.exp(exponent * jnp.log(above))
+    curve = jnp.exp(exponent * logarithm(above))
     chord = base * jnp.exp((exponent - 1) * jnp.log(floor))
     return jnp.where(base < floor, chord, curve)

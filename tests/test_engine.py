@@ -25,6 +25,7 @@ from hand_made_beds import (
     state_of,
 )
 
+from jdem import neighbors
 from jdem.dynamics import LOADED, Command, step
 from jdem.fusion import boundaries, once
 from jdem.neighbors import Demand, rebuild
@@ -176,16 +177,36 @@ def test_a_boundary_changes_no_number():
         return once((jnp.sin(x), {"a": x * x}))
 
     @jax.jit
-    def kept_apart(x, time):
-        with boundaries(time >= 0):
+    def kept_apart(x):
+        with boundaries():
             return compute(x)
 
     x = jnp.linspace(0, 1, 5)
-    apart, plain = kept_apart(x, jnp.asarray(0.0)), compute(x)
-    jax.tree.map(np.testing.assert_array_equal, apart, plain)
-    slope = jax.jvp(lambda y: kept_apart(y, jnp.asarray(1.0))[1]["a"], (x,), (jnp.ones(5),))[1]
+    jax.tree.map(np.testing.assert_array_equal, kept_apart(x), compute(x))
+    slope = jax.jvp(lambda y: kept_apart(y)[1]["a"], (x,), (jnp.ones(5),))[1]
     np.testing.assert_allclose(slope, 2 * x)
     assert once(x) is x
+
+
+def looped(x):
+    """A boundary inside a loop, as the engine's are."""
+
+    def advance(_, y):
+        with boundaries():
+            return once(jnp.sin(y)) + 1
+
+    return jax.lax.fori_loop(0, 9, advance, x)
+
+
+@pytest.mark.parametrize("move", ["alone", "pushed", "batched"])
+def test_boundaries_stay_in_the_compiled_program(move):
+    moved = {
+        "alone": looped,
+        "pushed": lambda x: jax.jvp(looped, (x,), (x,)),
+        "batched": jax.vmap(looped),
+    }
+    compiled = jax.jit(moved[move]).lower(jnp.ones((3, 5))).compile().as_text()
+    assert (" call(" in compiled) == (jax.default_backend() == "cpu")
 
 
 def heap(raised=0.0):
@@ -231,6 +252,38 @@ def test_a_turned_bed_moves_as_the_bed_turned():
         ours = np.asarray(getattr(turned.state.motion, vector).stack())
         expected = np.asarray(getattr(straight.state.motion, vector).stack()) @ quarter.T
         assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_blocks_of_a_pair_list_add_up_to_the_whole(monkeypatch):
+    """Four blocks of four pairs, some of them unused; what differs is the order of additions."""
+    bed = bed_of(spheres_of(4), cohesive_soil(), smoothing=Smoothing())
+    state = ran(bed, state_of(bed, heap()), 8).state
+    zero = jnp.zeros(())
+    command = Command(zero, zero, zero, zero)
+
+    def later():
+        def advance(_, state):
+            return step(bed, state, command)
+
+        return eqx.filter_jit(lambda s: jax.lax.fori_loop(0, 20, advance, s))(state)
+
+    whole = later()
+    monkeypatch.setattr(neighbors, "BLOCK", 5)
+    assert neighbors.block_count(bed.grid.pairs) == 4
+    for ours, expected in zip(*map(jax.tree.leaves, (later(), whole)), strict=True):
+        scale = np.abs(np.asarray(expected)).max()
+        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9 * scale)
+    assert np.asarray(whole.pairs.history.max_overlap).max() > 0, "nothing touched"
+
+
+def test_a_list_that_divides_into_blocks_is_hardly_longer():
+    for wanted in (1, 4096, 4097, 16_500, 66_000):
+        capacity = neighbors.in_blocks(wanted)
+        count = neighbors.block_count(capacity)
+        assert wanted <= capacity < wanted + count
+        assert capacity <= count * neighbors.BLOCK
+        assert (count == 1) == (wanted <= neighbors.BLOCK)
+    assert neighbors.block_count(4097) == 1, "two blocks of a list of odd length"
 
 
 def test_two_halves_are_the_whole_bit_for_bit_through_a_file(tmp_path):

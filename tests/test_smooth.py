@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jdem import smooth
+from jdem.logarithm import logarithm
 from jdem.vector import Vector
 
 WIDTHS = [1e-9, 0.02, 0.5, 3.0]
@@ -170,3 +171,17 @@ def test_power_has_the_chords_finite_slope_at_zero(exponent):
 @given(base=st.floats(0.0, 5.0), exponent=st.floats(0.5, 5.0))
 def test_power_has_finite_gradients(base, exponent):
     assert np.isfinite(jax.grad(smooth.power, (0, 1))(base, exponent, FLOOR)).all()
+
+
+def test_the_logarithm_is_the_logarithm():
+    x = 10.0 ** np.random.default_rng(0).uniform(-300, 300, 100_000)
+    near = 1 + np.linspace(-0.5, 0.5, 10_001)
+    for values in (x, near, np.array([0.5, 1.0, 2.0, np.sqrt(0.5), np.sqrt(2.0)])):
+        exact = np.log(values)
+        error = np.abs(np.asarray(jax.jit(logarithm)(jnp.asarray(values))) - exact)
+        assert np.all(error <= 4e-16 * np.maximum(np.abs(exact), 1.0))
+    slope = jax.jvp(logarithm, (jnp.asarray(near),), (jnp.ones(near.size),))[1]
+    np.testing.assert_allclose(slope, 1 / near, rtol=1e-15)
+    assert np.isnan(np.asarray(logarithm(jnp.asarray([np.nan, np.inf])))).all()
+    single = logarithm(jnp.asarray([0.1, 3.0], jnp.float32))
+    np.testing.assert_array_equal(single, jnp.log(jnp.asarray([0.1, 3.0], jnp.float32)))
