@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 import reporting
 
-from calibrate.audit import OBSERVABLES, CurvePoints, judged, traced
+from calibrate.audit import OBSERVABLES, POINTS, CurvePoints, judged, traced
 from calibrate.campaign import Campaign, engine_hash
 from calibrate.measurements import bundled_lab, load_lab
 from calibrate.parameters import FACTORS, Space, space
@@ -63,30 +63,33 @@ class Bench:
         return self.work.lab
 
     def slopes(self, variant: str) -> Callable[[int], dict]:
-        """Values (m,), slopes (m, p) and processor seconds on the packing of a seed."""
+        """Slopes (m, p) as `result`, and processor seconds, on the packing of a seed."""
         strategy = VARIANTS[variant]
-        each = traced(strategy, strategy.laboratory(self.lab), self.space, self.points)
+        both = traced(strategy, strategy.laboratory(self.lab), self.space, self.points)
+        each = eqx.filter_jit(lambda packing, time_step: both(packing, time_step)[1])
 
         def on(seed: int) -> dict:
-            path = self.folder / "virtual_power" / f"{self._hash()}-{variant}-{seed}.npz"
-            if not path.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                packing = self.work.packings([seed])[0]
-                result, seconds = self.timed(each, packing)
-                np.savez(path, values=result[0], slopes=result[1], seconds=seconds)
-            return dict(np.load(path))
+            return self.kept(f"{self._hash(variant)}-{seed}", each, seed)
 
         return on
 
     def run_seconds(self, seed: int) -> float:
         """Processor seconds of one run of both tests at the base soil."""
-        packing = self.work.packings([seed])[0]
 
         @eqx.filter_jit
         def forward(packing: Packing, time_step):
             return self.points.traced(self.lab.run(packing, self.space.base, time_step))
 
-        return self.timed(forward, packing)[1]
+        return float(self.kept(f"{self._hash()}-run-{seed}", forward, seed)["seconds"])
+
+    def kept(self, name: str, program, seed: int) -> dict:
+        """What a program gives for the packing of a seed, from disk if it is there."""
+        path = self.folder / "virtual_power" / f"{name}.npz"
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            result, seconds = self.timed(program, self.work.packings([seed])[0])
+            np.savez(path, result=np.asarray(result), seconds=seconds)
+        return dict(np.load(path))
 
     def timed(self, program, packing: Packing):
         """What a compiled program gives for a packing, and its processor seconds."""
@@ -96,10 +99,10 @@ class Bench:
         result = jax.block_until_ready(compiled(packing, step))
         return result, time.process_time() - begun
 
-    def _hash(self) -> str:
-        sources = Path(__file__).parent.parent / "jdem" / "sensitivity" / "virtual_power.py"
-        content = [engine_hash(), sources.read_text(encoding="utf-8"), repr(self.lab.numerics)]
-        content.append(str(self.work.specimen))
+    def _hash(self, variant: str | None = None) -> str:
+        strategy = VARIANTS[variant] if variant else None
+        content = [engine_hash(), repr(strategy), repr(self.lab.numerics)]
+        content.append(repr(self.work.specimen))
         return hashlib.sha256("".join(content).encode()).hexdigest()[:16]
 
 
@@ -118,6 +121,23 @@ def committed(seed: str) -> tuple[Sensitivity, Sensitivity, int]:
         return Sensitivity(jnp.zeros((1, len(keys))), slopes, errors)
 
     return part("reference"), part("estimate"), found["packings"]
+
+
+def curve_means(seed: str, found: list[dict]) -> list[dict]:
+    """Slopes (N) of the force averaged over the whole crushing curve: audit's and these."""
+    content = json.loads((reporting.RESULTS / "audit.json").read_text(encoding="utf-8"))
+    curves = content["audits"][seed]["curves"]["unconfined"]["slopes"]
+    each = np.array([one["result"][-POINTS:].mean(axis=0) for one in found])
+    errors = each.std(axis=0, ddof=1) / np.sqrt(len(each))
+    return [
+        {
+            "parameter": name,
+            "reference": float(np.mean(curves[name]["reference"]["slope"])),
+            "estimate": float(each[:, p].mean()),
+            "estimate_se": float(errors[p]),
+        }
+        for p, name in enumerate(NAMES)
+    ]
 
 
 def rows(reference: Sensitivity, estimate: Sensitivity) -> list[dict]:
@@ -141,8 +161,8 @@ def rows(reference: Sensitivity, estimate: Sensitivity) -> list[dict]:
 def together(found: list[dict]) -> Sensitivity:
     """Slopes of both observables on several packings."""
     count = len(OBSERVABLES)
-    values = jnp.asarray([each["values"][:count] for each in found])
-    return averaged(values, jnp.asarray([each["slopes"][:count] for each in found]))
+    slopes = jnp.asarray([each["result"][:count] for each in found])
+    return averaged(jnp.zeros(slopes.shape[:2]), slopes)
 
 
 def content_of(found: dict[str, list[dict]], run_seconds: float, seed: str) -> dict:
@@ -156,10 +176,10 @@ def content_of(found: dict[str, list[dict]], run_seconds: float, seed: str) -> d
         "packings": {name: len(each) for name, each in found.items()},
         "rows": {name: rows(reference, each) for name, each in estimates.items()},
         "each": {
-            name: [one["slopes"][: len(OBSERVABLES)].tolist() for one in each]
+            name: [one["result"][: len(OBSERVABLES)].tolist() for one in each]
             for name, each in found.items()
         },
-        "curve": np.mean([one["slopes"][-20:] for one in found["carried"]], axis=0).tolist(),
+        "curve_means": curve_means(seed, found["carried"]),
         "run_seconds": run_seconds,
         "seconds": seconds,
         "forward_runs": {
@@ -170,23 +190,26 @@ def content_of(found: dict[str, list[dict]], run_seconds: float, seed: str) -> d
 
 def markdown(content: dict, chosen: argparse.Namespace, origin: dict) -> str:
     counts, runs = content["packings"], content["forward_runs"]
+    what = VARIANTS["carried"].describe()
     text = (
         f"# Virtual power\n\nBundled soil, {chosen.spheres} spheres, "
         f"{'float32' if chosen.float32 else 'float64'}. References are the audit's, on "
         f"{content['reference_packings']} packings (`audit.md`, seed {chosen.seed}; an earlier "
-        f"engine). Virtual power on {counts['carried']} of them, with what the tests before did "
-        f"to the bed; with nothing carried over on {counts.get('dropped', 0)}; blend of virtual "
-        "power and ensemble. Slopes per unit of ln p, mm (H) and N (F), with standard errors; "
+        f"engine). Virtual power on {counts['carried']} of them ({what}); "
+        f"with nothing carried over on {counts.get('dropped', 0)}; blend of virtual power and "
+        "ensemble. Slopes per unit of ln p, mm (H) and N (F), with standard errors; "
         "judged as in the audit.\n\n"
     )
     cost = ", ".join(f"{value:.1f} ({name})" for name, value in runs.items())
     cost = f"\nCost of all slopes on one packing, in forward runs: {cost}.\n"
-    return (
-        text
-        + reporting.table(HEADER, table_rows(content["rows"]))
-        + cost
-        + reporting.footer(origin)
-    )
+    means = [
+        [row["parameter"], f"{row['reference']:.3g}", _with_error(row, "estimate")]
+        for row in content["curve_means"]
+    ]
+    curve = "\nThe same for the force averaged over the whole crushing curve (N):\n\n"
+    curve += reporting.table(("parameter", "reference", "virtual power"), means)
+    slopes = reporting.table(HEADER, table_rows(content["rows"]))
+    return text + slopes + curve + cost + reporting.footer(origin)
 
 
 HEADER = ("parameter", "of", "reference", "virtual power", "verdict", "nothing carried",

@@ -44,7 +44,7 @@ class VirtualPower(AbstractStrategy):
     `FrozenMotion`; `cost` is that of one tangent in forward runs.
     """
 
-    first: str = eqx.field(static=True, default="opening")
+    first: str = eqx.field(static=True, default="crushing")
     carried: bool = eqx.field(static=True, default=True)
     cost: float = eqx.field(static=True, default=1.5)
 
