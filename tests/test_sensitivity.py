@@ -160,7 +160,8 @@ def test_curves_are_read_where_the_audit_says():
 def test_a_traced_run_is_read_like_a_stored_one():
     """Masked rows before and after a curve do not count."""
     travel, force = np.linspace(0, 4, 81), 100 * np.sin(np.linspace(0, 2, 81))
-    kept = Run(2.0, 20.0, *[np.column_stack([travel, force])] * 2, {})
+    table = np.column_stack([travel, force])
+    kept = Run(2.0, 20.0, table, table, {})
     valid = np.concatenate([np.zeros(7), np.ones(81), np.zeros(5)])
     padded = [np.pad(part, (7, 5)) for part in (1e-3 * travel, force)]
     curve = Curve(*map(jnp.asarray, (*padded, valid)))

@@ -22,7 +22,6 @@ from jdem.effects.capillary import CapillaryTension
 from jdem.effects.composite import with_strengths
 from jdem.effects.gain import LoadCellGain
 from jdem.energy import Ledger
-from jdem.experiments.composite import VirtualLab
 from jdem.packing import prepare
 from jdem.sensitivity.virtual_power import FrozenMotion, VirtualPower, force_by_power
 from jdem.simulate import FAR, Segment, run, stack, start
@@ -66,7 +65,7 @@ def pressed(log_values, programme, first):
         HEIGHT,
         FAR,
     )
-    frozen = None if first is None else FrozenMotion(first)
+    frozen = None if first is None else FrozenMotion(first, carried=True)
     samples = run(bed, state, programme, jnp.asarray(STEPS), CAPACITY, frozen=frozen).samples
     return samples.platen_force
 
@@ -140,8 +139,45 @@ def test_a_stage_before_it_is_part_of_the_effect():
 
 
 LAB = lab_with(CapillaryTension(), LoadCellGain())
-FROZEN = VirtualPower().laboratory(LAB)
-ordinary = eqx.filter_jit(VirtualLab.run)
+FROZEN = VirtualPower(carried=True).laboratory(LAB)
+FREE = ("surface_energy", "plasticity_ratio", "shear_modulus")
+ALONG = jnp.asarray([0.3, 1.0, -0.5, 0.0, 0.0])  # a direction in ln p of FREE; no effects
+
+
+def observed(lab, packing, point, time_step):
+    """(H in mm, F in N) at ln p of FREE and strengths of both effects, and the last state."""
+    soil = with_values(SOIL, dict(zip(FREE, jnp.exp(point[:3]), strict=True)))
+    changed = eqx.tree_at(lambda v: v.effects, lab, with_strengths(lab.effects, point[3:]))
+    outcome = changed.run(packing, soil, time_step)
+    both = jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+    return both, outcome.record.state
+
+
+def point_of(soil):
+    logs = [jnp.log(getattr(soil, name)) for name in FREE]
+    return jnp.stack([*logs, jnp.zeros(()), jnp.zeros(())])
+
+
+@eqx.filter_jit
+@eqx.debug.assert_max_traces(max_traces=1)
+def differentiated(lab, packing, point, time_step):
+    """Both observables, and their slopes in all five coordinates, by virtual power."""
+
+    def response(points):
+        return observed(lab, packing, points[0, 0], time_step)[0][None, None]
+
+    found = VirtualPower()(response, point, 1)
+    return found.values[0], found.slopes
+
+
+@eqx.filter_jit
+def pathwise(lab, packing, point, time_step):
+    """Both observables, their derivatives along ALONG, and the last state."""
+
+    def response(point):
+        return observed(lab, packing, point, time_step)
+
+    return jax.jvp(response, (point,), (ALONG,), has_aux=True)
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +186,35 @@ def packing():
 
 
 @pytest.fixture(scope="module")
-def outcome(packing):
-    return ordinary(LAB, packing, SOIL)
+def ordinary(packing):
+    return pathwise(LAB, packing, point_of(SOIL), LAB.time_step(packing, SOIL))
+
+
+@pytest.fixture(scope="module")
+def estimate(packing):
+    return differentiated(FROZEN, packing, point_of(SOIL), LAB.time_step(packing, SOIL))
+
+
+def test_values_stay_what_they_are(ordinary, estimate):
+    """Two programs round differently; 1e-6 is what chaos makes of that in a short test."""
+    np.testing.assert_allclose(estimate[0], ordinary[0], rtol=1e-6)
+
+
+def test_the_confined_test_is_pathwise(ordinary, estimate):
+    """H's slope along one direction is that of the ordinary laboratory; F's is not."""
+    depth, force = np.asarray(estimate[1] @ ALONG)
+    assert depth == pytest.approx(float(ordinary[1][0]), rel=1e-5)
+    assert force != pytest.approx(float(ordinary[1][1]), rel=1e-2)
+
+
+def test_every_slope_is_finite(packing, estimate):
+    """Parameters and strengths alike, and one compilation for all values."""
+    other = with_values(SOIL, {"plasticity_ratio": 0.4, "surface_energy": 5.0})
+    again = differentiated(FROZEN, packing, point_of(other), 0.9 * LAB.time_step(packing, SOIL))
+    for values, slopes in (estimate, again):
+        assert np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))
+        assert np.all(slopes[1] != 0.0)
+    assert np.any(np.asarray(estimate[1]) != np.asarray(again[1]))
 
 
 def in_crushing(bed, state, steps):
@@ -169,75 +232,16 @@ def in_crushing(bed, state, steps):
     return jax.lax.scan(advance, state, None, length=steps)[1]
 
 
-def test_the_power_balance_closes(packing, outcome):
+def test_the_power_balance_closes(packing, ordinary):
     """The whole balance to round-off; what contacts and rolling absorb is nearly all of it.
 
     Over 1500 steps (some 0.5 mm) at 50 mm/s; the rest is damping, weight and motion.
     """
     bed = build_bed(packing.spheres, SOIL, LAB.grid, NUMERICS)
-    found = eqx.filter_jit(in_crushing)(bed, outcome.record.state, 1500)
+    found = eqx.filter_jit(in_crushing)(bed, ordinary[2], 1500)
     force, contacts, balanced = (np.asarray(part) for part in found)
     assert force.mean() > 5.0
     assert np.abs(balanced - force).max() < 1e-6 * force.max()
     share = contacts.mean() / force.mean()
     print(f"contacts and rolling take {100 * share:.1f} % of the platen's power")
     assert share == pytest.approx(1.0, abs=0.05)
-
-
-@eqx.filter_jit
-@eqx.debug.assert_max_traces(max_traces=1)
-def differentiated(lab, packing, point, time_step):
-    """(H in mm, F in N), and their slopes in ln p of the parameters and in two strengths."""
-
-    def observed(point):
-        soil = with_values(SOIL, dict(zip(NAMES, jnp.exp(point[:-2]), strict=True)))
-        changed = eqx.tree_at(lambda v: v.effects, lab, with_strengths(lab.effects, point[-2:]))
-        outcome = changed.run(packing, soil, time_step)
-        return jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
-
-    found = VirtualPower()(lambda points: observed(points[0, 0])[None, None], point, 1)
-    return found.values[0], found.slopes
-
-
-def point_of(soil):
-    logs = [jnp.log(getattr(soil, name)) for name in NAMES]
-    return jnp.stack([*logs, jnp.zeros(()), jnp.zeros(())])
-
-
-@pytest.fixture(scope="module")
-def estimate(packing):
-    return differentiated(FROZEN, packing, point_of(SOIL), LAB.time_step(packing, SOIL))
-
-
-def test_values_stay_what_they_are(outcome, estimate):
-    """Two programs round differently; 1e-6 is what chaos makes of that in a short test."""
-    expected = [1e3 * outcome.depression_depth, outcome.crushing_force]
-    np.testing.assert_allclose(estimate[0], expected, rtol=1e-6)
-
-
-def test_every_slope_is_finite(packing, estimate):
-    """Parameters and strengths alike, and one compilation for all values."""
-    other = with_values(SOIL, {"plasticity_ratio": 0.4, "surface_energy": 5.0})
-    step = 0.9 * LAB.time_step(packing, SOIL)
-    again = differentiated(FROZEN, packing, point_of(other), step)
-    for values, slopes in (estimate, again):
-        assert np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))
-    assert np.any(np.asarray(estimate[1]) != np.asarray(again[1]))
-
-
-def test_the_confined_test_is_pathwise(packing, estimate):
-    """H's slope along one direction is that of the ordinary laboratory; F's is not."""
-    point, time_step = point_of(SOIL), LAB.time_step(packing, SOIL)
-    along = jnp.ones_like(point).at[-2:].set(0.0)
-
-    def observed(scale):
-        soil = with_values(
-            SOIL, dict(zip(NAMES, jnp.exp((point + scale * along)[:-2]), strict=True))
-        )
-        outcome = LAB.run(packing, soil, time_step)
-        return jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
-
-    pathwise = jax.jit(lambda s: jax.jvp(observed, (s,), (jnp.ones(()),))[1])(jnp.zeros(()))
-    found = np.asarray(estimate[1] @ along)
-    assert found[0] == pytest.approx(float(pathwise[0]), rel=1e-5)
-    assert found[1] != pytest.approx(float(pathwise[1]), rel=1e-2)
