@@ -195,18 +195,24 @@ def run(
             around.later(memory, number, before, state),
         )
 
-    def until(last: int, step: Stepper, progress: _Progress) -> _Progress:
-        def unfinished(progress: _Progress):
-            return (progress.segment < last) & (progress.sample < capacity)
-
-        return jax.lax.while_loop(unfinished, partial(advanced, step), progress)
-
+    frozen_step = step if frozen is None else frozen.step
     if frozen is not None:
-        progress = until(frozen.first, step, progress)
+        progress = _until(frozen.first, capacity, partial(advanced, step), progress)
         progress = eqx.tree_at(lambda p: p.state, progress, frozen.begun(progress.state))
-    final = until(count, step if frozen is None else frozen.step, progress)
+    final = _until(count, capacity, partial(advanced, frozen_step), progress)
     upkeep, finished = final.upkeep, final.segment >= count
     return Record(final.samples, final.state, upkeep.demand, upkeep.largest, finished)
+
+
+def _until(
+    last: int, capacity: int, advance: Callable[[_Progress], _Progress], progress: _Progress
+) -> _Progress:
+    """Sampling intervals one after the other until segment `last` begins, or no room is left."""
+
+    def unfinished(progress: _Progress):
+        return (progress.segment < last) & (progress.sample < capacity)
+
+    return jax.lax.while_loop(unfinished, advance, progress)
 
 
 def stack(segments: list[Segment]) -> Segment:
