@@ -23,12 +23,20 @@ from jax import Array
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
 from calibrate.parameters import Space, ensemble
+from jdem.experiments.composite import Outcome, VirtualLab
+from jdem.observables import displacement_at
+from jdem.packing import Packing
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
+from jdem.sensitivity.virtual_power import VirtualPower
 
-STRATEGIES = ("ensemble", "regression", "pathwise", "blend")
+STRATEGIES = (
+    "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend",
+)  # fmt: skip
+SIMULATED = ("regression", "ensemble")  # from values of runs that a campaign keeps
+BLENDS = {"blend": "pathwise", "virtual_power_blend": "virtual_power"}  # each with the ensemble
 REFERENCE = Regression((0.2,))
 OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
 WITHIN = {"depression_depth_mm": 0.15, "crushing_force_n": 0.25}  # of the reference
@@ -61,6 +69,18 @@ class CurvePoints:
         crushing = np.interp(self.crushing_mm, *run.unconfined.T)
         values = [run.observables()[name] for name in OBSERVABLES]
         return np.concatenate([values, loading, crushing])
+
+    def traced(self, outcome: Outcome) -> Array:
+        """The same numbers as `read`, traced by JAX."""
+        loading, crushing = outcome.confined, outcome.unconfined.filled()
+        travel = jax.vmap(lambda force: displacement_at(loading, force))(
+            jnp.asarray(self.loading_n)
+        )
+        force = jnp.interp(
+            jnp.asarray(self.crushing_mm), 1e3 * crushing.displacement, crushing.force
+        )
+        observables = jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+        return jnp.concatenate([observables, 1e3 * travel, force])
 
     def slices(self) -> dict[str, slice]:
         """Where each test's curve stands among what `read` returns."""
@@ -133,6 +153,8 @@ def strategies(space: Space) -> dict[str, AbstractStrategy]:
         "regression": Regression((0.25,)),
         "pathwise": Pathwise(),
         "blend": Blend(unbiased=ensemble(space)),
+        "virtual_power": VirtualPower(),
+        "virtual_power_blend": Blend(VirtualPower(), ensemble(space)),
     }
 
 
@@ -145,15 +167,19 @@ def audit(space: Space, work: Campaign, seeds: Sequence[int], names: Sequence[st
     if not bool(jnp.all(jnp.isfinite(reference.slopes))):
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
     available, estimates = strategies(space), {}
-    for name in ("regression", "ensemble"):
-        if name in names or (name == "ensemble" and "blend" in names):
+    needed = {*names, *(BLENDS[name] for name in names if name in BLENDS)}
+    for name in SIMULATED:
+        if name in needed or (name == "ensemble" and needed & set(BLENDS)):
             estimates[name] = available[name](simulated(name), point, count)
-    if {"pathwise", "blend"} & set(names):
-        work.progress.say("pathwise: one pass with all tangents on every packing")
-        estimates["pathwise"] = traced_slopes(space, work, seeds, point)
-    if "blend" in names:
-        both = _first_rows(estimates["ensemble"], len(OBSERVABLES))
-        estimates["blend"] = blended(estimates["pathwise"], both)
+    for name in BLENDS.values():
+        if name in needed:
+            work.progress.say(f"{name}: one pass with all tangents on every packing")
+            estimates[name] = traced_slopes(name, space, work, seeds, points)
+    for name, precise in BLENDS.items():
+        if name in names:
+            rows = len(estimates[precise].slopes)
+            both = _first_rows(estimates["ensemble"], rows)
+            estimates[name] = blended(estimates[precise], both)
     return Audit(
         names=space.names,
         reference=reference,
@@ -186,26 +212,48 @@ def simulated_response(
     return named
 
 
-def traced_slopes(space: Space, work: Campaign, seeds: Sequence[int], point: Array) -> Sensitivity:
-    """Pathwise slopes, packing by packing, at the time step of the base soil."""
-    lab = work.lab
+def traced_slopes(
+    name: str, space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
+) -> Sensitivity:
+    """Slopes in forward mode, packing by packing, at the time step of the base soil.
 
-    @eqx.filter_jit
-    def slopes(packing, time_step):
-        def observed(x):
-            outcome = lab.run(packing, space.soil(jnp.exp(x)), time_step)
-            return jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
-
-        def push(tangent):
-            return jax.jvp(observed, (point,), (tangent,))
-
-        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(point.shape[0]))
-
+    Of both observables by `pathwise`; of both curves as well by `virtual_power`.
+    """
+    power = VirtualPower()
+    if name == "virtual_power":
+        slopes = traced(power, power.laboratory(work.lab), space, points)
+    else:
+        slopes = traced(Pathwise(), work.lab, space, points, rows=len(OBSERVABLES))
     found = [
-        slopes(packing, lab.time_step(packing, space.base)) for packing in work.packings(seeds)
+        slopes(packing, work.lab.time_step(packing, space.base)) for packing in work.packings(seeds)
     ]
     values, each = (jnp.stack(part) for part in zip(*found, strict=True))
     return averaged(values, each)
+
+
+def traced(
+    strategy: AbstractStrategy,
+    lab: VirtualLab,
+    space: Space,
+    points: CurvePoints,
+    rows: int | None = None,
+) -> Callable[[Packing, Array], tuple[Array, Array]]:
+    """A compiled function of one packing and its time step (s): values (m,), slopes (m, p).
+
+    At the space's base soil, per unit of ln p; m are the first `rows` of what `points` reads.
+    """
+    point = jnp.log(jnp.asarray(space.start()))
+
+    @eqx.filter_jit
+    def slopes(packing: Packing, time_step: Array) -> tuple[Array, Array]:
+        def response(asked: Array) -> Array:
+            outcome = lab.run(packing, space.soil(jnp.exp(asked[0, 0])), time_step)
+            return points.traced(outcome)[:rows][None, None]
+
+        found = strategy(response, point, 1)
+        return found.values[0], found.slopes
+
+    return slopes
 
 
 def audit_json(found: Audit) -> dict:

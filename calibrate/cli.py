@@ -116,7 +116,11 @@ def audit_command(
     lab: LabFile = None,
     strategy: Annotated[
         list[str] | None,
-        typer.Option("--strategy", help="ensemble (default), regression, pathwise, blend."),
+        typer.Option(
+            "--strategy",
+            help="ensemble (default), regression, pathwise, blend, virtual_power, "
+            "virtual_power_blend; may be given several times.",
+        ),
     ] = None,
     changes: Changes = None,
     spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,

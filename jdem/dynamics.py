@@ -9,6 +9,8 @@ that carry next to no load are damped more: they rattle between their neighbours
 leaves the specimen's force unchanged and makes its derivatives chaotic (docs/gradients.md).
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,13 +83,16 @@ class Loads(eqx.Module):
     power: Array  #: (4,), W; absorbed by normal spring and dashpot, tangential spring and dashpot
 
 
-def step(bed: Bed, state: BedState, command: Command) -> BedState:
-    """The state one time step later."""
+Motions = Callable[[Bed, Motion, Walls, Array, Command], tuple[Motion, Array]]
+
+
+def step(bed: Bed, state: BedState, command: Command, motions: Motions | None = None) -> BedState:
+    """The state one time step later; `motions` can stand in for `next_motion`."""
     with boundaries():
-        return _step(bed, state, command)
+        return _step(bed, state, command, motions or next_motion)
 
 
-def _step(bed: Bed, state: BedState, command: Command) -> BedState:
+def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedState:
     walls = Walls(
         state.walls.platen_height,
         command.platen_speed,
@@ -98,7 +103,7 @@ def _step(bed: Bed, state: BedState, command: Command) -> BedState:
     pair_loads, pairs = _pair_loads(bed, rows, state.pairs)
     wall_loads, contacts, on_walls = _wall_loads(bed, rows, walls, state.wall_contacts)
     loads = pair_loads.rows + wall_loads.rows
-    motion, absorbed = _moved(bed, state.motion, walls, loads, command)
+    motion, absorbed = motions(bed, state.motion, walls, loads, command)
     power = Ledger.of_step(
         contacts=pair_loads.power + wall_loads.power,
         walls=on_walls,
@@ -250,7 +255,7 @@ def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
     return jnp.sum(jnp.stack([base, platen, mould, drag]), axis=1)
 
 
-def _moved(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: Command):
+def next_motion(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: Command):
     """Motion one step later, and energies of the step as `_absorbed` lists them."""
     spheres, dt = bed.spheres, bed.time_step
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass

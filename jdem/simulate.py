@@ -6,7 +6,9 @@ every apparatus and any parameter values.  Each sample sees to the contact lists
 duration or once its servo force is reached; the loop ends with the last segment.
 """
 
+import abc
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -115,6 +117,23 @@ def start(bed: Bed, position, platen_height, mould_radius) -> BedState:
     )
 
 
+Stepper = Callable[[Bed, BedState, Command], BedState]
+
+
+class AbstractFrozen(eqx.Module):
+    """How derivatives pass from segment number `first` on; values stay what they are."""
+
+    first: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def begun(self, state: BedState) -> BedState:
+        """The state as that segment begins."""
+
+    @abc.abstractmethod
+    def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
+        """The state one time step later."""
+
+
 class _Progress(eqx.Module):
     state: BedState
     segment: Array
@@ -132,11 +151,13 @@ def run(
     steps_per_sample: Array,
     capacity: int,
     surroundings: AbstractSurroundings | None = None,
+    frozen: AbstractFrozen | None = None,
 ) -> Record:
     """Runs a programme (stack of segments) from `state`; at most `capacity` samples.
 
     `surroundings` (the base model's if not given) may change the bed as the programme runs.
-    Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode.
+    Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode; `frozen`
+    changes how, and no value.
     """
     around = Unchanging() if surroundings is None else surroundings
     count = jnp.shape(programme.platen_speed)[0]
@@ -146,10 +167,7 @@ def run(
     upkeep, memory = Upkeep.begin(prepared), around.begin(state.time.dtype)
     progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
 
-    def unfinished(progress: _Progress):
-        return (progress.segment < count) & (progress.sample < capacity)
-
-    def advance(progress: _Progress):
+    def advanced(step: Stepper, progress: _Progress):
         number, memory, before = progress.segment, progress.memory, progress.state
         segment, present = _row(programme, number), around.bed(bed, number, memory)
 
@@ -157,7 +175,7 @@ def run(
             return around.shown(reading, memory)
 
         state, upkeep, motion = refreshed(bed, before, progress.upkeep)
-        state, sample = _sampled(present, state, segment, steps_per_sample, shown)
+        state, sample = _sampled(present, state, segment, steps_per_sample, shown, step)
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
@@ -177,9 +195,24 @@ def run(
             around.later(memory, number, before, state),
         )
 
-    final = jax.lax.while_loop(unfinished, advance, progress)
+    frozen_step = step if frozen is None else frozen.step
+    if frozen is not None:
+        progress = _until(frozen.first, capacity, partial(advanced, step), progress)
+        progress = eqx.tree_at(lambda p: p.state, progress, frozen.begun(progress.state))
+    final = _until(count, capacity, partial(advanced, frozen_step), progress)
     upkeep, finished = final.upkeep, final.segment >= count
     return Record(final.samples, final.state, upkeep.demand, upkeep.largest, finished)
+
+
+def _until(
+    last: int, capacity: int, advance: Callable[[_Progress], _Progress], progress: _Progress
+) -> _Progress:
+    """Sampling intervals one after the other until segment `last` begins, or no room is left."""
+
+    def unfinished(progress: _Progress):
+        return (progress.segment < last) & (progress.sample < capacity)
+
+    return jax.lax.while_loop(unfinished, advance, progress)
 
 
 def stack(segments: list[Segment]) -> Segment:
@@ -225,7 +258,12 @@ def _ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]
 
 
 def _sampled(
-    bed: Bed, state: BedState, segment: Segment, steps: Array, shown: Callable[[Array], Array]
+    bed: Bed,
+    state: BedState,
+    segment: Segment,
+    steps: Array,
+    shown: Callable[[Array], Array],
+    step: Stepper,
 ):
     """The state after `steps` time steps, and means over them."""
 

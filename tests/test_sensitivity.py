@@ -4,15 +4,22 @@ A response has curvature, interactions, a level and a slope of its own on each p
 where a test says so noise: what a bed of spheres has, without a bed of spheres.
 """
 
+from types import SimpleNamespace
+from typing import Any, get_args
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
 
-from calibrate.audit import POINTS, Audit, CurvePoints, verdict
+from calibrate.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, verdict
 from calibrate.campaign import Run
 from calibrate.fit import Evaluation, secant
-from calibrate.parameters import FACTORS, probing_groups
+from calibrate.measurements import bundled_lab, load_lab
+from calibrate.parameters import FACTORS, probing_groups, space
+from calibrate.plotting.audit import MARKS
+from calibrate.records.audit import Strategy
+from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.ensemble import Ensemble
@@ -148,6 +155,26 @@ def test_curves_are_read_where_the_audit_says():
     assert read[points.slices()["unconfined"]] == pytest.approx(5 * points.crushing_mm)
     failed = Run(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
     assert np.all(np.isnan(points.read(failed)))
+
+
+def test_a_traced_run_is_read_like_a_stored_one():
+    """Masked rows before and after a curve do not count."""
+    travel, force = np.linspace(0, 4, 81), 100 * np.sin(np.linspace(0, 2, 81))
+    table = np.column_stack([travel, force])
+    kept = Run(2.0, 20.0, table, table, {})
+    valid = np.concatenate([np.zeros(7), np.ones(81), np.zeros(5)])
+    padded = [np.pad(part, (7, 5)) for part in (1e-3 * travel, force)]
+    curve = Curve(*map(jnp.asarray, (*padded, valid)))
+    numbers = {"depression_depth": jnp.asarray(2e-3), "crushing_force": jnp.asarray(20.0)}
+    traced: Any = SimpleNamespace(confined=curve, unconfined=curve, **numbers)
+    points = CurvePoints(4.0 * np.arange(1, POINTS + 1), 0.2 * np.arange(1, POINTS + 1))
+    np.testing.assert_allclose(points.traced(traced), points.read(kept), rtol=1e-12)
+
+
+def test_every_strategy_can_be_named_recorded_and_drawn():
+    lab = load_lab(bundled_lab())
+    available = strategies(space(lab, FACTORS))
+    assert set(STRATEGIES) == set(available) == set(get_args(Strategy)) == set(MARKS)
 
 
 def test_the_ensemble_is_more_precise_than_one_at_a_time_at_lower_cost():

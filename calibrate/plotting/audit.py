@@ -16,6 +16,8 @@ MARKS = {
     "ensemble": ("o", MIDDLE, "-"),
     "pathwise": ("x", "0.5", ":"),
     "blend": ("s", LIGHT, "--"),
+    "virtual_power": ("D", DARK, "--"),
+    "virtual_power_blend": ("v", LIGHT, ":"),
 }
 UNITS = {"depression_depth_mm": "depression depth, mm", "crushing_force_n": "crushing force, N"}
 CURVE_SLOPES = {"confined": "d displacement / d ln p (mm)", "unconfined": "d force / d ln p (N)"}

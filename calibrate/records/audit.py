@@ -6,7 +6,9 @@ from pydantic import model_validator as check
 
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record
 
-Strategy = Literal["ensemble", "regression", "pathwise", "blend"]
+Strategy = Literal[
+    "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend"
+]
 
 
 class Slope(Record):

@@ -47,7 +47,7 @@ def page(path: Path) -> Page:
 
 def sentence(found: AuditRecord) -> str:
     """How many slopes pass, by strategy."""
-    parts = [f"{name}: {_passed(each)}" for name, each in found.strategies.items()]
+    parts = [f"{words(name)}: {_passed(each)}" for name, each in found.strategies.items()]
     listed = "; ".join(parts)
     where = f"on {found.packings} packings of {found.spheres} spheres"
     return f"{listed[:1].upper()}{listed[1:]}, {where}."
@@ -63,7 +63,7 @@ def _strategy(name: str, each: StrategyRecord) -> Strategy:
     cost = f"{each.forward_runs:.3g} forward runs a packing"
     text = f"{each.described}. {_passed(each)}; it costs {cost}."
     tables = [_table(each, observable) for observable in NAMES]
-    return Strategy(name, text, tables)
+    return Strategy(words(name), text, tables)
 
 
 def _table(each: StrategyRecord, observable: Observable) -> Table:
@@ -89,7 +89,7 @@ def _verdict(row: Slope) -> str:
 
 def _agreement(found: AuditRecord, observable: Observable) -> Picture:
     lines = [
-        f"{name} {sum(row.passed is True for row in each.of(observable) if row.judged)} of "
+        f"{words(name)} {sum(row.passed is True for row in each.of(observable) if row.judged)} of "
         f"{sum(row.judged for row in each.of(observable))}"
         for name, each in found.strategies.items()
     ]

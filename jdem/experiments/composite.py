@@ -22,7 +22,7 @@ from jdem.neighbors import Grid
 from jdem.observables import Curve, crushing_force, depression_depth, displacement_at, running_mean
 from jdem.packing import Packing, Specimen
 from jdem.quantity import cast
-from jdem.simulate import Record, Sample, Segment, run, stack, start
+from jdem.simulate import AbstractFrozen, Record, Sample, Segment, run, stack, start
 from jdem.soil import SoilParameters
 from jdem.surroundings import AbstractSurroundings, Unchanging
 
@@ -90,6 +90,7 @@ class VirtualLab(eqx.Module):
     grid: Grid = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
     effects: tuple[AbstractEffect, ...] = ()
+    frozen: AbstractFrozen | None = None
 
     @staticmethod
     def of(
@@ -113,7 +114,8 @@ class VirtualLab(eqx.Module):
             per_cell=self.numerics.per_cell + 4,
         )
         tests = replace(self.tests, peak_rows=3 * self.tests.peak_rows)
-        return VirtualLab.of(specimen, tests, numerics, self.effects)
+        larger = VirtualLab.of(specimen, tests, numerics, self.effects)
+        return replace(larger, frozen=self.frozen)
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:
         """Stable time step, s."""
@@ -135,7 +137,7 @@ class VirtualLab(eqx.Module):
         position = cast(packing.position, dtype)
         state = start(bed, position, packing.height, packing.mould_radius)
         programme = cast(self._programme(), dtype)
-        record = run(bed, state, programme, steps, self.capacity, around)
+        record = run(bed, state, programme, steps, self.capacity, around, self.frozen)
         return outcome(self.tests, bed, record, cast(self.effects, dtype))
 
     def _filled(self, packing: Packing) -> Packing:

@@ -10,6 +10,7 @@ import abc
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -38,6 +39,20 @@ class AbstractStrategy(eqx.Module):
     @abc.abstractmethod
     def describe(self) -> str:
         """One line for a report."""
+
+
+def forward_mode(response: Response, point: Array, packings: int) -> Sensitivity:
+    """One tangent a coordinate, all in one pass; the response must be traceable by JAX."""
+
+    def single(x):
+        return response(everywhere(x[None], packings))[0]
+
+    def push(tangent):
+        return jax.jvp(single, (point,), (tangent,))
+
+    tangents = jnp.eye(point.shape[0], dtype=point.dtype)
+    values, slopes = jax.vmap(push, out_axes=(None, -1))(tangents)
+    return averaged(values, slopes)
 
 
 def averaged(values: Array, slopes: Array) -> Sensitivity:

@@ -6,11 +6,9 @@ docs/gradients.md, and `ensemble`.
 """
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 from jax import Array
 
-from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, averaged, everywhere
+from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, forward_mode
 
 
 class Pathwise(AbstractStrategy):
@@ -22,15 +20,7 @@ class Pathwise(AbstractStrategy):
     cost: float = eqx.field(static=True, default=1.5)
 
     def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
-        def single(x):
-            return response(everywhere(x[None], packings))[0]
-
-        def push(tangent):
-            return jax.jvp(single, (point,), (tangent,))
-
-        tangents = jnp.eye(point.shape[0], dtype=point.dtype)
-        values, slopes = jax.vmap(push, out_axes=(None, -1))(tangents)
-        return averaged(values, slopes)
+        return forward_mode(response, point, packings)
 
     def runs(self, parameters: int, packings: int) -> float:
         return 1 + self.cost * parameters
