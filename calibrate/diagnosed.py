@@ -14,7 +14,8 @@ import numpy as np
 
 from calibrate.bank.description import DENSITY_SD, Discrepancy, Ready, describe, point_for
 from calibrate.bank.further import menu
-from calibrate.bank.lab import LabCurves, read, with_baseline, with_instruments
+from calibrate.bank.instruments import with_baseline, with_instruments
+from calibrate.bank.lab import LabCurves, read
 from calibrate.diagnosis.generated import World, plan_of
 from calibrate.diagnosis.how_far import HowFar, how_far
 from calibrate.diagnosis.lack_of_fit import NullTable

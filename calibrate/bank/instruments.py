@@ -1,0 +1,235 @@
+"""What instruments add to a description: recording, and the force before contact.
+
+A recording misses what is sharp, and how much it misses depends on the curve: where the force
+reading is late, the turn of the confined curve is round already,
+
+    dR/dx = (F - R)/(v tau)        x: the platen's path, v its speed, tau the lag
+
+and nothing is lost there.  So the shift by recording is found for several lags, and goes
+linearly between them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibrate.bank.lab import LabCurves
+from calibrate.bank.store import Bank
+from calibrate.diagnosis.features import (
+    CONFINED,
+    UNCONFINED,
+    Curves,
+    Feature,
+    declare_before_contact,
+    vector,
+)
+from calibrate.diagnosis.linear import Emulator, Linearised
+from calibrate.diagnosis.repeats import Measured, from_vectors
+from calibrate.diagnosis.sensor import recording
+
+FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
+STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
+LAG = "acquisition_lag"
+LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
+
+
+def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> Linearised:
+    """The description with what recording adds to the features of curves."""
+    if not found.channels:
+        return d
+    reference = typical(bank, found)
+    lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
+    unit = 0.0 if lag is None else d.effects[lag].typical
+    recorded = [
+        recording(
+            d.features, late(reference, found, lags * unit), found.channels,
+            np.random.default_rng(seed),
+        )
+        for lags in (LAGS if lag is not None else LAGS[:1])
+    ]  # fmt: skip
+    shifts, sensors, either = (np.array(part) for part in zip(*recorded, strict=True))
+    read = Recorded(lag, shifts, either)
+    steep = d.effect_slopes + read.slopes(np.zeros(len(d.effects)))
+    return replace(
+        d, mean=d.mean + shifts[0], sensor=d.sensor + sensors[0], effect_slopes=steep,
+        wrong=np.column_stack([d.wrong, either[0]]),
+        emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
+    )  # fmt: skip
+
+
+def late(curves: Curves, found: LabCurves, lag: float) -> Curves:
+    """Curves as they are read `lag` seconds late; forces pushed up so that readings reach the same
+    largest value, as the machine turns by what it reads."""
+    if not lag:
+        return curves
+    read = {}
+    for test, (displacement, force) in curves.items():
+        path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
+        reading = _filtered(path, force, found.speeds[test] * lag)
+        read[test] = (displacement, reading * force.max() / reading.max())
+    return read
+
+
+def _filtered(path: np.ndarray, force: np.ndarray, length: float) -> np.ndarray:
+    """Solution (n,) of dR/dx = (F - R)/length from R = F at the first point, F linear between
+    points: exact for any spacing."""
+    reading = np.array(force, float)
+    steps, rises = np.diff(path), np.diff(force)
+    for i, (step, rise) in enumerate(zip(steps, rises, strict=True)):
+        if step == 0:
+            reading[i + 1] = reading[i]
+            continue
+        behind = length * rise / step  # how far R lags where F rises evenly
+        left = (reading[i] - force[i] + behind) * np.exp(-step / length)
+        reading[i + 1] = force[i + 1] - behind + left
+    return reading
+
+
+def typical(bank: Bank, found: LabCurves) -> Curves:
+    """The bank's reference curves, stretched to the size of what the lab measured: travel above
+    half the largest force; force and displacement of the peak."""
+    high = f"displacement at {0.99 * bank.cylinder.force_high:g} N, loading"
+    axes = {
+        CONFINED: (high, ""),
+        UNCONFINED: ("peak displacement, unconfined", "peak force, unconfined"),
+    }
+    curves = {}
+    for test in found.channels:
+        (displacement, force), (along, up) = bank.reference[test], axes[test]
+        curves[test] = (
+            displacement * _ratio(bank, found, along), force * _ratio(bank, found, up)
+        )  # fmt: skip
+    return curves
+
+
+def _ratio(bank: Bank, found: LabCurves, name: str) -> float:
+    """A measured feature over that of the reference curves, 1 where it is not known."""
+    names = [f.name for f in found.measured.features]
+    if name not in names:
+        return 1.0
+    feature = found.measured.features[names.index(name)]
+    ratio = found.measured.mean[names.index(name)] / vector([feature], bank.reference)[0]
+    least, most = STRETCHED
+    return float(np.clip(ratio, least, most)) if np.isfinite(ratio) else 1.0
+
+
+def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
+    """The description and the sample with the forces before contact, where all specimens have
+    them: only an untared load cell moves those."""
+    have = np.isfinite(found.before) if len(found.before) else np.zeros((0, 2), bool)
+    has_test = np.array([[t in c for t in (CONFINED, UNCONFINED)] for c in found.specimens])
+    keep = [
+        i for i in (0, 1) if len(have) and has_test[:, i].any() and have[has_test[:, i], i].all()
+    ]
+    if not keep:
+        return d, found.measured
+    before = declare_before_contact()
+    vectors = np.hstack([found.measured.specimens, found.before[:, keep]])
+    features = (*d.features, *(before[i] for i in keep))
+    noise = max(c.force_sd for c in found.channels.values())
+    return _extended(d, features, len(keep), noise), from_vectors(features, vectors)
+
+
+def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: float) -> Linearised:
+    column = np.array([e.typical if e.name == "load_cell_offset" else 0.0 for e in d.effects])
+    rows = np.tile(column, (more, 1))
+    variance = max(noise / np.sqrt(3), FEWEST_BEFORE_SD) ** 2
+
+    def taller(matrix: np.ndarray, below: np.ndarray | None = None) -> np.ndarray:
+        below = np.zeros((more, *matrix.shape[1:])) if below is None else below
+        return np.concatenate([matrix, below])
+
+    def wider(matrix: np.ndarray, value: float = 0.0) -> np.ndarray:
+        m = len(matrix)
+        grown = np.zeros((m + more, m + more))
+        grown[:m, :m] = matrix
+        grown[range(m, m + more), range(m, m + more)] = value
+        return grown
+
+    empty = np.zeros((len(d.packing_residuals), more))
+    return replace(
+        d, features=features, mean=taller(d.mean), base_slopes=taller(d.base_slopes),
+        effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
+        packing_residuals=np.hstack([d.packing_residuals, empty]),
+        effect_errors=taller(d.effect_errors), extra=wider(d.extra),
+        sensor=wider(d.sensor, variance), tolerance=taller(d.tolerance),
+        wrong=taller(d.wrong),
+        emulator=None if d.emulator is None else Taller(d.emulator, rows),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Shifts (j, m) by recording at LAGS and half of what machines differ by there (j, m); lag: the
+    effect's number, None where there is none."""
+
+    lag: int | None
+    shifts: np.ndarray
+    either: np.ndarray
+
+    def shift(self, strengths: np.ndarray) -> np.ndarray:
+        """Shift (m,) at strengths (k,) in typical ones."""
+        return self._between(self.shifts, strengths)
+
+    def half_difference(self, strengths: np.ndarray) -> np.ndarray:
+        """Half of what machines differ by (m,)."""
+        return self._between(self.either, strengths)
+
+    def slopes(self, strengths: np.ndarray) -> np.ndarray:
+        """Change of the shift (m, k) per typical strength, towards stronger effects."""
+        found = np.zeros((self.shifts.shape[1], len(strengths)))
+        if self.lag is not None and strengths[self.lag] < LAGS[-1]:
+            i = self._segment(strengths[self.lag])
+            rise = self.shifts[i + 1] - self.shifts[i]
+            found[:, self.lag] = rise / (LAGS[i + 1] - LAGS[i])
+        return found
+
+    def _between(self, rows: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        if self.lag is None:
+            return rows[0]
+        at = float(np.clip(strengths[self.lag], LAGS[0], LAGS[-1]))
+        i = self._segment(at)
+        share = (at - LAGS[i]) / (LAGS[i + 1] - LAGS[i])
+        return (1 - share) * rows[i] + share * rows[i + 1]
+
+    @staticmethod
+    def _segment(strength: float) -> int:
+        return int(np.clip(np.searchsorted(LAGS, strength, side="right") - 1, 0, len(LAGS) - 2))
+
+
+@dataclass(frozen=True, eq=False)
+class AsRecorded:
+    """An emulator of values as a machine records them, one way or the other."""
+
+    emulator: Emulator
+    read: Recorded
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, strengths)
+        steep = effects + self.read.slopes(strengths)
+        return values + self.read.shift(strengths), base, steep
+
+    def wrong(self, delta, strengths):
+        either = self.read.half_difference(strengths)
+        return np.column_stack([self.emulator.wrong(delta, strengths), either])
+
+
+@dataclass(frozen=True, eq=False)
+class Taller:
+    """An emulator with further features that depend on effects alone, linearly: rows (q, k)."""
+
+    emulator: Emulator
+    rows: np.ndarray
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, strengths)
+        more = np.zeros((len(self.rows), base.shape[1]))
+        return (
+            np.concatenate([values, self.rows @ strengths]),
+            np.concatenate([base, more]),
+            np.concatenate([effects, self.rows]),
+        )
+
+    def wrong(self, delta, strengths):
+        known = self.emulator.wrong(delta, strengths)
+        return np.concatenate([known, np.zeros((len(self.rows), known.shape[1]))])

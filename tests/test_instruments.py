@@ -1,0 +1,89 @@
+"""What recording does to curves that are read late: the filter, and the shift between lags."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibrate.bank.instruments import LAGS, AsRecorded, Recorded, late
+from calibrate.diagnosis.features import declare
+from calibrate.diagnosis.sensor import Channel, recording
+
+FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
+
+
+def ramp(points: int) -> np.ndarray:
+    """Up at 50 N/mm to 400 N and down at 200 N/mm, shape (2, n)."""
+    up = np.linspace(0, 8, points), np.linspace(0, 400, points)
+    down = np.linspace(8, 6, points), np.linspace(400, 0, points)
+    return np.array([np.append(a, b[1:]) for a, b in zip(up, down, strict=True)])
+
+
+@pytest.mark.parametrize("points", [9, 2001])
+def test_a_late_reading_of_a_ramp_is_the_closed_form(points):
+    """R = s (x - l (1 - exp(-x/l))) on the way up, whatever the spacing, and then stretched."""
+    length = 8.0 * 0.05
+    x, force = late({"confined": tuple(ramp(points))}, FOUND, 0.05)["confined"]
+    rising = 50 * (x - length * -np.expm1(-x / length))
+    factor = force[points - 1] / rising[points - 1]
+    assert force[:points] == pytest.approx(factor * rising[:points], abs=1e-9)
+    assert force.max() == pytest.approx(400.0)
+    assert factor == pytest.approx(400 / (400 - 50 * length), rel=0.02)
+
+
+def test_without_lag_nothing_changes_and_a_slow_test_hardly():
+    curves = {"unconfined": tuple(ramp(400))}
+    assert late(curves, FOUND, 0.0) is curves
+    force = late(curves, FOUND, 0.1)["unconfined"][1]
+    assert np.abs(force - ramp(400)[1]).max() < 0.5
+
+
+def test_a_late_reading_loses_less_at_the_turn():
+    """Coarse recording of a sharp turn misses it; that of a round one does not."""
+    features = [f for f in declare(400.0, 4.0, 250.0) if f.test == "confined"]
+    at = [f.name for f in features].index("travel at the top, confined")
+    channels = {"confined": Channel(0.1, 0.1, 1e-3)}
+    curves = {"confined": tuple(ramp(2000))}
+    lost = [
+        recording(features, late(curves, FOUND, lag), channels, np.random.default_rng(0), 40)[0]
+        for lag in (0.0, 0.1)
+    ]
+    assert abs(lost[1][at]) < 0.6 * abs(lost[0][at])
+
+
+def test_shifts_go_linearly_between_lags_and_slopes_are_theirs():
+    rows = np.random.default_rng(1).normal(size=(len(LAGS), 3))
+    read = Recorded(1, rows, 2 * rows)
+    for number, lag in enumerate(LAGS):
+        assert read.shift(np.array([9.0, lag])) == pytest.approx(rows[number])
+    middle = np.array([0.0, (LAGS[1] + LAGS[2]) / 2])
+    assert read.half_difference(middle) == pytest.approx(rows[1] + rows[2])
+    ahead, back = (read.shift(middle + np.array([0.0, step])) for step in (1e-4, -1e-4))
+    assert read.slopes(middle)[:, 1] == pytest.approx((ahead - back) / 2e-4)
+    assert not read.slopes(middle)[:, 0].any()
+    assert not read.slopes(np.array([0.0, 2 * LAGS[-1]])).any()
+
+
+def test_an_emulator_as_recorded_adds_shift_slope_and_half_difference():
+    class Still:
+        def __call__(self, delta, strengths):
+            return np.ones(3), np.zeros((3, 1)), np.zeros((3, 2))
+
+        def wrong(self, delta, strengths):
+            return np.zeros((3, 0))
+
+    rows = np.arange(3.0 * len(LAGS)).reshape(len(LAGS), 3)
+    read = AsRecorded(Still(), Recorded(0, rows, rows))
+    at = np.array([LAGS[1], 0.0])
+    values, _, effects = read(np.zeros(1), at)
+    assert values == pytest.approx(1 + rows[1])
+    assert effects[:, 0] == pytest.approx((rows[2] - rows[1]) / (LAGS[2] - LAGS[1]))
+    assert read.wrong(np.zeros(1), at)[:, 0] == pytest.approx(rows[1])
+
+
+def test_an_effectless_library_has_one_shift():
+    rows = np.array([[1.0, 2.0]])
+    read = Recorded(None, rows, rows)
+    assert read.shift(np.zeros(0)) == pytest.approx([1.0, 2.0])
+    assert read.slopes(np.zeros(3)).shape == (2, 3)
