@@ -6,6 +6,7 @@ emulator knows least where an effect is strong.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import admissible, lengths
 
 REFITTED = 3  # leading effects whose pairs are refitted
-BEGINNINGS = (1.0, 3.0)  # typical strengths from which leading effects are refitted too
+BEGINNINGS = (1.0, 3.0)  # typical strengths from which leading effects are refitted too, with the
+# soil of the base fit, which may be far off where an effect is strong, and with the prior's
 SCREENED = 5  # leading effects
 
 Fits = dict[tuple[int, ...], Refit]
@@ -97,10 +99,9 @@ class _Fitter:
         yield start_at(self.d, self.base.delta)
         if not thorough or self.d.emulator is None:
             return
-        for strength in BEGINNINGS:
-            yield start_at(self.d, self.base.delta, effect, strength)
-            if not self.d.effects[effect].one_sided:
-                yield start_at(self.d, self.base.delta, effect, -strength)
+        signs = (1.0,) if self.d.effects[effect].one_sided else (1.0, -1.0)
+        for delta, strength, sign in product((self.base.delta, None), BEGINNINGS, signs):
+            yield start_at(self.d, delta, effect, sign * strength)
 
     def _fit(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
         d, covariance = self.d, self.noise.mean
