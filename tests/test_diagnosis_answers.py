@@ -27,7 +27,7 @@ from calibrate.diagnosis.how_far import (
 )
 from calibrate.diagnosis.linear import Effect, simple
 from calibrate.diagnosis.next_test import FurtherTest, next_tests
-from calibrate.diagnosis.refit import best_refit, refit, start_at
+from calibrate.diagnosis.refit import hollows, refit, start_at
 from calibrate.diagnosis.rehearsal import generated_case, rehearsed
 from calibrate.diagnosis.repeats import from_targets
 from calibrate.diagnosis.verdict import as_json, reports, status
@@ -182,8 +182,8 @@ def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_
     truth = at(np.zeros(5), np.eye(world.EFFECTS)[2] * 2.0)[0]
     near, far = start_at(bent), start_at(bent, effect=2, strength=3.0)
     stuck = refit(bent, truth, world.scatter(), [2], near)
-    found = best_refit(bent, truth, world.scatter(), [2], [near, far])
-    assert stuck.strengths[2] == 0.0
+    found, other = hollows(bent, truth, world.scatter(), [2], [near, far, far])
+    assert stuck.strengths[2] == other.strengths[2] == 0.0
     assert found.strengths[2] == pytest.approx(2.0, abs=0.1)
     assert found.objective < 0.5 * stuck.objective
 

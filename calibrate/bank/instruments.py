@@ -5,13 +5,16 @@ reading is late, the turn of the confined curve is round already,
 
     dR/dx = (F - R)/(v tau)        x: the platen's path, v its speed, tau the lag
 
-and nothing is lost there.  So the shift by recording is found for several lags, and goes
-linearly between them.
+and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
+between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from calibrate.bank.lab import LabCurves
 from calibrate.bank.store import Bank
@@ -30,6 +33,7 @@ from calibrate.diagnosis.sensor import recording
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
 LAG = "acquisition_lag"
+Interpolator = Callable[..., np.ndarray]
 LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
 
 
@@ -48,6 +52,7 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
         for lags in (LAGS if lag is not None else LAGS[:1])
     ]  # fmt: skip
     shifts, sensors, either = (np.array(part) for part in zip(*recorded, strict=True))
+    shifts, either = _filled(shifts), _filled(either)
     read = Recorded(lag, shifts, either)
     steep = d.effect_slopes + read.slopes(np.zeros(len(d.effects)))
     return replace(
@@ -55,6 +60,13 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
         wrong=np.column_stack([d.wrong, either[0]]),
         emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
     )  # fmt: skip
+
+
+def _filled(rows: np.ndarray) -> np.ndarray:
+    """Rows (j, m) with that of the next smaller lag where a late curve lacks a feature."""
+    for number in range(1, len(rows)):
+        rows[number] = np.where(np.isfinite(rows[number]), rows[number], rows[number - 1])
+    return rows
 
 
 def late(curves: Curves, found: LabCurves, lag: float) -> Curves:
@@ -169,32 +181,36 @@ class Recorded:
 
     def shift(self, strengths: np.ndarray) -> np.ndarray:
         """Shift (m,) at strengths (k,) in typical ones."""
-        return self._between(self.shifts, strengths)
+        return self._shift(self._lag(strengths))
 
     def half_difference(self, strengths: np.ndarray) -> np.ndarray:
         """Half of what machines differ by (m,)."""
-        return self._between(self.either, strengths)
+        return self._either(self._lag(strengths))
 
     def slopes(self, strengths: np.ndarray) -> np.ndarray:
-        """Change of the shift (m, k) per typical strength, towards stronger effects."""
+        """Change of the shift (m, k) per typical strength."""
         found = np.zeros((self.shifts.shape[1], len(strengths)))
         if self.lag is not None and strengths[self.lag] < LAGS[-1]:
-            i = self._segment(strengths[self.lag])
-            rise = self.shifts[i + 1] - self.shifts[i]
-            found[:, self.lag] = rise / (LAGS[i + 1] - LAGS[i])
+            found[:, self.lag] = self._shift(self._lag(strengths), 1)
         return found
 
-    def _between(self, rows: np.ndarray, strengths: np.ndarray) -> np.ndarray:
-        if self.lag is None:
-            return rows[0]
-        at = float(np.clip(strengths[self.lag], LAGS[0], LAGS[-1]))
-        i = self._segment(at)
-        share = (at - LAGS[i]) / (LAGS[i + 1] - LAGS[i])
-        return (1 - share) * rows[i] + share * rows[i + 1]
+    def _lag(self, strengths: np.ndarray) -> float:
+        return 0.0 if self.lag is None else float(np.clip(strengths[self.lag], LAGS[0], LAGS[-1]))
 
-    @staticmethod
-    def _segment(strength: float) -> int:
-        return int(np.clip(np.searchsorted(LAGS, strength, side="right") - 1, 0, len(LAGS) - 2))
+    @cached_property
+    def _shift(self) -> Interpolator:
+        return _between_lags(self.shifts)
+
+    @cached_property
+    def _either(self) -> Interpolator:
+        return _between_lags(self.either)
+
+
+def _between_lags(rows: np.ndarray) -> Interpolator:
+    """Rows (j, m) at LAGS as a function of the lag; constant where there is one row."""
+    if len(rows) == 1:
+        return lambda lag: rows[0]
+    return PchipInterpolator(LAGS, rows)
 
 
 @dataclass(frozen=True, eq=False)

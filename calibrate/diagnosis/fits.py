@@ -14,7 +14,7 @@ from calibrate.diagnosis.evidence import Evidence
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, estimate
 from calibrate.diagnosis.projection import fitted_shift, project
-from calibrate.diagnosis.refit import Refit, Start, best_refit, refit, start_at
+from calibrate.diagnosis.refit import Refit, Start, hollows, refit, start_at
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import admissible, lengths
 
@@ -22,6 +22,7 @@ REFITTED = 3  # leading effects whose pairs are refitted
 BEGINNINGS = (1.0, 3.0)  # typical strengths from which leading effects are refitted too, with the
 # soil of the base fit, which may be far off where an effect is strong, and with the prior's
 SCREENED = 5  # leading effects
+HOLLOWS = 3  # different fits of one explanation that are weighed by their own noise
 
 Fits = dict[tuple[int, ...], Refit]
 
@@ -36,7 +37,8 @@ def fitted_base(
     spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
     noise = estimate(d, measured, packing, base.delta**2 + np.diag(spread))
     starts = [start_at(d), start_at(d, base.delta)]
-    fit = best_refit(d, measured.mean, inflation * noise.mean, (), starts)
+    fits = [refit(d, measured.mean, inflation * noise.mean, (), start) for start in starts]
+    fit = min(fits, key=lambda fit: fit.objective)
     return noise, replace(fit, covariance=covariance_at(d, noise, fit))
 
 
@@ -104,16 +106,22 @@ class _Fitter:
             yield start_at(self.d, delta, effect, sign * strength)
 
     def _fit(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
-        d, covariance = self.d, self.noise.mean
-        first = best_refit(d, self.measured, self.inflation * covariance, key, starts)
-        own = covariance_at(d, self.noise, first)
-        start = (first.delta, first.strengths)
-        fit = (
-            first
-            if d.emulator is None
-            else refit(d, self.measured, self.inflation * own, key, start)
-        )
+        """The likeliest of the best fits from some starts, each weighed by the noise at its own
+        place."""
+        covariance = self.inflation * self.noise.mean
+        found = hollows(self.d, self.measured, covariance, key, starts)[:HOLLOWS]
+        return min((self._at_its_place(fit) for fit in found), key=self._unlikely)
+
+    def _at_its_place(self, fit: Refit) -> Refit:
+        d, own = self.d, covariance_at(self.d, self.noise, fit)
+        if d.emulator is not None:
+            start = (fit.delta, fit.strengths)
+            fit = refit(d, self.measured, self.inflation * own, fit.chosen, start)
         return replace(fit, covariance=own)
+
+    def _unlikely(self, fit: Refit) -> float:
+        """Minus twice the log posterior density, up to a constant."""
+        return fit.objective + float(np.linalg.slogdet(self.inflation * fit.covariance)[1])
 
 
 def _companions(d: Linearised, fit: Refit) -> list[int]:

@@ -21,6 +21,7 @@ from calibrate.diagnosis.linear import Linearised
 STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running away
 STEPS = 8
 HALVINGS = 4
+SAME = 0.1  # typical strengths by which fits in one hollow may differ
 DONE = 1e-3  # fall of the objective that is not worth another step
 
 
@@ -54,16 +55,20 @@ def start_at(
     return np.zeros(len(description.prior_sd)) if delta is None else delta, strengths
 
 
-def best_refit(
+def hollows(
     description: Linearised,
     measured: np.ndarray,
     covariance: np.ndarray,
     chosen: Sequence[int],
     starts: Iterable[Start],
-) -> Refit:
-    """The fit with the least objective of those from all starts."""
+) -> list[Refit]:
+    """The fits from all starts that differ, best first."""
     fits = [refit(description, measured, covariance, chosen, start) for start in starts]
-    return min(fits, key=lambda fit: fit.objective)
+    found: list[Refit] = []
+    for fit in sorted(fits, key=lambda fit: fit.objective):
+        if not any(np.abs(fit.strengths - other.strengths).max() < SAME for other in found):
+            found.append(fit)
+    return found
 
 
 def refit(
