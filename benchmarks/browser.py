@@ -69,7 +69,8 @@ class Browser:
     """Headless Chromium with its DevTools on file descriptors 3 and 4; a context manager."""
 
     def __init__(self, program: str):
-        self._profile = tempfile.TemporaryDirectory()
+        # Chromium's children may still write there when it has ended.
+        self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
         command = [

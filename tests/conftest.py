@@ -8,10 +8,14 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")  # read when jax is imported
 
 import jax
 import pytest
+from hypothesis import settings
 
 from calibrate import cli
 
 jax.config.update("jax_enable_x64", True)
+# The first example of a property compiles; how long that takes says nothing about the property.
+settings.register_profile("compiling", deadline=None)
+settings.load_profile("compiling")
 # Test workers share what any of them, now or in an earlier run, has compiled.
 jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".jax_cache"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
