@@ -116,6 +116,39 @@ def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):
     assert effects[2, 1] == pytest.approx(0.4, rel=0.2)
 
 
+def test_twins_show_an_effect_that_scatter_between_soils_hides():
+    """Specimens scatter by 30 % from soil to soil of one packing, by 1 % between twins."""
+    rng, packings = np.random.default_rng(6), 40
+    packing = np.repeat(np.arange(packings), EACH)
+    x = np.repeat(rng.normal(size=(packings, P)), EACH, axis=0)
+    mixed = packing < packings // 2
+    x[mixed] = rng.normal(size=(mixed.sum(), P))
+    s = np.where(np.arange(len(x)) % EACH == 0, 0.0, rng.uniform(0.3, 1, len(x)))[:, None]
+    own = rng.normal(size=len(x))
+    first = np.arange(len(x)) // EACH * EACH
+    scatter = np.exp(0.3 * np.where(mixed, own, own[first]) + 0.01 * rng.normal(size=len(x)))
+    force = 200 * np.exp(0.4 * x[:, 0] + 0.5 * s[:, 0]) * scatter
+    told = fit_emulator(x, s, packing, force[:, None], SCALE[:1])
+    kernel = told.components[0].kernel
+    assert np.exp(kernel.twin - kernel.rest) > 3
+    blind = kernel._replace(twin=np.log(1e-3), rest=np.log(np.hypot(*np.exp(kernel[-2:]))))
+    untold = fit_emulator(x, s, packing, force[:, None], SCALE[:1], [blind])
+    here, none = np.zeros(P), np.zeros(1)
+    errors = [each.effect_errors(here)[0, 0] for each in (told, untold)]
+    assert errors[0] < 0.6 * errors[1]
+    slope = told(here, none)[2][0, 0] / told(here, none)[0][0]
+    assert slope == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_file_from_before_twins_has_none(tmp_path: Path):
+    path = tmp_path / "bank.nc"
+    store.save(toy_bank.bank(), path)
+    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+        older = stored.load().drop_vars("kernel_twin")
+    older.to_netcdf(path, engine=store.NETCDF)
+    assert all(kernel.twin == store.NO_TWINS for kernel in store.load(path).kernels)
+
+
 def test_emulator_is_less_certain_far_away(emulator):
     none = np.zeros(K)
     near, far = (emulator.error_directions(np.full(P, at), none) for at in (0.0, 4.0))

@@ -130,6 +130,20 @@ def test_scores_of_hand_made_cases():
     assert found["mean_set_size"] == 2.0
 
 
+def test_effects_from_outside_are_scored_by_how_visible_they_are():
+    outside = replace(ROW, kind="outside", truth="unknown", verdict="none", p_before=0.3)
+    said = replace(outside, verdict="unknown", p_before=0.01)
+    noticed = replace(outside, verdict="seating_gap", p_before=0.01)
+    rows = [replace(r, snr=snr) for r, snr in ((outside, 0.2), (said, 7.0), (noticed, 9.0))]
+    found = scored([ROW, *rows])["outside_by_snr"]
+    assert found["below 0.5"]["unknown"]["value"] == 0.0
+    assert found["above 6"]["unknown"]["value"] == 0.5
+    assert found["above 6"]["noticed"]["value"] == 1.0
+    assert found["2-6"]["unknown"]["n"] == 0
+    before = [replace(r, snr=0.0) for r in rows]  # labels from before it was simulated
+    assert scored(before)["outside_by_snr"] == {}
+
+
 def test_confusion_counts_every_case_once():
     table = confusion(hand_made())
     assert table["wall_friction"] == {"wall_friction": 1, SEAT: 1, "unknown": 1, "none": 1}

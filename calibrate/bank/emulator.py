@@ -1,7 +1,7 @@
 """Values and slopes of features between the simulations of a bank: Gaussian processes.
 
     asinh(feature/scale) = mean + sum_c loading_c y_c             c: principal components
-    y_c(x, s) = f_c(x, s) + packing + rest
+    y_c(x, s) = f_c(x, s) + packing + twin + rest
 
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
           + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
@@ -9,9 +9,11 @@
 x are base coordinates over their spread, s strengths over their limits.  The inverse
 hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
-slopes rest on differences within packings.  Hyperparameters maximise the marginal likelihood
-(Rasmussen and Williams 2006, chapters 2 and 5); derivatives are those of the kernel, in closed
-form.
+slopes rest on differences within packings; so has what it does to all rows of one soil (twins:
+they differ in effects alone), and an effect is seen the better the less is left.
+
+Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
+derivatives are those of the kernel, in closed form.
 """
 
 from collections.abc import Sequence
@@ -33,7 +35,7 @@ JITTER = 1e-6
 
 
 class Kernel(NamedTuple):
-    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, (), ()."""
+    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then ()."""
 
     linear: Any
     length: Any
@@ -43,20 +45,35 @@ class Kernel(NamedTuple):
     interaction: Any
     bent: Any
     packing: Any
+    twin: Any
     rest: Any
 
     @property
     def scatter(self) -> float:
         """Variance of one specimen about the process."""
-        return float(np.exp(2 * self.packing) + np.exp(2 * self.rest))
+        return float(np.exp(2 * self.packing) + np.exp(2 * self.twin) + np.exp(2 * self.rest))
 
     @staticmethod
     def start(p: int, k: int) -> "Kernel":
         low = np.log(0.1)
         return Kernel(
             np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
-            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.3),
+            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.2),
+            np.log(0.2),
         )  # fmt: skip
+
+
+class Kin(NamedTuple):
+    """Which rows share a packing, and which also a soil, as ones in matrices (n, n)."""
+
+    packing: np.ndarray
+    twin: np.ndarray
+
+    @staticmethod
+    def of(x: np.ndarray, packing: np.ndarray) -> "Kin":
+        soil = np.unique(x, axis=0, return_inverse=True)[1].ravel()
+        same = packing[:, None] == packing
+        return Kin(same.astype(float), (same & (soil[:, None] == soil)).astype(float))
 
 
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
@@ -76,20 +93,20 @@ def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
     return straight + curved + (s * effect) @ s2.T + together + (s**2 * bent) @ (s2**2).T
 
 
-def _total(kernel: Kernel, x, s, same, xp=np):
-    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, same, xp)
+def _total(kernel: Kernel, x, s, kin: Kin, xp=np):
+    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, kin, xp)
 
 
-def _noise(kernel: Kernel, same, xp=np):
-    """Covariance (n, n) of what packings and rest add."""
-    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(same))
-    return xp.exp(2 * kernel.packing) * same + rest
+def _noise(kernel: Kernel, kin: Kin, xp=np):
+    """Covariance (n, n) of what packings, soils in them and rest add."""
+    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(kin.packing))
+    return xp.exp(2 * kernel.packing) * kin.packing + xp.exp(2 * kernel.twin) * kin.twin + rest
 
 
 @jax.jit
-def _loss(kernel: Kernel, start: Kernel, x, s, same, y):
+def _loss(kernel: Kernel, start: Kernel, x, s, kin: Kin, y):
     """Minus the log marginal likelihood, with a weak pull to the start."""
-    lower = jnp.linalg.cholesky(_total(kernel, x, s, same, jnp))
+    lower = jnp.linalg.cholesky(_total(kernel, x, s, kin, jnp))
     white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
     pull = sum(jnp.sum((a - b) ** 2) for a, b in zip(kernel, start, strict=True))
     return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull / PULL_SD**2
@@ -102,10 +119,10 @@ def fit_kernel(x, s, packing, y) -> Kernel:
     """The kernel with the largest marginal likelihood of standardised values y (n,)."""
     start = Kernel.start(x.shape[1], s.shape[1])
     flat, unflatten = ravel_pytree(start)
-    same = (packing[:, None] == packing).astype(float)
+    kin = Kin.of(x, packing)
 
     def objective(values):
-        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, same, y)
+        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, kin, y)
         found = float(value)
         gradient = np.asarray(ravel_pytree(slope)[0], float)
         return (found, gradient) if np.isfinite(found) else (1e10, np.zeros(len(values)))
@@ -224,13 +241,13 @@ def fit_emulator(
     warped = np.arcsinh(features / scale)
     basis = basis or principal(warped)
     scores = basis.components(warped)
-    few = _spread(packing)
+    few, kin = _spread(packing), Kin.of(x, packing)
     parts = []
     for c, y in enumerate(scores.T):
         known = None if kernels is None else kernels[c]
         kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
         factor = np.ones(len(y)) if noise is None else noise[:, c]
-        parts.append(_component(kernel, x, s, packing, y, factor))
+        parts.append(_component(kernel, x, s, kin, y, factor))
     left = np.array([
         _as_large_as_stated(c.kernel, y - covariance(c.kernel, x, s, x, s) @ c.weights)
         for c, y in zip(parts, scores.T, strict=True)
@@ -241,8 +258,8 @@ def fit_emulator(
 
 
 def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray) -> np.ndarray:
-    """Residuals (n,) of a component with the variance that its process gives to packings and
-    rest: those of a fit are smaller, as some of the scatter is fitted."""
+    """Residuals (n,) of a component with the variance that its process gives to packings,
+    soils in them and rest: those of a fit are smaller, as some of the scatter is fitted."""
     return residuals * np.sqrt(kernel.scatter / max(float(residuals.var()), 1e-300))
 
 
@@ -254,9 +271,8 @@ def _spread(packing: np.ndarray) -> np.ndarray:
     return np.isin(packing, kept)
 
 
-def _component(kernel: Kernel, x, s, packing, y, factor) -> Component:
-    same = (packing[:, None] == packing).astype(float)
-    scatter = _noise(kernel, same) * np.sqrt(np.outer(factor, factor))
+def _component(kernel: Kernel, x, s, kin: Kin, y, factor) -> Component:
+    scatter = _noise(kernel, kin) * np.sqrt(np.outer(factor, factor))
     lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
     return Component(kernel, cho_solve((lower, True), y), lower)
 

@@ -1,7 +1,7 @@
 """What an emulator misses, seen on packings left out in turn: how much too sure it is.
 
     e = y - f(x, s)        of a left-out row, in a standardised component
-    e ~ N(0, w v(x, s) + q n)        n = packing + rest
+    e ~ N(0, w v(x, s) + q n)        n = packing + twin + rest
 
 w widens the variance v that the process states of itself, q the scatter n of specimens; both
 by maximum likelihood over rows with at most one effect, w with a weak pull to 1, as a few

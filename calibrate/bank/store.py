@@ -25,6 +25,7 @@ from calibrate.measurements import Lab
 PEAK_MM, PEAK_N = 4.0, 250.0  # usual place of the peak, by which crushing features are declared
 TARGETS = ("depression_depth_mm", "crushing_force_n")
 NETCDF = "h5netcdf"
+NO_TWINS = -6.0  # their kernels' logarithm in files from before there were any
 
 
 @dataclass(frozen=True)
@@ -228,14 +229,6 @@ def load(path: Path) -> Bank:
 def _read(stored: xr.Dataset) -> Bank:
     design = json.loads(stored.attrs["design"])
     design["limits"] = {name: tuple(pair) for name, pair in design["limits"].items()}
-    kernels = ()
-    if "kernel_linear" in stored:
-        parts = {name: stored[f"kernel_{name}"].values for name in Kernel._fields}
-        scalars = ("curved", "packing", "rest")
-        kernels = tuple(
-            Kernel(**{n: v[c, 0] if n in scalars else v[c] for n, v in parts.items()})
-            for c in range(len(parts["linear"]))
-        )
     reference = {
         test: tuple(stored[f"reference_{test}"].values.T) for test in ("confined", "unconfined")
     }
@@ -248,8 +241,22 @@ def _read(stored: xr.Dataset) -> Bank:
         packing=stored["packing"].values,
         values=stored["values"].values.astype(float),
         reference=reference,
-        kernels=kernels,
+        kernels=_kernels(stored),
         missed=Missed(*(stored[name].values for name in ("widening", "scatter", "tolerance")))
         if "tolerance" in stored
         else None,
+    )
+
+
+def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
+    """The fitted kernels of a file; none if it was not fitted."""
+    names = [name for name in Kernel._fields if f"kernel_{name}" in stored]
+    if not names:
+        return ()
+    parts = {name: stored[f"kernel_{name}"].values for name in names}
+    parts.setdefault("twin", np.full_like(parts["rest"], NO_TWINS))
+    scalars = ("curved", "packing", "twin", "rest")
+    return tuple(
+        Kernel(**{n: v[c, 0] if n in scalars else v[c] for n, v in parts.items()})
+        for c in range(len(parts["linear"]))
     )

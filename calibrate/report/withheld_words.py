@@ -20,6 +20,7 @@ SCORES = {
     "detection_auc": "smaller p-value where something is hidden (area under the ROC curve)",
     "set_coverage": "truth within the stated set of explanations",
 }
+OUTSIDE = {"unknown": "called unknown", "noticed": "gap detected at 5 %"}
 PERCENT = "\u00a0%"  # no line ends before the sign
 RIVAL_COLUMNS = (
     "rival", "right, all cases", "right, signal-to-noise above 2", "ours minus theirs, points",
@@ -42,6 +43,7 @@ def markdown(result: dict, title: str) -> str:
             [[name, *(shown(result[key][name]) for key in
                       ("accuracy_by_snr", "first_two_by_snr", "gate_detects_by_snr"))]
              for name in result["accuracy_by_snr"]]),
+        *outside_table(result),
         "## Other shares",
         _table(["", "share"], [[words, shown(result[key])] for key, words in SCORES.items()]),
         f"Mean number of explanations in a set: {number(result['mean_set_size'], 3)}.",
@@ -100,6 +102,14 @@ def canary_sentence(result: dict) -> str:
         f"the kind of {percent(found['right'])} of cases, with shuffled labels of "
         f"{percent(found['shuffled'])} (p {p_value(found['p_value'])}): the files {verdict}."
     )
+
+
+def outside_table(result: dict) -> list[str]:
+    """What became of effects that the library does not have, by how visible they are; nothing
+    for results that do not say it."""
+    by_snr = result.get("outside_by_snr", {})
+    rows = [[name, *(shown(found[key]) for key in OUTSIDE)] for name, found in by_snr.items()]
+    return [_table(["effects outside the library", *OUTSIDE.values()], rows)] if rows else []
 
 
 # ---------------------------------------------------------------- words and cells

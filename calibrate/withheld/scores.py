@@ -126,6 +126,7 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of[NONE]),
         "unknown_recall": share(r.verdict == UNKNOWN for r in of["outside"]),
         "outside_noticed": share(r.verdict != NONE for r in of["outside"]),
+        "outside_by_snr": outside_by_snr(of["outside"]),
         "outside_taken_for_an_effect": share(
             r.verdict not in (UNKNOWN, NONE) for r in of["outside"]
         ),
@@ -139,6 +140,20 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         "shrinkage_within_10": share(abs(_claim(r)) <= CLOSE for r in claims),
         "rivals": {name: against(clear, rows, name) for name in RIVALS},
         "confusion": confusion(rows),
+    }
+
+
+def outside_by_snr(outside: Sequence[Row]) -> dict[str, dict[str, dict]]:
+    """Effects that the library does not have, by how visible they are: shares `unknown` and
+    `noticed`; empty for labels from before their signal-to-noise was simulated."""
+    if not any(r.snr for r in outside):
+        return {}
+    return {
+        _name(stratum): {
+            "unknown": share(r.verdict == UNKNOWN for r in _in(outside, stratum)),
+            "noticed": share(r.p_before <= 0.05 for r in _in(outside, stratum)),
+        }
+        for stratum in ((0.0, STRATA[0][0]), *STRATA)
     }
 
 
@@ -160,6 +175,8 @@ def _in(rows: Iterable[Row], stratum: tuple[float, float]) -> list[Row]:
 
 def _name(stratum: tuple[float, float]) -> str:
     low, high = stratum
+    if not low:
+        return f"below {high:g}"
     return f"{low:g}-{high:g}" if np.isfinite(high) else f"above {low:g}"
 
 
