@@ -20,6 +20,7 @@ from calibrate.report.withheld_words import percent
 from calibrate.withheld import run
 from calibrate.withheld.named import BOTH, FAILED, OTHERS, named
 from calibrate.withheld.scores import (
+    Realised,
     Row,
     against,
     calibration,
@@ -63,9 +64,10 @@ def test_a_failed_diagnosis_is_wrong_whatever_was_hidden():
 def test_a_row_holds_what_was_said_of_the_truth():
     said = verdict("a", SEAT, 0.6, claimed={"shrinkage": 0.7})
     said["by_class"] = {SEAT: 0.6, "wall_friction": 0.3, "none": 0.1}
-    found = row(said, label("a", "single", "wall_friction"), realised=0.5)
+    found = row(said, label("a", "single", "wall_friction"), realised=Realised(0.5, 0.1))
     assert (found.truth, found.of_truth, found.second) == ("wall_friction", 0.3, "wall_friction")
-    assert (found.claimed, found.realised, found.in_set) == (0.7, 0.5, False)
+    assert (found.claimed, found.realised, found.realised_error) == (0.7, 0.5, 0.1)
+    assert not found.in_set
 
 
 @pytest.mark.parametrize(
@@ -214,7 +216,22 @@ def test_shrinkage_on_fresh_specimens_by_hand():
         "best": (true[keep] + np.sqrt(5 / 4)).tolist(),
         "weight": np.full(len(keep), 1 / len(keep)).tolist(),
     }
-    assert run.realised_shrinkage(fits, fresh) == pytest.approx(0.5)
+    found = run.realised_shrinkage(fits, fresh)
+    assert found.value == pytest.approx(0.5) and found.error is None
+    assert run.realised_shrinkage(fits, fresh * 2).error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_error_of_a_shrinkage_is_what_it_scatters_by():
+    """The jackknife of twelve specimens against the scatter of many such dozens."""
+    rng, models, weight = (
+        np.random.default_rng(2),
+        [np.full(9, 1.5), np.zeros(9)],
+        np.full(9, 1 / 9),
+    )
+    dozens = rng.normal(size=(400, 12, 9))
+    stated = [run.jackknife(values, models, weight) for values in dozens[:40]]
+    scatter = np.std([run._shrunk(values, models, weight) for values in dozens])
+    assert np.median(stated) == pytest.approx(scatter, rel=0.3)
 
 
 # ---------------------------------------------------------------- targets and report

@@ -115,15 +115,19 @@ def named_svg(table: Named) -> str:
     return _svg(figure)
 
 
-def shrinkage_svg(claimed: Sequence[float], realised: Sequence[float], close: float) -> str:
-    """Share of the gap that goes: claimed against realised on fresh specimens; the band is
-    `close` (a share) about equality.  Points beyond the axes stand at their edge, hollow."""
+def shrinkage_svg(
+    claimed: Sequence[float], realised: Sequence[float], errors: Sequence[float], close: float
+) -> str:
+    """Share of the gap that goes: claimed against realised on fresh specimens, with the standard
+    errors of these; the band is `close` (a share) about equality.  Points beyond the axes stand at
+    their edge, hollow."""
     figure, axis = plt.subplots(figsize=SIZE, layout="constrained")
     x, y = np.array(claimed, float), np.array(realised, float)
     ends = np.array([-0.25, 1.1])
     axis.fill_between(ends, ends - close, ends + close, color="0.88", lw=0,
                       label=f"within {100 * close:.0f} points")  # fmt: skip
     axis.plot(ends, ends, color="0.5", lw=1, label="equal")
+    axis.errorbar(x, np.clip(y, *ends), errors, fmt="none", ecolor="0.6", lw=0.8, zorder=1)
     beyond = (x < ends[0]) | (x > ends[1]) | (y < ends[0]) | (y > ends[1])
     near = np.abs(x - y) <= close
     for chosen, mark, colour, label in (

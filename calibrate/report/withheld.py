@@ -131,9 +131,10 @@ def _alarms(result: dict) -> Picture:
 def _shrinkage(claims: Sequence[Row]) -> Picture:
     claimed = [row.claimed or 0.0 for row in claims]
     realised = [row.realised or 0.0 for row in claims]
+    errors = [row.realised_error or 0.0 for row in claims]
     return Picture(
-        drawn.shrinkage_svg(claimed, realised, CLOSE),
+        drawn.shrinkage_svg(claimed, realised, errors, CLOSE),
         "claimed against realised shrinkage of the gap",
         "How much of the gap goes with the named effect: claimed, and on fresh specimens of "
-        f"the same soil ({len(claims)} cases).",
+        f"the same soil ({len(claims)} cases; bars: standard errors of the latter).",
     )

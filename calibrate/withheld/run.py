@@ -30,12 +30,13 @@ from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
 from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner, Visibility
-from calibrate.withheld.scores import Row, row, scored
+from calibrate.withheld.scores import Realised, Row, row, scored
 from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
 
 PLAN = "sealed/plan.json"
 VERDICTS = "verdicts"
-FRESH = range(SPECIMENS, 2 * SPECIMENS)  # specimens that no diagnosis sees
+FRESH = range(SPECIMENS, 4 * SPECIMENS)  # specimens that no diagnosis sees
+FEWEST_FRESH = 2  # up to which a shrinkage on fresh specimens has no error
 FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
 CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
@@ -169,7 +170,9 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _fresh(source: Path, said: dict, labels: dict, progress: AbstractProgress) -> dict[str, float]:
+def _fresh(
+    source: Path, said: dict, labels: dict, progress: AbstractProgress
+) -> dict[str, Realised]:
     """Shrinkages on fresh specimens of the same soils, where one was claimed."""
     laboratory = Laboratory(source / "simulated", CENTRE)
     plans = {rows[0].name: rows for rows in _planned(source)}
@@ -190,8 +193,9 @@ def _fresh(source: Path, said: dict, labels: dict, progress: AbstractProgress) -
     return realised
 
 
-def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> float:
-    """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off."""
+def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
+    """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off; its
+    standard error by leaving out one specimen after the other (jackknife)."""
     features = {f.name: f for f in declared(400.0)}
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
@@ -201,10 +205,20 @@ def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> float:
     ])  # fmt: skip
     weight = np.array(fits["weight"])[keep]
     weight = weight / weight.sum() * np.sum(fits["weight"])
+    models = [np.array(fits[which])[keep] for which in ("base", "best")]
+    error = jackknife(values, models, weight) if len(values) > FEWEST_FRESH else None
+    return Realised(_shrunk(values, models, weight), error)
+
+
+def jackknife(values: np.ndarray, models: Sequence[np.ndarray], weight: np.ndarray) -> float:
+    """Standard error of the shrinkage of two models (m,) on specimens (n, m)."""
+    n = len(values)
+    without = [_shrunk(np.delete(values, i, axis=0), models, weight) for i in range(n)]
+    return float(np.sqrt((n - 1) * np.var(without)))
+
+
+def _shrunk(values: np.ndarray, models: Sequence[np.ndarray], weight: np.ndarray) -> float:
+    """The shrinkage of two models (m,) on specimens (n, m)."""
     mean, variance = np.nanmean(values, axis=0), np.nanvar(values, axis=0, ddof=1)
     count = np.isfinite(values).sum(axis=0)
-    gaps = [
-        float(weight @ ((mean - np.array(fits[which])[keep]) ** 2 - variance / count))
-        for which in ("base", "best")
-    ]
-    return shrinkage(*gaps)
+    return shrinkage(*(float(weight @ ((mean - m) ** 2 - variance / count)) for m in models))

@@ -38,9 +38,18 @@ class Row:
     rivals: dict[str, str]
     claimed: float | None
     realised: float | None
+    realised_error: float | None = None
 
 
-def row(verdict: dict, label: dict, realised: float | None = None) -> Row:
+@dataclass(frozen=True)
+class Realised:
+    """Shrinkage of the gap on fresh specimens, and its standard error."""
+
+    value: float
+    error: float | None
+
+
+def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
     """A verdict beside its label."""
     truth = truth_of(label, verdict.get("classes", []))
     by_class = verdict.get("by_class", {})
@@ -61,7 +70,8 @@ def row(verdict: dict, label: dict, realised: float | None = None) -> Row:
         p_before=verdict.get("p_before", 1.0),
         rivals=verdict.get("rivals", {}),
         claimed=None if claimed is None else claimed["shrinkage"],
-        realised=realised,
+        realised=None if realised is None else realised.value,
+        realised_error=None if realised is None else realised.error,
     )
 
 
