@@ -18,6 +18,7 @@ derivatives are those of the kernel, in closed form.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -163,11 +164,44 @@ def principal(warped: np.ndarray, count: int = COMPONENTS) -> Basis:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One principal component's process: kernel, weights (n,), lower Cholesky factor (n, n)."""
+    """One principal component's process: kernel, weights (n,), lower Cholesky factor (n, n), and
+    what it leaves of the rows (n,)."""
 
     kernel: Kernel
     weights: np.ndarray
     lower: np.ndarray
+    left: np.ndarray
+
+
+class Processes:
+    """All components' processes about the same points x (n, p), s (n, k), evaluated together."""
+
+    def __init__(self, components: Sequence[Component], x: np.ndarray, s: np.ndarray):
+        every = Kernel(*map(np.array, zip(*(c.kernel for c in components), strict=True)))
+        self.x, self.s = x, s
+        self.weights = np.array([c.weights for c in components])
+        self.near, self.weak = np.exp(-2 * every.length), np.exp(-2 * every.reach)
+        self.curved = 2 * every.curved
+        linear, self.effect, self.mixed, self.bent = (
+            np.exp(2 * part) for part in (every.linear, every.effect, every.interaction, every.bent)
+        )
+        self.linear, self.sum = linear * (self.weights @ x), self.weights.sum(axis=1)
+        self.pulled, self.squares = self.weights @ s, self.weights @ s**2
+
+    def __call__(self, at: np.ndarray, strength: np.ndarray):
+        """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
+        p, w = self.x.shape[1], self.weights
+        away, off = at - self.x, strength - self.s
+        distance = self.near @ (away**2).T + self.weak @ (off**2).T
+        curved = np.exp(self.curved[:, None] - 0.5 * distance) * w
+        shared = (w * (self.x @ at / p)) @ self.s
+        joint = (w * ((self.mixed * strength) @ self.s.T)) @ self.x / p
+        along = self.effect * self.pulled + self.mixed * shared
+        base = self.linear - (curved @ away) * self.near + joint
+        bent = self.bent * strength * self.squares
+        effects = along + 2 * bent - (curved @ off) * self.weak
+        value = self.sum + self.linear @ at + curved.sum(axis=1)
+        return value + along @ strength + bent @ strength, base, effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +221,10 @@ class FeatureEmulator:
 
     def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
-        parts = [_point(c, self.x, self.s, x, s) for c in self.components]
+        values, base, effects = self._processes(x, s)
         carried = self.basis.carried
-        lift, steep = self._back(self.basis.mean + carried @ np.array([part[0] for part in parts]))
-        slopes = [carried @ np.array([part[i] for part in parts]) for i in (1, 2)]
-        return lift, steep[:, None] * slopes[0], steep[:, None] * slopes[1]
+        lift, steep = self._back(self.basis.mean + carried @ values)
+        return lift, steep[:, None] * (carried @ base), steep[:, None] * (carried @ effects)
 
     def _back(self, warped: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean features (m,) whose warped median is given, and their derivative."""
@@ -216,13 +249,17 @@ class FeatureEmulator:
         parts = self.basis.components(self.basis.mean + residuals)
         return residuals + (parts * (np.sqrt(factors) - 1)) @ self.basis.carried.T
 
+    @cached_property
+    def _processes(self) -> Processes:
+        return Processes(self.components, self.x, self.s)
+
     def variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variances (c,) of the standardised components' errors at a point."""
         return np.array([_variance(c, self.x, self.s, x, s) for c in self.components])
 
     def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Standardised components (c,) at a point."""
-        return np.array([_point(c, self.x, self.s, x, s)[0] for c in self.components])
+        return self._processes(x, s)[0]
 
     def effect_errors(self, x: np.ndarray) -> np.ndarray:
         """Standard errors (m, k) of effects' slopes at strength 0, warped."""
@@ -248,10 +285,7 @@ def fit_emulator(
         kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
         factor = np.ones(len(y)) if noise is None else noise[:, c]
         parts.append(_component(kernel, x, s, kin, y, factor))
-    left = np.array([
-        _as_large_as_stated(c.kernel, y - covariance(c.kernel, x, s, x, s) @ c.weights)
-        for c, y in zip(parts, scores.T, strict=True)
-    ])  # fmt: skip
+    left = np.array([_as_large_as_stated(c.kernel, c.left) for c in parts])
     dropped = warped - basis.mean - scores @ basis.carried.T
     residuals = dropped + left.T @ basis.carried.T
     return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals)
@@ -274,33 +308,15 @@ def _spread(packing: np.ndarray) -> np.ndarray:
 def _component(kernel: Kernel, x, s, kin: Kin, y, factor) -> Component:
     scatter = _noise(kernel, kin) * np.sqrt(np.outer(factor, factor))
     lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
-    return Component(kernel, cho_solve((lower, True), y), lower)
-
-
-def _point(c: Component, x, s, at, strength):
-    """Value, slopes (p,) and effects' slopes (k,) of one component at a point."""
-    k, p, w = c.kernel, x.shape[1], c.weights
-    linear, effect, mixed, bent = (
-        np.exp(2 * part) for part in (k.linear, k.effect, k.interaction, k.bent)
-    )
-    near, weak = (at - x) / np.exp(2 * k.length), (strength - s) / np.exp(2 * k.reach)
-    distance = ((at - x) * near).sum(1) + ((strength - s) * weak).sum(1)
-    curved = np.exp(2 * k.curved - 0.5 * distance) * w
-    pulled, squares = w @ s, w @ s**2
-    shared = (w * (x @ at / p)) @ s
-    joint = w * (s @ (mixed * strength))
-    base = linear * (w @ x) - curved @ near + joint @ x / p
-    slopes = effect * pulled + mixed * shared + 2 * bent * strength * squares - curved @ weak
-    value = w.sum() + (linear * (w @ x)) @ at + curved.sum()
-    value += strength @ (effect * pulled + mixed * shared) + strength**2 @ (bent * squares)
-    return value, base, slopes
+    weights = cho_solve((lower, True), y)
+    return Component(kernel, weights, lower, scatter @ weights)
 
 
 def _variance(c: Component, x, s, at, strength) -> float:
     point = (at[None], strength[None])
     cross = covariance(c.kernel, *point, x, s)[0]
     own = float(covariance(c.kernel, *point, *point)[0, 0])
-    white = solve_triangular(c.lower, cross, lower=True)
+    white = solve_triangular(c.lower, cross, lower=True, check_finite=False)
     return max(own - white @ white, 0.0)
 
 
@@ -312,4 +328,6 @@ def _slope_variance(c: Component, x, s, at) -> np.ndarray:
     curved = np.exp(2 * k.curved - 0.5 * distance)
     cross = s * (effect + mixed * (x @ at / p)[:, None] + curved[:, None] * weak)
     own = effect + mixed * (at @ at) / p + np.exp(2 * k.curved) * weak
-    return np.maximum(own - (solve_triangular(c.lower, cross, lower=True) ** 2).sum(0), 0.0)
+    return np.maximum(
+        own - (solve_triangular(c.lower, cross, lower=True, check_finite=False) ** 2).sum(0), 0.0
+    )
