@@ -23,7 +23,7 @@ from calibrate.errors import InputError
 from calibrate.measurements import Lab
 from calibrate.output import write_json
 
-DIRECTIONS = 3
+DIRECTIONS = 8  # at most; those in which references vary by more than scatter explains
 FEWEST = 6  # reference cases
 
 
@@ -73,8 +73,8 @@ def of_rows(found: Sequence[Left], directions: int = DIRECTIONS) -> Discrepancy:
     scatter explains."""
     rows = np.array([left.row for left in found])
     excess = np.cov(rows.T) - np.mean([left.scatter for left in found], axis=0)
-    values, axes = np.linalg.eigh(excess)
-    lead = axes[:, -directions:] * np.sqrt(np.maximum(values[-directions:], 0.0))
+    values, axes = (part[..., -directions:] for part in np.linalg.eigh(excess))
+    lead = axes[:, values > 0] * np.sqrt(values[values > 0])
     rest = np.diag(excess) - (lead**2).sum(axis=1)
     return Discrepancy(rows.mean(axis=0), lead, np.sqrt(np.maximum(rest, 0.0)))
 
