@@ -120,6 +120,15 @@ def test_an_address_without_scheduler_is_refused(address, monkeypatch):
         DaskCluster(address)
 
 
+def test_a_machine_too_busy_to_ask_is_told_in_a_sentence(monkeypatch):
+    def starved(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(cluster_module, "Client", starved)
+    with pytest.raises(CalibrationError, match="too busy"):
+        DaskCluster("tcp://127.0.0.1:9")
+
+
 @pytest.mark.parametrize("verb", ["simulate", "fit", "audit", "doe"])
 def test_verbs_that_simulate_many_take_an_address(verb, monkeypatch, tmp_path, capfd):
     monkeypatch.chdir(tmp_path)

@@ -28,7 +28,8 @@ PATIENCE = 20.0  # s until a scheduler must have answered
 class DaskCluster(AbstractPlace):
     """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786.
 
-    Raises `InputError` about `option` where no scheduler answers.
+    Raises `InputError` about `option` where no scheduler answers, `CalibrationError` where this
+    machine is too busy to ask.
     """
 
     def __init__(self, address: str, option: str = "--dask"):
@@ -38,6 +39,9 @@ class DaskCluster(AbstractPlace):
             problem = f"no Dask scheduler answers ({one_line(str(error))[:120]})"
             repair = "give the address that the scheduler printed, such as tcp://host:8786"
             raise InputError(address, option, problem, repair) from None
+        except AssertionError:  # of distributed: its own thread had not begun within ten seconds
+            busy = "this machine is too busy to talk to a Dask scheduler"
+            raise CalibrationError(f"{busy}; give the command again later") from None
         self._address = address
         self._said = False
 
