@@ -5,6 +5,7 @@ need no common file system.  The scheduler gives the runs of a worker that died 
 Every worker must have the same source of `jdem`, or keys would lie; one that has not is refused.
 """
 
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -28,20 +29,11 @@ PATIENCE = 20.0  # s until a scheduler must have answered
 class DaskCluster(AbstractPlace):
     """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786.
 
-    Raises `InputError` about `option` where no scheduler answers, `CalibrationError` where this
-    machine is too busy to ask.
+    Raises `InputError` about `option` where no scheduler answers.
     """
 
     def __init__(self, address: str, option: str = "--dask"):
-        try:
-            self._client = Client(address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            problem = f"no Dask scheduler answers ({one_line(str(error))[:120]})"
-            repair = "give the address that the scheduler printed, such as tcp://host:8786"
-            raise InputError(address, option, problem, repair) from None
-        except AssertionError:  # of distributed: its own thread had not begun within ten seconds
-            busy = "this machine is too busy to talk to a Dask scheduler"
-            raise CalibrationError(f"{busy}; give the command again later") from None
+        self._client = _connected(address, option)
         self._address = address
         self._said = False
 
@@ -80,6 +72,18 @@ class DaskCluster(AbstractPlace):
             lost = f"lost the Dask scheduler at {self._address} ({type(error).__name__})"
             raise CalibrationError(f"{lost}; finished runs are kept, give it again") from None
         return _on_device(result)
+
+
+def _connected(address: str, option: str) -> Client:
+    try:
+        return Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        why = one_line(str(error))[:120]
+    # Raised out here, so that no traceback keeps the failed client: it would be closed by
+    # whichever thread collects it, which locks up if that is the thread of a next client.
+    gc.collect()
+    repair = "give the address that the scheduler printed, such as tcp://host:8786"
+    raise InputError(address, option, f"no Dask scheduler answers ({why})", repair)
 
 
 SETTINGS = (
