@@ -23,7 +23,6 @@ from calibrate.measurements import load_lab
 from calibrate.parameters import base_soil, with_values
 from calibrate.presets import Preset, specimen, virtual_lab
 from jdem.experiments.composite import VirtualLab
-from jdem.program import program
 
 BATCHES = (1, 4)
 
@@ -38,8 +37,8 @@ def measured(spheres: int, repeats: int) -> dict[str, float]:
     packing, base = work.packings([0])[0], base_soil(lab)
     energies = float(base.surface_energy) * np.linspace(1.0, 1.1, max(BATCHES))
     soils = [with_values(base, {"surface_energy": float(value)}) for value in energies]
-    alone = program(lambda soil: _ends(work.lab, packing, soil))
-    together = program(eqx.filter_vmap(lambda soil: _ends(work.lab, packing, soil)))
+    alone = eqx.filter_jit(lambda soil: _ends(work.lab, packing, soil))
+    together = eqx.filter_jit(eqx.filter_vmap(lambda soil: _ends(work.lab, packing, soil)))
     seconds, rows = {}, {}
     for size in BATCHES:
         if size == 1:
@@ -57,13 +56,13 @@ def _ends(lab: VirtualLab, packing, soil):
     return 1e3 * outcome.depression_depth, outcome.crushing_force
 
 
-def _timed(compiled, soil, repeats: int):
+def _timed(program, soil, repeats: int):
     """Processor seconds of a call, the least of some, and the depths."""
-    depths = jax.block_until_ready(compiled(soil))[0]
+    depths = jax.block_until_ready(program(soil))[0]
     times = []
     for _ in range(repeats):
         begun = time.process_time()
-        jax.block_until_ready(compiled(soil))
+        jax.block_until_ready(program(soil))
         times.append(time.process_time() - begun)
     return min(times), depths
 

@@ -33,7 +33,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from calibrate.parameters import FACTORS, with_values
 from jdem.dynamics import Command, step
 from jdem.packing import Specimen, prepare
-from jdem.program import program
 from jdem.quantity import cast
 from jdem.simulate import Record, run, start
 
@@ -86,7 +85,7 @@ class Steps:
 
     def checked(self) -> "Steps":
         """Refuses a bed whose lists overflow: its time would mean nothing."""
-        record = program(self.__call__)(self.point)
+        record = eqx.filter_jit(self.__call__)(self.point)
         grid = speed.built_bed(self.bed, self.numerics).grid
         if bool(record.overflow_of(grid)):
             raise RuntimeError(record.explain_overflow(grid))
@@ -113,7 +112,7 @@ def timed_spheres(rounds: int) -> list[dict]:
         row: dict[str, Any] = {"spheres": len(bed.radius)}
         for dtype in ("float64", "float32"):
             steps = Steps(bed, dtype).checked()
-            compiled = program(steps.force).lower(steps.point).compile()
+            compiled = jax.jit(steps.force).lower(steps.point).compile()
             for threads in (1, 2):
                 spent = seconds(lambda c=compiled, s=steps: c(s.point), rounds, threads)
                 row[f"{dtype}, {threads} at once"] = 1e3 * spent / steps.steps
@@ -142,7 +141,7 @@ def timed_tangents(rounds: int) -> list[dict]:
         def pushed(point, directions=directions):
             return jax.vmap(lambda d: jax.jvp(steps.force, (point,), (d,)))(directions)
 
-        compiled = program(pushed if count else steps.force).lower(steps.point).compile()
+        compiled = jax.jit(pushed if count else steps.force).lower(steps.point).compile()
         spent = seconds(lambda c=compiled: c(steps.point), rounds)
         rows.append({"tangents": count, "ms": 1e3 * spent / steps.steps})
         print(rows[-1], flush=True)
@@ -161,7 +160,7 @@ def timed_batch(sizes: Sequence[int], rounds: int) -> list[dict]:
             if size % len(devices) == 0:
                 mesh = NamedSharding(Mesh(devices, ("runs",)), PartitionSpec("runs"))
                 points = jax.device_put(points, mesh)
-            compiled = program(jax.vmap(steps.force)).lower(points).compile()
+            compiled = jax.jit(jax.vmap(steps.force)).lower(points).compile()
             spent = seconds(lambda c=compiled, p=points: c(p), rounds)
             row[dtype] = 1e-6 * size * steps.spheres * steps.steps / spent
         rows.append(row)
@@ -181,7 +180,7 @@ def timed_floor(rounds: int) -> dict[str, float]:
     zero = jnp.zeros(())
     command = Command(zero, zero, zero, zero)
     cost: Any = eqx.filter_jit(step).lower(bed, state, command).compile().compiled.cost_analysis()
-    compiled = program(steps.force).lower(steps.point).compile()
+    compiled = jax.jit(steps.force).lower(steps.point).compile()
     measured = seconds(lambda: compiled(steps.point), rounds) / steps.steps
     operations, traffic = _core_rates(rounds)
     counted = {"flops": float(cost["flops"]), "bytes": float(cost["bytes accessed"])}

@@ -25,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,7 +36,6 @@ from jdem.bed import Numerics, build_bed, plan_grid
 from jdem.dynamics import Bed, BedState
 from jdem.packing import Specimen, prepare
 from jdem.particles import Spheres
-from jdem.program import program
 from jdem.quantity import cast
 from jdem.simulate import Record, Segment, run, stack, start
 from jdem.soil import SoilParameters
@@ -161,10 +161,10 @@ def loading(force: float, dtype: str) -> Segment:
 def compiled_run(
     bed: Bed, state: BedState, programme: Segment, every: int, capacity: int
 ) -> Callable:
-    def steps(bed, state, programme, steps):
-        return run(bed, state, programme, steps, capacity)
-
-    return program(steps).lower(bed, state, programme, jnp.asarray(every)).compile()
+    jitted = eqx.filter_jit(
+        lambda bed, state, programme, steps: run(bed, state, programme, steps, capacity)
+    )
+    return jitted.lower(bed, state, programme, jnp.asarray(every)).compile()
 
 
 def _checked(record: Record, bed: Bed) -> Record:

@@ -14,6 +14,7 @@ judged: there the data could not tell a right estimate from a wrong one.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +26,6 @@ from calibrate.parameters import Space, ensemble
 from jdem.experiments.composite import Outcome, VirtualLab
 from jdem.observables import displacement_at
 from jdem.packing import Packing
-from jdem.program import program
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.pathwise import Pathwise
@@ -244,7 +244,7 @@ def traced(
     """
     point = jnp.log(jnp.asarray(space.start()))
 
-    @program
+    @eqx.filter_jit
     def slopes(packing: Packing, time_step: Array) -> tuple[Array, Array]:
         def response(asked: Array) -> Array:
             outcome = lab.run(packing, space.soil(jnp.exp(asked[0, 0])), time_step)

@@ -9,7 +9,6 @@ that carry next to no load are damped more: they rattle between their neighbours
 leaves the specimen's force unchanged and makes its derivatives chaotic (docs/gradients.md).
 """
 
-import operator
 from collections.abc import Callable
 
 import equinox as eqx
@@ -23,7 +22,7 @@ from jdem.contact import Contact, ContactForce
 from jdem.energy import Ledger
 from jdem.fusion import boundaries, once
 from jdem.laws.base import AbstractContactLaw
-from jdem.neighbors import ContactList, Grid, blocks_of
+from jdem.neighbors import ContactList, Grid, block_count
 from jdem.particles import Motion, Spheres
 from jdem.quantity import Real, quantity
 from jdem.vector import Vector
@@ -129,28 +128,20 @@ def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedS
 def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
     """Sphere-sphere contacts: loads on the spheres and the list with its new histories.
 
-    Halves of a list do not depend on each other, so that two cores can share them
-    (`jdem.program`).  Long ones are taken block by block, so that what is known of a contact
-    while its force is computed stays in the processor's cache.
+    Long lists are taken block by block, so that what is known of a contact while its force
+    is computed stays in the processor's cache.
     """
-    halves, blocks = blocks_of(pairs.first.shape[0])
+    count = block_count(pairs.first.shape[0])
     entries = (pairs.first, pairs.second, pairs.alive, pairs.history)
+    blocks = jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), entries)
 
     def add(loads: Loads, block):
         return _block_loads(bed, rows, loads, block)
 
     none = Loads(jnp.zeros((rows.shape[0], 8), rows.dtype), jnp.zeros(4, rows.dtype))
-    found = [jax.lax.scan(add, none, part) for part in _parted(entries, halves, blocks)]
-    loads, history = jax.tree.map(lambda *each: jnp.stack(each), *found)
-    loads = jax.tree.map(lambda each: jnp.sum(each, axis=0), loads)
-    history = jax.tree.map(lambda new, old: new.reshape(old.shape), history, pairs.history)
+    loads, history = jax.lax.scan(add, none, blocks)
+    history = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), history)
     return loads, eqx.tree_at(lambda p: p.history, pairs, history)
-
-
-def _parted(entries, halves: int, blocks: int) -> list:
-    """Halves of a list, each with its blocks along axis 0."""
-    shaped = jax.tree.map(lambda leaf: leaf.reshape(halves, blocks, -1, *leaf.shape[1:]), entries)
-    return [jax.tree.map(operator.itemgetter(half), shaped) for half in range(halves)]
 
 
 def _block_loads(bed: Bed, rows: Array, loads: Loads, block):

@@ -24,7 +24,6 @@ _FORWARD = np.array(
 )
 
 BLOCK = 4096  # entries whose forces are computed together; docs/decisions.md has the timings
-SPLIT = 2048  # entries from which on a list is taken in two halves, which two cores can share
 
 
 class Grid(eqx.Module):
@@ -90,25 +89,16 @@ class Demand(eqx.Module):
         )
 
 
-def blocks_of(capacity: int) -> tuple[int, int]:
-    """Halves of a list (1 or 2) and blocks in each, of at most BLOCK entries and equally long.
-
-    A list whose length does not divide is taken whole: (1, 1).
-    """
-    halves, blocks = _division(capacity)
-    return (halves, blocks) if capacity % (halves * blocks) == 0 else (1, 1)
+def block_count(capacity: int) -> int:
+    """Blocks of at most BLOCK entries that a list is taken in: 1 unless they are equally long."""
+    count = -(-capacity // BLOCK)
+    return count if capacity % count == 0 else 1
 
 
 def in_blocks(capacity: int) -> int:
-    """The least capacity from `capacity` on that divides into halves and blocks."""
-    halves, blocks = _division(capacity)
-    count = halves * blocks
+    """The least capacity from `capacity` on that divides into equally long blocks."""
+    count = -(-capacity // BLOCK)
     return -(-capacity // count) * count
-
-
-def _division(capacity: int) -> tuple[int, int]:
-    halves = 2 if capacity >= SPLIT else 1
-    return halves, -(-capacity // (halves * BLOCK))
 
 
 _NO_KEY = np.iinfo(np.int32).max

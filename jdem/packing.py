@@ -20,7 +20,6 @@ from jax import Array
 from jdem.bed import Numerics, build_bed, plan_grid, sample_capacity, steps_per_sample
 from jdem.neighbors import Grid
 from jdem.particles import Spheres
-from jdem.program import program
 from jdem.quantity import Real, quantity
 from jdem.simulate import LOWER, REMOVE, Record, Segment, run, stack, start
 from jdem.soil import SoilParameters
@@ -204,7 +203,7 @@ def _advanced(
     return record
 
 
-_run = program(run)
+_run = eqx.filter_jit(run)
 _ROWS = 256  # capacities are multiples of it, so that beds of all seeds share one program
 
 

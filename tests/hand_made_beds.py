@@ -102,24 +102,3 @@ def last(samples):
     """The last interval that was recorded."""
     row = np.flatnonzero(np.asarray(samples.segment) >= 0)[-1]
     return jax.tree.map(lambda leaf: float(leaf[row]), samples)
-
-
-def heap(raised=0.0):
-    """Three spheres side by side just above the base (or higher), and one on top of them."""
-    ring = [[0, 0], [2.02, 0], [1.01, 1.75]]
-    places = [[RADIUS * x, RADIUS * y, 1.01 * RADIUS] for x, y in ring]
-    heights = np.array([0, 0, raised])
-    return np.array([*places, [1.01 * RADIUS, 0.58 * RADIUS, 2.8 * RADIUS]]) + heights
-
-
-def cohesive_soil(**values):
-    return soil_of(
-        **{
-            "plasticity_ratio": 0.358,
-            "surface_energy": 10.0,
-            "restitution": 0.4,
-            "rolling_friction": 0.2,
-            "platen_friction": 0.5,
-            **values,
-        }
-    )

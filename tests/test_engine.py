@@ -17,8 +17,6 @@ from hand_made_beds import (
     WIDE,
     advanced,
     bed_of,
-    cohesive_soil,
-    heap,
     last,
     ran,
     simulate,
@@ -27,6 +25,7 @@ from hand_made_beds import (
     state_of,
 )
 
+from jdem import neighbors
 from jdem.dynamics import LOADED, Command, step
 from jdem.fusion import boundaries, once
 from jdem.neighbors import Demand, rebuild
@@ -210,6 +209,27 @@ def test_boundaries_stay_in_the_compiled_program(move):
     assert (" call(" in compiled) == (jax.default_backend() == "cpu")
 
 
+def heap(raised=0.0):
+    """Three spheres side by side just above the base (or higher), and one on top of them."""
+    ring = [[0, 0], [2.02, 0], [1.01, 1.75]]
+    places = [[RADIUS * x, RADIUS * y, 1.01 * RADIUS] for x, y in ring]
+    heights = np.array([0, 0, raised])
+    return np.array([*places, [1.01 * RADIUS, 0.58 * RADIUS, 2.8 * RADIUS]]) + heights
+
+
+def cohesive_soil(**values):
+    return soil_of(
+        **{
+            "plasticity_ratio": 0.358,
+            "surface_energy": 10.0,
+            "restitution": 0.4,
+            "rolling_friction": 0.2,
+            "platen_friction": 0.5,
+            **values,
+        }
+    )
+
+
 def test_the_base_carries_the_weight_of_what_rests_on_it():
     spheres = spheres_of(4)
     bed = bed_of(spheres, cohesive_soil(), smoothing=Smoothing())
@@ -232,6 +252,38 @@ def test_a_turned_bed_moves_as_the_bed_turned():
         ours = np.asarray(getattr(turned.state.motion, vector).stack())
         expected = np.asarray(getattr(straight.state.motion, vector).stack()) @ quarter.T
         assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_blocks_of_a_pair_list_add_up_to_the_whole(monkeypatch):
+    """Four blocks of four pairs, some of them unused; what differs is the order of additions."""
+    bed = bed_of(spheres_of(4), cohesive_soil(), smoothing=Smoothing())
+    state = ran(bed, state_of(bed, heap()), 8).state
+    zero = jnp.zeros(())
+    command = Command(zero, zero, zero, zero)
+
+    def later():
+        def advance(_, state):
+            return step(bed, state, command)
+
+        return eqx.filter_jit(lambda s: jax.lax.fori_loop(0, 20, advance, s))(state)
+
+    whole = later()
+    monkeypatch.setattr(neighbors, "BLOCK", 5)
+    assert neighbors.block_count(bed.grid.pairs) == 4
+    for ours, expected in zip(*map(jax.tree.leaves, (later(), whole)), strict=True):
+        scale = np.abs(np.asarray(expected)).max()
+        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9 * scale)
+    assert np.asarray(whole.pairs.history.max_overlap).max() > 0, "nothing touched"
+
+
+def test_a_list_that_divides_into_blocks_is_hardly_longer():
+    for wanted in (1, 4096, 4097, 16_500, 66_000):
+        capacity = neighbors.in_blocks(wanted)
+        count = neighbors.block_count(capacity)
+        assert wanted <= capacity < wanted + count
+        assert capacity <= count * neighbors.BLOCK
+        assert (count == 1) == (wanted <= neighbors.BLOCK)
+    assert neighbors.block_count(4097) == 1, "two blocks of a list of odd length"
 
 
 def test_two_halves_are_the_whole_bit_for_bit_through_a_file(tmp_path):

@@ -16,7 +16,6 @@ from calibrate.campaign.run import Run, summary
 from jdem.experiments.composite import VirtualLab
 from jdem.packing import Packing, Specimen
 from jdem.particles import Spheres
-from jdem.program import program
 from jdem.soil import SoilParameters
 from jdem.vector import Vector
 
@@ -38,10 +37,10 @@ class Programs:
         with self._lock:
             begun = time.perf_counter()
             if kind not in self._compiled:
-                compiled = program(VirtualLab.run).lower(lab, packing, soil).compile()
+                program = eqx.filter_jit(VirtualLab.run).lower(lab, packing, soil).compile()
                 for old in list(self._compiled)[: len(self._compiled) + 1 - KEPT]:
                     del self._compiled[old]
-                self._compiled[kind] = compiled
+                self._compiled[kind] = program
             return self._compiled[kind], time.perf_counter() - begun
 
 

@@ -18,7 +18,6 @@ from jdem.bed import build_bed, steps_per_sample
 from jdem.dynamics import Bed, BedState
 from jdem.experiments.composite import VirtualLab
 from jdem.packing import Packing
-from jdem.program import program
 from jdem.quantity import cast
 from jdem.simulate import KEEP, Record, Segment, run, stack, start
 from jdem.soil import SoilParameters
@@ -76,7 +75,7 @@ class _Pieces:
         position = cast(packing.position, dtype)
         self.state = start(self.bed, position, packing.height, packing.mould_radius)
         self.samples = PIECE
-        self.loop = program(run)
+        self.loop = eqx.filter_jit(run)
 
     def run(self) -> Iterator[tuple[Frame, bool]]:
         """Frames of all movements, each with whether it ends its movement."""
