@@ -299,9 +299,11 @@ def _read(state: BedState, lag: Real, time_step: Real) -> BedState:
 
 def _command(segment: Segment, force: Array) -> Command:
     """What the machine does where it sees `force` (N)."""
-    shortfall = (segment.force_target - force) / segment.servo_width
+    unlimited = jnp.isinf(segment.force_target)
+    target = jnp.where(unlimited, force, segment.force_target)  # or inf x 0 is a slope: NaN
+    share = jnp.where(unlimited, 1.0, jnp.tanh((target - force) / segment.servo_width))
     return Command(
-        platen_speed=-segment.platen_speed * jnp.tanh(shortfall),
+        platen_speed=-segment.platen_speed * share,
         mould_speed=segment.mould_speed,
         damping=segment.damping,
         unloaded_damping=segment.unloaded_damping,
