@@ -290,12 +290,15 @@ def _write_result(out: Path, result: dict, path: Path | None) -> None:
 
 
 def origin_of(session: Session) -> dict:
-    """What made a result: command, soil, preset, versions, hash of the simulator's source."""
+    """What made a result from a laboratory's data: `made_by`, soil and preset."""
+    return {"soil": session.lab.name, "preset": session.preset.name, **made_by()}
+
+
+def made_by() -> dict:
+    """What made a result: command, versions, hash of the simulator's source."""
     packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
     return {
         "command": shlex.join(["calibrate", *sys.argv[1:]]),
-        "soil": session.lab.name,
-        "preset": session.preset.name,
         "versions": {
             "python": platform.python_version(),
             **{name: metadata.version(name) for name in packages},

@@ -15,6 +15,8 @@ from rich.console import Console
 from calibrate.bank.lab import from_contact_on
 from calibrate.bank.store import declared
 from calibrate.diagnosis.features import vector
+from calibrate.errors import InputError
+from calibrate.report import kinds
 from calibrate.report import withheld as report
 from calibrate.report.withheld_words import percent
 from calibrate.withheld import run
@@ -264,7 +266,7 @@ def result_of(rows: list[Row]) -> dict:
     }  # fmt: skip
     return {
         **scored(rows), "canary": {"right": 0.5, "shuffled": 0.49, "p_value": 0.4},
-        "rows": [asdict(r) for r in rows], "hidden": hidden,
+        "rows": [asdict(r) for r in rows], "hidden": hidden, "other_code": False, "given_up": 0,
     }  # fmt: skip
 
 
@@ -310,7 +312,7 @@ def test_shares_are_not_rounded_to_certainty(value, text):
 def test_the_page_leads_with_the_answer_and_escapes(tmp_path):
     rows = [replace(r, case=f"<b>{r.case}") for r in hand_made()]
     result = result_of(rows)
-    report.write(tmp_path, result, rows, tmp_path / "copy.json")
+    report.write(tmp_path, result, tmp_path / "copy.json")
     page = (tmp_path / "withheld.html").read_text()
     lead = page.split('<p class="lead">')[1].split("</p>")[0]
     assert "50\u00a0%" in lead and "above 6" in lead and "unknown" in lead
@@ -324,6 +326,27 @@ def test_the_page_leads_with_the_answer_and_escapes(tmp_path):
     assert json.loads((tmp_path / "copy.json").read_text())["cases"] == 10
     text = (tmp_path / "withheld.md").read_text()
     assert all(target.words in text for target in targets(result))
+
+
+def test_a_page_is_made_again_from_the_file(tmp_path):
+    report.write(tmp_path, {**result_of(hand_made()), "command": "calibrate <x>"}, None)
+    kind, file = kinds.find(tmp_path)
+    made = kinds.page_of(kind, file)
+    assert kind.name == "withheld" and "50\u00a0%" in made.sentence
+    assert made.html == (tmp_path / "withheld.html").read_text()
+    assert "calibrate &lt;x&gt;" in made.html
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("rivals", {}, "cannot be shown"), ("canary", None, "canary"), ("rows", [1], "rows.0")],
+)
+def test_a_damaged_file_is_refused(key, value, words, tmp_path):
+    report.write(tmp_path, result_of(hand_made()), None)
+    file = tmp_path / "withheld.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), key: value}))
+    with pytest.raises(InputError, match=words):
+        kinds.page_of(*kinds.find(tmp_path))
 
 
 def test_the_terminal_says_what_is_missed():

@@ -15,8 +15,10 @@ from rich.table import Table
 
 from calibrate.output import write_json, write_text
 from calibrate.plotting import withheld as drawn
+from calibrate.records.base import read, record
+from calibrate.records.withheld import WithheldRecord
 from calibrate.report import withheld_words as words
-from calibrate.report.html import Picture, render
+from calibrate.report.html import Page, Picture, render
 from calibrate.report.withheld_words import markdown
 from calibrate.withheld.named import named
 from calibrate.withheld.scores import CLOSE, Row, share
@@ -28,25 +30,32 @@ TITLE = "Withheld cases: what the diagnosis found"
 EDGES = (0.5, 1.0, 2.0, 4.0, 6.0, 9.0, 15.0)  # of signal-to-noise, for the figure
 
 
-def write(out: Path, result: dict, rows: list[Row], json: Path | None) -> None:
+def write(out: Path, result: dict, json: Path | None) -> None:
     """withheld.json (and `json`), withheld.md, figures/ and the page, in a folder that exists."""
     write_json(out / "withheld.json", result)
     if json is not None:
         write_json(json, result)
-    pictures = _pictures(result, rows)
+    found = record(WithheldRecord, result)
+    pictures = _pictures(found.plain(), found.rows)
     for name, picture in pictures.items():
         write_text(out / "figures" / f"{name}.svg", picture.svg)
     write_text(out / "withheld.md", markdown(result, TITLE))
-    write_text(out / PAGE, page(result, rows, pictures))
+    write_text(out / PAGE, _page(found, pictures).html)
 
 
-def page(result: dict, rows: Sequence[Row], pictures: Mapping[str, Picture]) -> str:
-    """The whole page as HTML."""
-    return render(
+def page(path: Path) -> Page:
+    """The report of the withheld.json at `path`; `InputError` where it cannot be read."""
+    found = read(path, WithheldRecord)
+    return _page(found, _pictures(found.plain(), found.rows))
+
+
+def _page(found: WithheldRecord, pictures: Mapping[str, Picture]) -> Page:
+    result = found.plain()
+    html = render(
         PAGE,
         title=TITLE,
         result=result,
-        rows=rows,
+        rows=found.rows,
         pictures=pictures,
         targets=targets(result),
         missed=Standing.MISSED,
@@ -54,6 +63,7 @@ def page(result: dict, rows: Sequence[Row], pictures: Mapping[str, Picture]) -> 
         other=other_code(result),
         words=words,
     )
+    return Page(words.sentence(result), html)
 
 
 def show(result: dict, console: Console) -> None:

@@ -13,7 +13,11 @@ def register(app: typer.Typer) -> None:
 
 def report_command(
     place: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of a fit, doe or audit, or its JSON file.")
+        Path,
+        typer.Argument(
+            metavar="DIR",
+            help="Folder that fit, doe, audit, diagnose or withheld wrote, or its JSON file.",
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for report.html; default: DIR itself.")

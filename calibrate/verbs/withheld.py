@@ -54,7 +54,9 @@ def withheld_command(
     source = out if given is None else given
     run.judge(source, out, ready, seed, progress, discrepancy)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
-    result, rows = run.opened(source, out, ready, seed, progress, fresh and repeatable, discrepancy)
-    report.write(out, result, rows, json)
+    result, _ = run.opened(source, out, ready, seed, progress, fresh and repeatable, discrepancy)
+    settings = {"seed": seed, "bank": str(bank or ""), "mismatch": str(mismatch or "")}
+    result = {**output.made_by(), **settings, **result}
+    report.write(out, result, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")
