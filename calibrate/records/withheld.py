@@ -73,8 +73,6 @@ class WithheldRecord(Record):
     versions: dict[str, str] = Field(default_factory=dict)
     engine: str = ""
     seed: int | None = None
-    bank: str = ""
-    mismatch: str = ""
     cases: Count
     accuracy: Share
     accuracy_by_snr: dict[str, Share]

@@ -55,8 +55,7 @@ def withheld_command(
     run.judge(source, out, ready, seed, progress, discrepancy)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
     result, _ = run.opened(source, out, ready, seed, progress, fresh and repeatable, discrepancy)
-    settings = {"seed": seed, "bank": str(bank or ""), "mismatch": str(mismatch or "")}
-    result = {**output.made_by(), **settings, **result}
+    result = {**output.made_by(), "seed": seed, **result}
     report.write(out, result, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")
