@@ -10,7 +10,8 @@ import numpy as np
 from jax import Array
 
 from jdem.dynamics import Bed
-from jdem.neighbors import Grid, in_blocks
+from jdem.kernel import in_blocks
+from jdem.neighbors import Grid
 from jdem.particles import Spheres
 from jdem.quantity import cast
 from jdem.simulate import Segment
@@ -113,12 +114,13 @@ def plan_grid(
     skin = numerics.skin * 2 * mean_radius
     cell = 2 * max_radius + skin + reach
     pairs_per_sphere = numerics.pairs_per_sphere * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
+    layer = numerics.wall_layer * 2 * mean_radius / extent[0]
     across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
     return Grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,
         pairs=in_blocks(int(np.ceil(pairs_per_sphere * count))),
-        wall_contacts=int(np.ceil(numerics.wall_layer * count * 2 * mean_radius / extent[0])) + 16,
+        wall_contacts=in_blocks(int(np.ceil(layer * count)) + 16),
         cell=cell,
         skin=skin,
         reach=reach,

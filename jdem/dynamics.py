@@ -21,8 +21,9 @@ from jdem import walls as wall_module
 from jdem.contact import Contact, ContactForce
 from jdem.energy import Ledger
 from jdem.fusion import boundaries, once
+from jdem.kernel import entrywise
 from jdem.laws.base import AbstractContactLaw
-from jdem.neighbors import ContactList, Grid, block_count
+from jdem.neighbors import ContactList, Grid
 from jdem.particles import Motion, Spheres
 from jdem.quantity import Real, quantity
 from jdem.vector import Vector
@@ -126,47 +127,44 @@ def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedS
 
 
 def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
-    """Sphere-sphere contacts: loads on the spheres and the list with its new histories.
-
-    Long lists are taken block by block, so that what is known of a contact while its force
-    is computed stays in the processor's cache.
-    """
-    count = block_count(pairs.first.shape[0])
+    """Sphere-sphere contacts: loads on the spheres and the list with its new histories."""
     entries = (pairs.first, pairs.second, pairs.alive, pairs.history)
-    blocks = jax.tree.map(lambda leaf: leaf.reshape(count, -1, *leaf.shape[1:]), entries)
-
-    def add(loads: Loads, block):
-        return _block_loads(bed, rows, loads, block)
-
-    none = Loads(jnp.zeros((rows.shape[0], 8), rows.dtype), jnp.zeros(4, rows.dtype))
-    loads, history = jax.lax.scan(add, none, blocks)
-    history = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), history)
+    on_first, on_second, power, history = entrywise(_pair_forces, (bed, rows), entries)
+    total = jnp.zeros((rows.shape[0], 8), rows.dtype)
+    total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
+    loads = Loads(total, jnp.sum(power, axis=0))
     return loads, eqx.tree_at(lambda p: p.history, pairs, history)
 
 
-def _block_loads(bed: Bed, rows: Array, loads: Loads, block):
-    """Loads with those of a block of pairs added, and the block's new histories."""
-    first, second, alive, history = block
+def _pair_forces(shared: tuple[Bed, Array], entries):
+    """Rows to add to both spheres of each pair, power by channel, and the new histories."""
+    bed, rows = shared
+    first, second, alive, history = entries
     one, two = jax.lax.optimization_barrier((rows[first], rows[second]))
     one, two = once((one.T, two.T))
     contact, levers = _pair_contacts(bed, one, two, alive)
     force, history = _law_forces(bed.particle_law, contact, history)
-    on_first, on_second, power = once(_assembled(contact, force, levers))
-    total = loads.rows.at[first].add(on_first).at[second].add(on_second)
-    return Loads(total, loads.power + power), history
+    return *once(_assembled(contact, force, levers)), history
 
 
 def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList):
     """Sphere-wall contacts: loads on the spheres, the list, and what the walls feel."""
-    one = jax.lax.optimization_barrier(rows[contacts.first])
-    one = once(one.T)
-    wall = contacts.second
-    contact, levers = _wall_geometry(bed, one, walls, wall, contacts.alive)
-    force, history = _law_forces(bed.wall_law, contact, contacts.history)
-    on_first, on_wall, power = once(_assembled(contact, force, levers))
+    entries = (contacts.first, contacts.second, contacts.alive, contacts.history)
+    on_first, power, pushes, history = entrywise(_wall_forces, (bed, rows, walls), entries)
     total = jnp.zeros((rows.shape[0], 8), rows.dtype).at[contacts.first].add(on_first)
-    pushes = _pushes(contact.normal, on_wall, wall)
-    return Loads(total, power), eqx.tree_at(lambda c: c.history, contacts, history), pushes
+    loads = Loads(total, jnp.sum(power, axis=0))
+    return loads, eqx.tree_at(lambda c: c.history, contacts, history), jnp.sum(pushes, axis=0)
+
+
+def _wall_forces(shared: tuple[Bed, Array, Walls], entries):
+    """Rows to add to each sphere, power by channel, pushes on the walls, the new histories."""
+    bed, rows, walls = shared
+    first, wall, alive, history = entries
+    one = once(jax.lax.optimization_barrier(rows[first]).T)
+    contact, levers = _wall_geometry(bed, one, walls, wall, alive)
+    force, history = _law_forces(bed.wall_law, contact, history)
+    on_first, on_wall, power = once(_assembled(contact, force, levers))
+    return on_first, power, _pushes(contact.normal, on_wall, wall), history
 
 
 def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
@@ -235,7 +233,7 @@ def _assembled(contact: Contact, force: ContactForce, levers):
     return (
         _row(push, twist * levers[0], rolling * levers[0], load),
         _row(-push, twist * levers[1], rolling * levers[1], load),
-        jnp.sum(jnp.stack(channels), axis=1),
+        jnp.stack(channels, axis=-1),
     )
 
 
@@ -252,14 +250,22 @@ def _pushes(normal: Vector, on_wall: Array, wall: Array) -> Array:
     is_mould = wall == wall_module.MOULD
     mould = jnp.where(is_mould, -radial, 0.0)
     drag = jnp.where(is_mould, on_wall[:, 2], 0.0)
-    return jnp.sum(jnp.stack([base, platen, mould, drag]), axis=1)
+    return jnp.stack([base, platen, mould, drag], axis=-1)
 
 
 def next_motion(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: Command):
     """Motion one step later, and energies of the step as `_absorbed` lists them."""
-    spheres, dt = bed.spheres, bed.time_step
+    shared = (bed.time_step, bed.gravity, bed.roll_width, walls, command)
+    moved, absorbed = entrywise(_moved, shared, (bed.spheres, motion, loads))
+    return moved, jnp.sum(absorbed, axis=0)
+
+
+def _moved(shared, entries):
+    """Each sphere's motion one step later, and what `_absorbed` says of it."""
+    dt, gravity, roll_width, walls, command = shared
+    spheres, motion, loads = entries
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
-    impulse = Vector(push.x, push.y, push.z - bed.gravity) * dt
+    impulse = Vector(push.x, push.y, push.z - gravity) * dt
     free = motion.velocity + impulse
     affine = walls.axial_strain_rate() * motion.position.z
     share = loads[:, 7] / (LOADED * GRAVITY * spheres.mass)
@@ -269,7 +275,7 @@ def next_motion(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: C
 
     kick = Vector.from_rows(loads[:, 3:6]) * (dt / spheres.inertia)
     free_spin = (motion.spin + kick) * keep
-    spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, bed.roll_width)
+    spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, roll_width)
 
     moved = Motion(motion.position + velocity * dt, velocity, spin)
     absorbed = _absorbed(spheres, motion, moved, (impulse, kick), (free, free_spin))
@@ -292,8 +298,7 @@ def _absorbed(spheres: Spheres, before: Motion, after: Motion, increments, free)
     rolling = inertia * (free_spin - after.spin).dot(mean_spin)
     missed = mass * impulse.dot(after.velocity - before.velocity)
     spin_missed = inertia * kick.dot(after.spin - before.spin)
-    sums = jnp.stack([drag + spin_drag, rolling, 0.5 * (missed + spin_missed)])
-    return jnp.sum(sums, axis=1)
+    return jnp.stack([drag + spin_drag, rolling, 0.5 * (missed + spin_missed)], axis=-1)
 
 
 def _braked(spin: Vector, limit: Array, width: Real) -> Vector:

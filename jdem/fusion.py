@@ -37,9 +37,14 @@ def boundaries() -> Iterator[None]:
         _bounded.reset(token)
 
 
+def bounded() -> bool:
+    """Whether a step is being traced for a CPU."""
+    return _bounded.get()
+
+
 def once(tree: Tree) -> Tree:
     """The tree of arrays, computed exactly once."""
-    if not _bounded.get():
+    if not bounded():
         return tree
     with set_xla_metadata(inlineable="false"):
         return _kept(tree)

@@ -23,8 +23,6 @@ _FORWARD = np.array(
     [(dx, dy, dz) for dx in (-1, 0, 1) for dy in (-1, 0, 1) for dz in (-1, 0, 1)][14:]
 )
 
-BLOCK = 4096  # entries whose forces are computed together; docs/decisions.md has the timings
-
 
 class Grid(eqx.Module):
     """Capacities of the search; static, because arrays take their shapes from it.
@@ -87,18 +85,6 @@ class Demand(eqx.Module):
             | (self.wall_contacts > grid.wall_contacts)
             | (self.per_cell > grid.per_cell)
         )
-
-
-def block_count(capacity: int) -> int:
-    """Blocks of at most BLOCK entries that a list is taken in: 1 unless they are equally long."""
-    count = -(-capacity // BLOCK)
-    return count if capacity % count == 0 else 1
-
-
-def in_blocks(capacity: int) -> int:
-    """The least capacity from `capacity` on that divides into equally long blocks."""
-    count = -(-capacity // BLOCK)
-    return -(-capacity // count) * count
 
 
 _NO_KEY = np.iinfo(np.int32).max

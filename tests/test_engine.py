@@ -25,7 +25,7 @@ from hand_made_beds import (
     state_of,
 )
 
-from jdem import neighbors
+from jdem import kernel
 from jdem.dynamics import LOADED, Command, step
 from jdem.fusion import boundaries, once
 from jdem.neighbors import Demand, rebuild
@@ -268,22 +268,12 @@ def test_blocks_of_a_pair_list_add_up_to_the_whole(monkeypatch):
         return eqx.filter_jit(lambda s: jax.lax.fori_loop(0, 20, advance, s))(state)
 
     whole = later()
-    monkeypatch.setattr(neighbors, "BLOCK", 5)
-    assert neighbors.block_count(bed.grid.pairs) == 4
+    monkeypatch.setattr(kernel, "BLOCK", 4)
+    assert kernel.block_count(bed.grid.pairs) == 4
     for ours, expected in zip(*map(jax.tree.leaves, (later(), whole)), strict=True):
         scale = np.abs(np.asarray(expected)).max()
         np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9 * scale)
     assert np.asarray(whole.pairs.history.max_overlap).max() > 0, "nothing touched"
-
-
-def test_a_list_that_divides_into_blocks_is_hardly_longer():
-    for wanted in (1, 4096, 4097, 16_500, 66_000):
-        capacity = neighbors.in_blocks(wanted)
-        count = neighbors.block_count(capacity)
-        assert wanted <= capacity < wanted + count
-        assert capacity <= count * neighbors.BLOCK
-        assert (count == 1) == (wanted <= neighbors.BLOCK)
-    assert neighbors.block_count(4097) == 1, "two blocks of a list of odd length"
 
 
 def test_two_halves_are_the_whole_bit_for_bit_through_a_file(tmp_path):
