@@ -101,12 +101,11 @@ def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedS
         command.mould_speed,
     )
     rows = jax.lax.optimization_barrier(state.motion.rows(bed.spheres))
-    pair_loads, pairs = _pair_loads(bed, rows, state.pairs)
-    wall_loads, contacts, on_walls = _wall_loads(bed, rows, walls, state.wall_contacts)
-    loads = pair_loads.rows + wall_loads.rows
-    motion, absorbed = motions(bed, state.motion, walls, loads, command)
+    loads, pairs = _pair_loads(bed, rows, state.pairs)
+    loads, contacts, on_walls = _wall_loads(bed, rows, walls, state.wall_contacts, loads)
+    motion, absorbed = motions(bed, state.motion, walls, loads.rows, command)
     power = Ledger.of_step(
-        contacts=pair_loads.power + wall_loads.power,
+        contacts=loads.power,
         walls=on_walls,
         absorbed=absorbed,
         gravity=-bed.gravity * jnp.sum(bed.spheres.mass * state.motion.velocity.z),
@@ -147,24 +146,25 @@ def _pair_forces(shared: tuple[Bed, Array], entries):
     return *once(_assembled(contact, force, levers)), history
 
 
-def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList):
-    """Sphere-wall contacts: loads on the spheres, the list, and what the walls feel."""
+def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList, loads: Loads):
+    """Loads with those of sphere-wall contacts added, the list, and what the walls feel."""
     entries = (contacts.first, contacts.second, contacts.alive, contacts.history)
-    on_first, power, pushes, history = entrywise(_wall_forces, (bed, rows, walls), entries)
-    total = jnp.zeros((rows.shape[0], 8), rows.dtype).at[contacts.first].add(on_first)
-    loads = Loads(total, jnp.sum(power, axis=0))
-    return loads, eqx.tree_at(lambda c: c.history, contacts, history), jnp.sum(pushes, axis=0)
+    on_first, absorbed, history = entrywise(_wall_forces, (bed, rows, walls), entries)
+    sums = jnp.sum(absorbed, axis=0)
+    loads = Loads(loads.rows.at[contacts.first].add(on_first), loads.power + sums[:4])
+    return loads, eqx.tree_at(lambda c: c.history, contacts, history), sums[4:]
 
 
 def _wall_forces(shared: tuple[Bed, Array, Walls], entries):
-    """Rows to add to each sphere, power by channel, pushes on the walls, the new histories."""
+    """Rows to add to each sphere, power by channel beside pushes on the walls, new histories."""
     bed, rows, walls = shared
     first, wall, alive, history = entries
     one = once(jax.lax.optimization_barrier(rows[first]).T)
     contact, levers = _wall_geometry(bed, one, walls, wall, alive)
     force, history = _law_forces(bed.wall_law, contact, history)
     on_first, on_wall, power = once(_assembled(contact, force, levers))
-    return on_first, power, _pushes(contact.normal, on_wall, wall), history
+    pushes = _pushes(contact.normal, on_wall, wall)
+    return on_first, jnp.concatenate([power, pushes], axis=1), history
 
 
 def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
