@@ -125,7 +125,7 @@ def _cell_candidates(grid: Grid, spheres: Spheres, position: Vector):
     own = jnp.where(own > jnp.arange(count)[:, None], own, count)
     second = jnp.concatenate([own, theirs.reshape(count, -1)], axis=1)
     first = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], second.shape)
-    valid = (second < count) & _close(grid, spheres, position, first, second)
+    valid = (second < count) & _close(grid, spheres, position, second)
     low, high = jnp.minimum(first, second), jnp.maximum(first, second)
     return (low.ravel(), high.ravel()), valid.ravel(), jnp.max(start[1:] - start[:-1])
 
@@ -139,10 +139,11 @@ def _flat(grid: Grid, place):
     return (place[..., 0] * grid.shape[1] + place[..., 1]) * grid.shape[2] + place[..., 2]
 
 
-def _close(grid: Grid, spheres: Spheres, position: Vector, first, second):
+def _close(grid: Grid, spheres: Spheres, position: Vector, second):
+    """Whether each sphere is within reach of those in its row of `second` (N, candidates)."""
     other = jnp.minimum(second, spheres.count - 1)
-    offset = position.at(first) - position.at(other)
-    reach = spheres.radius[first] + spheres.radius[other] + (grid.skin + grid.reach)
+    offset = jax.tree.map(lambda axis: axis[:, None], position) - position.at(other)
+    reach = spheres.radius[:, None] + spheres.radius[other] + (grid.skin + grid.reach)
     return offset.dot(offset) < reach * reach
 
 

@@ -76,8 +76,14 @@ def checked(state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
 
 def _motion(state: BedState, upkeep: Upkeep) -> Array:
     """Motion since the last rebuild, m; no derivative passes through it."""
-    moved = smooth.norm(state.motion.position - upkeep.position)
-    spheres = jnp.sum(jax.lax.top_k(jax.lax.stop_gradient(moved), 2)[0])
+    position = jax.lax.stop_gradient(state.motion.position)
+    spheres = _sum_of_two_largest(smooth.norm(position - upkeep.position))
     platen = state.walls.platen_height - upkeep.walls.platen_height
     mould = state.walls.mould_radius - upkeep.walls.mould_radius
     return spheres + jax.lax.stop_gradient(jnp.abs(platen) + jnp.abs(mould))
+
+
+def _sum_of_two_largest(lengths: Array) -> Array:
+    """Of lengths (N,); XLA's `top_k` sorts them all, at every interval."""
+    farthest = jnp.argmax(lengths)
+    return lengths[farthest] + jnp.max(lengths.at[farthest].set(0.0))

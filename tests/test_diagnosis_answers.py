@@ -167,6 +167,25 @@ def test_gauss_newton_finds_a_bent_truth():
     assert found.strengths[2] == pytest.approx(1.5, abs=0.01)
 
 
+def test_gauss_newton_follows_a_bent_valley_to_its_end():
+    """Rosenbrock's valley, from its wrong end: each full step would leave it."""
+    along, across = 30 * KNOWN.base_slopes[:, 0], 300 * KNOWN.effect_slopes[:, 2]
+
+    def at(delta, strengths):
+        values = along * delta[0] + across * (strengths[2] - delta[0] ** 2)
+        base, effects = np.zeros_like(KNOWN.base_slopes), np.zeros_like(KNOWN.effect_slopes)
+        base[:, 0] = along - 2 * delta[0] * across
+        effects[:, 2] = across
+        return values, base, effects
+
+    bent = replace(KNOWN, emulator=Formula(at))
+    truth = at(np.eye(5)[0], np.eye(world.EFFECTS)[2])[0]
+    start = start_at(bent, -3 * np.eye(5)[0], 2, 9.0)
+    found = refit(bent, truth, 1e-4 * world.scatter(), [2], start)
+    assert found.delta[0] == pytest.approx(1.0, abs=0.01)
+    assert found.strengths[2] == pytest.approx(1.0, abs=0.01)
+
+
 def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_way():
     """A one-sided effect that acts as e^2 - e: at strength 0 its slope points away."""
     column = 30 * KNOWN.effect_slopes[:, 2]
