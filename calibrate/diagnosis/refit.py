@@ -19,7 +19,7 @@ import numpy as np
 from calibrate.diagnosis.linear import Linearised
 
 STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running away
-STEPS = 32  # of 40 fits to emulated cases, 8 steps left 15 over 0.1 above their lowest objective
+STEPS = 32  # most; docs/diagnosis.md says what 8 left undone
 HALVINGS = 4
 SAME = 0.1  # typical strengths by which fits in one hollow may differ
 DONE = 1e-3  # fall of the objective that is not worth another step
