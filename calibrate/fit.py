@@ -8,7 +8,8 @@ fit can be watched, its best iterate kept, and, because every simulation is cach
 killed at any moment and started again with the same end.
 
 Slopes are measured at the start; later evaluations correct them along the step that was
-taken (Broyden 1965, Math. Comp. 19, 577), and they are measured anew where a step fails.
+taken (Broyden 1965, Math. Comp. 19, 577), a rejected one too; they are measured anew
+where two in a row are rejected.
 """
 
 from collections.abc import Callable, Sequence
@@ -218,10 +219,17 @@ class _Walk:
             self.slopes = secant(self.slopes, before, evaluation)
             self._corrected = True
         elif self._corrected:
-            self._measure(before)
+            if evaluation.failures or self._rejected_before():
+                self._measure(before)
+            else:
+                self.slopes = secant(self.slopes, before, evaluation)
             evaluation, y = before, calibration.space.to_unbounded(before.values)
             self._begin(y)
         return self._step(evaluation, y)
+
+    def _rejected_before(self) -> bool:
+        """Whether the evaluation before the last was no better either."""
+        return self.history[-2]["status"] != "better"
 
     def _measure(self, evaluation: Evaluation) -> None:
         if not evaluation.failures:

@@ -7,7 +7,6 @@ differ from those in double precision has not been measured.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import jax
 import numpy as np
 
 from calibrate.bank.design import Design
-from calibrate.campaign import Campaign, Run, cores
+from calibrate.campaign import Campaign, Run, side_by_side
 from calibrate.measurements import Lab
 from calibrate.parameters import base_soil, with_values
 from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
@@ -80,7 +79,7 @@ class Simulator:
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
             lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, kept)
             folder = self.folder / str(spheres)
-            self._campaigns[spheres, lean] = Campaign(lab, cylinder, folder)
+            self._campaigns.setdefault((spheres, lean), Campaign(lab, cylinder, folder))
         return self._campaigns[spheres, lean]
 
 
@@ -144,7 +143,7 @@ def run_points(
             points.strengths[row], points.spheres[row], int(points.seeds[row]),
         )  # fmt: skip
 
-    return _all(one, len(points.base), progress, workers or cores())
+    return side_by_side(one, len(points.base), progress, "simulating", workers)
 
 
 def reference_run(design: Design, simulator: Simulator) -> Run:
@@ -152,17 +151,3 @@ def reference_run(design: Design, simulator: Simulator) -> Run:
     soil = with_values(base_soil(simulator.lab), dict(design.centre))
     none = [0.0] * len(simulator.effects)
     return simulator.run(soil, (0.0, 0.0), none, design.spheres, 1000 * design.seed)
-
-
-def _all(one, count: int, progress: AbstractProgress, workers: int) -> list[Run]:
-    runs: dict[int, Run] = {}
-    progress.start("simulating", count)
-    try:
-        with ThreadPoolExecutor(workers) as pool:
-            waiting = {pool.submit(one, row): row for row in range(count)}
-            for done in as_completed(waiting):
-                runs[waiting[done]] = done.result()
-                progress.advance()
-    finally:
-        progress.finish()
-    return [runs[row] for row in range(count)]

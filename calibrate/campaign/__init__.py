@@ -10,7 +10,7 @@ campaign.py    from soils and seeds to runs: what is missing is simulated, what 
 
 from calibrate.campaign.campaign import Campaign
 from calibrate.campaign.keys import engine_hash
-from calibrate.campaign.places import AbstractPlace, Here, cores
+from calibrate.campaign.places import AbstractPlace, Here, cores, side_by_side
 from calibrate.campaign.run import Run, summary
 from calibrate.campaign.simulation import blank
 from calibrate.campaign.store import NETCDF
@@ -24,5 +24,6 @@ __all__ = [
     "blank",
     "cores",
     "engine_hash",
+    "side_by_side",
     "summary",
 ]

@@ -6,15 +6,20 @@ A place computes; what is computed, cached, tried again or labelled is the campa
 import abc
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from typing import TypeVar
 
 import jax
 
 from calibrate.campaign.run import Run
 from calibrate.campaign.simulation import PROGRAMS, simulated
+from calibrate.progress import AbstractProgress
 from jdem.experiments.composite import VirtualLab
 from jdem.packing import Packing, Specimen, prepare
 from jdem.soil import SoilParameters
+
+Made = TypeVar("Made")
 
 
 class MachineFailure(RuntimeError):
@@ -83,3 +88,22 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def side_by_side(
+    one: Callable[[int], Made], count: int, progress: AbstractProgress, what: str,
+    workers: int | None = None,
+) -> list[Made]:  # fmt: skip
+    """one(0) to one(count - 1), worked out in threads, in this order."""
+    found: dict[int, Made] = {}
+    progress.start(what, count)
+    pool = ThreadPoolExecutor(workers or cores())
+    try:
+        waiting = {pool.submit(one, number): number for number in range(count)}
+        for done in as_completed(waiting):
+            found[waiting[done]] = done.result()
+            progress.advance()
+    finally:
+        pool.shutdown(cancel_futures=True)
+        progress.finish()
+    return [found[number] for number in range(count)]

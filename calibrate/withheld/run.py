@@ -20,6 +20,7 @@ from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import CENTRE
 from calibrate.bank.lab import from_contact_on
 from calibrate.bank.store import declared
+from calibrate.campaign import side_by_side
 from calibrate.diagnosis.features import vector
 from calibrate.diagnosis.how_far import shrinkage
 from calibrate.errors import InputError
@@ -48,14 +49,13 @@ def generate(
     """Makes and seals all cases that are not there yet; the plan itself is sealed too."""
     attempts = _plan(out, ready, counts, seed)
     laboratory = Laboratory(out / "simulated", CENTRE)
-    progress.start("making cases", len(attempts))
-    labels = []
-    for case_attempts in attempts:
-        case = _made(out, laboratory, case_attempts)
-        labels += [_as_realised(case, laboratory, ready).label()] if case else []
-        progress.advance()
-    progress.finish()
-    seal.write_seal(labels, out)
+
+    def label(number: int) -> list[dict]:
+        case = _made(out, laboratory, attempts[number])
+        return [_as_realised(case, laboratory, ready).label()] if case else []
+
+    labels = side_by_side(label, len(attempts), progress, "making cases")
+    seal.write_seal([one for made in labels for one in made], out)
 
 
 def _plan(out: Path, ready: Ready, counts, seed: int | None) -> list[list[Case]]:
@@ -181,16 +181,15 @@ def _fresh(
         if verdict.get("claimed") and labels[name]["kind"] == "single"
         and labels[name]["snr"] >= CHECKED_SNR
     ]  # fmt: skip
-    progress.start("simulating fresh specimens", len(names))
-    realised = {}
-    for name in names:
-        number = int((source / "sealed" / f"{name}.attempt").read_text())
-        specimens = laboratory.specimens(plans[name][number], FRESH)
-        if specimens:
-            realised[name] = realised_shrinkage(said[name]["fits"], specimens)
-        progress.advance()
-    progress.finish()
-    return realised
+
+    def of(number: int) -> Realised | None:
+        name = names[number]
+        attempt = int((source / "sealed" / f"{name}.attempt").read_text())
+        specimens = laboratory.specimens(plans[name][attempt], FRESH)
+        return realised_shrinkage(said[name]["fits"], specimens) if specimens else None
+
+    found = side_by_side(of, len(names), progress, "simulating fresh specimens")
+    return {name: one for name, one in zip(names, found, strict=True) if one}
 
 
 def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
