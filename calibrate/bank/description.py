@@ -142,11 +142,11 @@ class AtSoil:
 
 def candidates(bank: Bank) -> tuple[Effect, ...]:
     """The library of a bank, with typical strengths in SI."""
-    rows = zip(bank.design.effect_names, bank.design.typical(), strict=True)
+    rows = zip(bank.design.effect_names, bank.design.typical(), limits(bank.design), strict=True)
     return tuple(
         Effect(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
-               EFFECTS[n].about.unit, _kind(n))
-        for n, t in rows
+               EFFECTS[n].about.unit, _kind(n), float(largest / t))
+        for n, t, largest in rows
     )  # fmt: skip
 
 

@@ -174,34 +174,37 @@ class Component:
 
 
 class Processes:
-    """All components' processes about the same points x (n, p), s (n, k), evaluated together."""
+    """All components' processes about the same points x (n, p), s (n, k), evaluated together; what
+    does not depend on the place is worked out once."""
 
     def __init__(self, components: Sequence[Component], x: np.ndarray, s: np.ndarray):
         every = Kernel(*map(np.array, zip(*(c.kernel for c in components), strict=True)))
-        self.x, self.s = x, s
         self.weights = np.array([c.weights for c in components])
-        self.near, self.weak = np.exp(-2 * every.length), np.exp(-2 * every.reach)
-        self.curved = 2 * every.curved
-        linear, self.effect, self.mixed, self.bent = (
+        self.points, self.wide = np.hstack([x, s]), x.shape[1]
+        self.near = np.exp(-2 * np.hstack([every.length, every.reach]))
+        self.height = 2 * every.curved[:, None] - 0.5 * self.near @ (self.points**2).T
+        linear, self.effect, mixed, bent = (
             np.exp(2 * part) for part in (every.linear, every.effect, every.interaction, every.bent)
         )
         self.linear, self.sum = linear * (self.weights @ x), self.weights.sum(axis=1)
-        self.pulled, self.squares = self.weights @ s, self.weights @ s**2
+        self.along = self.effect * (self.weights @ s)
+        self.bent = bent * (self.weights @ s**2)
+        shared = np.einsum("cn,np,nk->cpk", self.weights, x, s, optimize=True) / x.shape[1]
+        self.mixed = mixed[:, None, :] * shared
 
     def __call__(self, at: np.ndarray, strength: np.ndarray):
         """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
-        p, w = self.x.shape[1], self.weights
-        away, off = at - self.x, strength - self.s
-        distance = self.near @ (away**2).T + self.weak @ (off**2).T
-        curved = np.exp(self.curved[:, None] - 0.5 * distance) * w
-        shared = (w * (self.x @ at / p)) @ self.s
-        joint = (w * ((self.mixed * strength) @ self.s.T)) @ self.x / p
-        along = self.effect * self.pulled + self.mixed * shared
-        base = self.linear - (curved @ away) * self.near + joint
-        bent = self.bent * strength * self.squares
-        effects = along + 2 * bent - (curved @ off) * self.weak
-        value = self.sum + self.linear @ at + curved.sum(axis=1)
-        return value + along @ strength + bent @ strength, base, effects
+        place, p = np.concatenate([at, strength]), self.wide
+        pulled = self.near * place
+        exponent = self.height - 0.5 * (pulled @ place)[:, None] + pulled @ self.points.T
+        curved = np.exp(exponent) * self.weights
+        level = curved.sum(axis=1)
+        slopes = self.near * (curved @ self.points - level[:, None] * place)
+        along = self.along + at @ self.mixed
+        base = self.linear + slopes[:, :p] + self.mixed @ strength
+        effects = along + 2 * self.bent * strength + slopes[:, p:]
+        value = self.sum + self.linear @ at + level + along @ strength + self.bent @ strength**2
+        return value, base, effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,8 +231,8 @@ class FeatureEmulator:
 
     def _back(self, warped: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean features (m,) whose warped median is given, and their derivative."""
-        spread = np.exp(0.5 * self.residuals.var(axis=0))  # mean over median of sinh of a normal
-        return self.scale * np.sinh(warped) * spread, self.scale * np.cosh(warped) * spread
+        scale = self.scale * self._mean_over_median
+        return scale * np.sinh(warped), scale * np.cosh(warped)
 
     def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
@@ -248,6 +251,11 @@ class FeatureEmulator:
         """Warped residuals (n, m) with the variances of components times factors (c,)."""
         parts = self.basis.components(self.basis.mean + residuals)
         return residuals + (parts * (np.sqrt(factors) - 1)) @ self.basis.carried.T
+
+    @cached_property
+    def _mean_over_median(self) -> np.ndarray:
+        """Of the hyperbolic sine of a normal that scatters as features do, shape (m,)."""
+        return np.exp(0.5 * self.residuals.var(axis=0))
 
     @cached_property
     def _processes(self) -> Processes:

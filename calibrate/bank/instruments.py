@@ -7,6 +7,9 @@ reading is late, the turn of the confined curve is round already,
 
 and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
 between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
+
+Where the force before contact was recorded, it is taken off (`features.seen`), so that an untared
+load cell moves those features alone in which the machine turned by its reading.
 """
 
 from collections.abc import Callable
@@ -24,16 +27,19 @@ from calibrate.diagnosis.features import (
     Curves,
     Feature,
     declare_before_contact,
+    readings_before_contact,
+    tared_rows,
     vector,
 )
 from calibrate.diagnosis.linear import Emulator, Linearised
 from calibrate.diagnosis.repeats import Measured, from_vectors
-from calibrate.diagnosis.sensor import recording
+from calibrate.diagnosis.sensor import recording, recording_shift
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
-LAG = "acquisition_lag"
+LAG, OFFSET = "acquisition_lag", "load_cell_offset"
 Interpolator = Callable[..., np.ndarray]
+ON_A_LAG = 30  # recordings
 LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
 
 
@@ -41,24 +47,61 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
     """The description with what recording adds to the features of curves."""
     if not found.channels:
         return d
-    reference = typical(bank, found)
+    reference, air = typical(bank, found), ways_through_air(found)
     lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
     unit = 0.0 if lag is None else d.effects[lag].typical
-    recorded = [
-        recording(
+    shift, sensor, either = recording(
+        d.features, reference, found.channels, np.random.default_rng(seed), air=air
+    )
+    rows = [
+        recording_shift(
             d.features, late(reference, found, lags * unit), found.channels,
-            np.random.default_rng(seed),
+            np.random.default_rng(seed), ON_A_LAG, air,
         )
-        for lags in (LAGS if lag is not None else LAGS[:1])
+        for lags in (LAGS if lag is not None else ())
     ]  # fmt: skip
-    shifts, sensors, either = (np.array(part) for part in zip(*recorded, strict=True))
-    shifts, either = _filled(shifts), _filled(either)
-    read = Recorded(lag, shifts, either)
-    steep = d.effect_slopes + read.slopes(np.zeros(len(d.effects)))
-    return replace(
-        d, mean=d.mean + shifts[0], sensor=d.sensor + sensors[0], effect_slopes=steep,
-        wrong=np.column_stack([d.wrong, either[0]]),
+    read = Recorded(lag, *_from_none(shift, either, rows))
+    d = replace(
+        d, mean=d.mean + shift, sensor=d.sensor + sensor,
+        effect_slopes=d.effect_slopes + read.slopes(np.zeros(len(d.effects))),
+        wrong=np.column_stack([d.wrong, either]),
         emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
+    )  # fmt: skip
+    return _tared(d) if found.tared else d
+
+
+def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts and half differences (j, m) at LAGS, those without a lag as they were found best;
+    one row where there are no lags."""
+    if not rows:
+        return shift[None], either[None]
+    shifts, halves = (_filled(np.array(part)) for part in zip(*rows, strict=True))
+    return shifts - shifts[0] + shift, halves - halves[0] + either
+
+
+def ways_through_air(found: LabCurves) -> dict[str, float]:
+    """The way (mm) by test that a laboratory's platen usually makes before it surely touches."""
+    readings = {
+        test: [readings_before_contact(c[test][1]) for c in found.specimens if test in c]
+        for test in found.channels
+    }
+    return {
+        test: found.channels[test].spacing * float(np.median(counts))
+        for test, counts in readings.items()
+        if counts
+    }
+
+
+def _tared(d: Linearised) -> Linearised:
+    """The description of curves from which the force before contact was taken off."""
+    if OFFSET not in d.effect_names:
+        return d
+    offset, rows = d.effect_names.index(OFFSET), tared_rows(d.features)
+    slopes, errors = d.effect_slopes.copy(), d.effect_errors.copy()
+    slopes[rows, offset] = errors[rows, offset] = 0.0
+    return replace(
+        d, effect_slopes=slopes, effect_errors=errors,
+        emulator=None if d.emulator is None else Tared(d.emulator, offset, rows),
     )  # fmt: skip
 
 
@@ -126,13 +169,9 @@ def _ratio(bank: Bank, found: LabCurves, name: str) -> float:
 
 
 def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
-    """The description and the sample with the forces before contact, where all specimens have
-    them: only an untared load cell moves those."""
-    have = np.isfinite(found.before) if len(found.before) else np.zeros((0, 2), bool)
-    has_test = np.array([[t in c for t in (CONFINED, UNCONFINED)] for c in found.specimens])
-    keep = [
-        i for i in (0, 1) if len(have) and has_test[:, i].any() and have[has_test[:, i], i].all()
-    ]
+    """The description and the sample with the forces before contact: only an untared load cell
+    moves those."""
+    keep = [i for i in (0, 1) if np.isfinite(found.before[:, i]).any()]
     if not keep:
         return d, found.measured
     before = declare_before_contact()
@@ -249,3 +288,40 @@ class Taller:
     def wrong(self, delta, strengths):
         known = self.emulator.wrong(delta, strengths)
         return np.concatenate([known, np.zeros((len(self.rows), known.shape[1]))])
+
+
+@dataclass(frozen=True, eq=False)
+class Tared:
+    """An emulator of which some rows (a mask) do not see the load cell's offset."""
+
+    emulator: Emulator
+    offset: int
+    rows: np.ndarray
+
+    def __call__(self, delta, strengths):
+        found = self.emulator(delta, strengths)
+        if strengths[self.offset]:
+            without = self.emulator(delta, self._without(strengths))
+            found = tuple(
+                np.where(_like(self.rows, a), b, a) for a, b in zip(found, without, strict=True)
+            )
+        values, base, effects = found
+        effects = effects.copy()
+        effects[self.rows, self.offset] = 0.0
+        return values, base, effects
+
+    def wrong(self, delta, strengths):
+        found = self.emulator.wrong(delta, strengths)
+        if not strengths[self.offset]:
+            return found
+        without = self.emulator.wrong(delta, self._without(strengths))
+        return np.where(_like(self.rows, found), without, found)
+
+    def _without(self, strengths: np.ndarray) -> np.ndarray:
+        changed = np.array(strengths, float)
+        changed[self.offset] = 0.0
+        return changed
+
+
+def _like(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return mask.reshape(-1, *[1] * (values.ndim - 1))

@@ -14,12 +14,12 @@ import numpy as np
 from calibrate.bank.store import TARGETS, Bank, Cylinder
 from calibrate.diagnosis.features import (
     CONFINED,
+    TESTS,
     UNCONFINED,
     Curves,
     declare_targets,
     force_before_contact,
-    readings_before_contact,
-    vector,
+    seen,
 )
 from calibrate.diagnosis.repeats import (
     Measured,
@@ -49,6 +49,11 @@ class LabCurves:
     channels: dict[str, Channel]
     specimens: tuple[Curves, ...]
     speeds: dict[str, float]
+
+    @property
+    def tared(self) -> bool:
+        """Whether forces before contact were taken off."""
+        return bool(np.isfinite(self.before).any())
 
 
 def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
@@ -92,17 +97,18 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     specimens = specimens_of(lab, bank.cylinder)
     if not specimens:
         return _targets(lab, bank)
-    from_contact = [from_contact_on(curves) for curves in specimens]
-    known = measured_features([f for f in every if f.kind != "target"], from_contact)
+    before = _before(specimens)
+    on_curves = [f for f in every if f.kind != "target"]
+    values = np.array([
+        seen(on_curves, curves, dict(zip(TESTS, rest, strict=True)))
+        for curves, rest in zip(specimens, np.nan_to_num(before), strict=True)
+    ])  # fmt: skip
+    known = measured_features(on_curves, specimens, values)
     if not known:
         raise InputError(lab.file, "curves", "no feature could be read from them",
                          "give whole curves: loading to the largest force and back, crushing "
                          "past the peak")  # fmt: skip
-    vectors = np.array([vector(known, curves) for curves in from_contact])
-    before = np.array([
-        [force_before_contact(curves[test][1]) if test in curves else np.nan
-         for test in (CONFINED, UNCONFINED)] for curves in specimens
-    ])  # fmt: skip
+    vectors = values[:, [on_curves.index(feature) for feature in known]]
     chosen = np.array([every.index(feature) for feature in known])
     channels = {test: _channel(test, specimens) for test in (CONFINED, UNCONFINED)}
     speeds = {CONFINED: 1e3 * lab.confined.rate, UNCONFINED: 1e3 * lab.unconfined.rate}
@@ -110,12 +116,18 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
     return LabCurves(measured, chosen, before, channels, tuple(specimens), speeds)
 
 
-def from_contact_on(curves: Curves) -> Curves:
-    """The curves without the platen's way through the air, as a simulation records them."""
-    found = {}
-    for test, (displacement, force) in curves.items():
-        first = max(readings_before_contact(force) - 1, 0)
-        found[test] = (displacement[first:], force[first:])
+def _before(specimens: Sequence[Curves]) -> np.ndarray:
+    """Forces before contact (s, 2) in the order of TESTS; a curve that does not show its own is
+    given the mean of the others, NaN where none shows it or there is no curve."""
+    found = np.array([
+        [force_before_contact(curves[test][1]) if test in curves else np.nan for test in TESTS]
+        for curves in specimens
+    ])  # fmt: skip
+    for column, test in enumerate(TESTS):
+        has = np.array([test in curves for curves in specimens])
+        known = np.isfinite(found[:, column])
+        if known.any():
+            found[has & ~known, column] = found[known, column].mean()
     return found
 
 

@@ -144,6 +144,42 @@ def readings_before_contact(force: np.ndarray) -> int:
     return max(int(np.argmax(away > CONTACT * away.max())) - 2, 0)
 
 
+def tared_rows(features: Sequence[Feature]) -> np.ndarray:
+    """Mask (m,) of the features that are read after the force before contact is taken off: all of
+    crushing, and confined loading, which do not know where the machine will turn."""
+    return np.array([f.test == UNCONFINED or f.kind == "loading" for f in features])
+
+
+def seen(
+    features: Sequence[Feature], curves: Curves, rest: Mapping[str, float] | None = None
+) -> np.ndarray:
+    """Features (m,) of recorded curves: cut where the platen surely touches, and those of
+    `tared_rows` without the force that was read before, unless there are too few readings of it.
+
+    rest: that force (N) by test, for curves that do not show it.
+    """
+    cut = from_contact_on(curves)
+    known = rest or {}
+    at_rest = {test: force_before_contact(force) for test, (_, force) in curves.items()}
+    taken = {t: b if np.isfinite(b) else known.get(t, 0.0) for t, b in at_rest.items()}
+    without = {test: (x, force - taken[test]) for test, (x, force) in cut.items()}
+    as_read, tared = vector(features, cut), vector(features, without)
+    if CONFINED in without:
+        top = without[CONFINED][1].max()
+        beyond = [f.kind == "loading" and f.abscissa > top for f in features]
+        tared = np.where(beyond, np.nan, tared)
+    return np.where(tared_rows(features), tared, as_read)
+
+
+def from_contact_on(curves: Curves) -> Curves:
+    """The curves without the platen's way through the air, as a simulation records them."""
+    found = {}
+    for test, (displacement, force) in curves.items():
+        first = max(readings_before_contact(force) - 1, 0)
+        found[test] = (displacement[first:], force[first:])
+    return found
+
+
 def vector(
     features: Sequence[Feature], curves: Curves, targets: Mapping[str, float] | None = None
 ) -> np.ndarray:

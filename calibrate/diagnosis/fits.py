@@ -19,9 +19,9 @@ from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import admissible, lengths
 
 REFITTED = 3  # leading effects whose pairs are refitted
-BEGINNINGS = (1.0, 3.0)  # typical strengths from which leading effects are refitted too, with the
-# soil of the base fit, which may be far off where an effect is strong, and with the prior's
-SCREENED = 5  # leading effects
+BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
+# the base fit, which may be far off where an effect is strong, and with the prior's
+ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
 HOLLOWS = 3  # different fits of one explanation that are weighed by their own noise
 
 Fits = dict[tuple[int, ...], Refit]
@@ -37,9 +37,10 @@ def fitted_base(
     spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
     noise = estimate(d, measured, packing, base.delta**2 + np.diag(spread))
     starts = [start_at(d), start_at(d, base.delta)]
-    fits = [refit(d, measured.mean, inflation * noise.mean, (), start) for start in starts]
-    fit = min(fits, key=lambda fit: fit.objective)
-    return noise, replace(fit, covariance=covariance_at(d, noise, fit))
+    if d.emulator is not None:
+        drawn = np.random.default_rng(0).normal(size=(ELSEWHERE, len(d.prior_sd)))
+        starts += [start_at(d, d.prior_sd * shift) for shift in drawn]
+    return noise, _Fitter(d, measured.mean, noise, inflation).likeliest((), starts)
 
 
 def covariance_at(d: Linearised, noise: Noise, fit: Refit) -> np.ndarray:
@@ -62,10 +63,10 @@ def all_fits(
 
     measured (m,): means; base: the fit without effects.
     """
-    fitter = _Fitter(d, measured, noise, inflation, base)
+    fitter = _Fitter(d, measured, noise, inflation)
     order = [int(k) for k in np.argsort(-first.singles)]
     alone = order if d.emulator is not None else order[:REFITTED]
-    fits: Fits = {(k,): fitter.alone(k, n < SCREENED) for n, k in enumerate(alone)}
+    fits: Fits = {(k,): fitter.likeliest((k,), _starts(d, base, k)) for k in alone}
     lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
     chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
     if lead:
@@ -74,7 +75,24 @@ def all_fits(
         i, j = first.pair_index[int(np.argmax(first.pairs))]
         chosen.append((int(i), int(j)))
     pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
-    return fits | {key: fitter.pair(key, fits) for key in pairs}
+    return fits | {key: fitter.likeliest(key, _of_its_parts(key, base, fits)) for key in pairs}
+
+
+def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:
+    """Starts with one effect: without it and, where it is not linear, from several strengths."""
+    yield start_at(d, base.delta)
+    if d.emulator is None:
+        return
+    candidate = d.effects[effect]
+    signs = (1.0,) if candidate.one_sided else (1.0, -1.0)
+    for delta, share, sign in product((base.delta, None), BEGINNINGS, signs):
+        yield start_at(d, delta, effect, sign * share * candidate.reach)
+
+
+def _of_its_parts(key: tuple[int, ...], base: Refit, fits: Fits) -> list[Start]:
+    """Starts with two effects: the base fit and those with one of them."""
+    alone = [fits[(k,)] for k in key if (k,) in fits]
+    return [(fit.delta, fit.strengths) for fit in (base, *alone)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,27 +103,8 @@ class _Fitter:
     measured: np.ndarray
     noise: Noise
     inflation: float
-    base: Refit
 
-    def alone(self, effect: int, thorough: bool) -> Refit:
-        """The fit with one effect; thorough: from several strengths."""
-        return self._fit((effect,), self._starts(effect, thorough))
-
-    def pair(self, key: tuple[int, int], fits: Fits) -> Refit:
-        """The fit with two effects, from the base fit and those with one of them."""
-        alone = [fits[(k,)] for k in key if (k,) in fits]
-        starts = [(fit.delta, fit.strengths) for fit in (self.base, *alone)]
-        return self._fit(key, starts)
-
-    def _starts(self, effect: int, thorough: bool) -> Iterator[Start]:
-        yield start_at(self.d, self.base.delta)
-        if not thorough or self.d.emulator is None:
-            return
-        signs = (1.0,) if self.d.effects[effect].one_sided else (1.0, -1.0)
-        for delta, strength, sign in product((self.base.delta, None), BEGINNINGS, signs):
-            yield start_at(self.d, delta, effect, sign * strength)
-
-    def _fit(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
+    def likeliest(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
         """The likeliest of the best fits from some starts, each weighed by the noise at its own
         place."""
         covariance = self.inflation * self.noise.mean

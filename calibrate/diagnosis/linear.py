@@ -21,13 +21,15 @@ KINDS = ("contact", "measuring", "specimen", "numerical")
 @dataclass(frozen=True)
 class Effect:
     """A candidate: its name, whether its strength can only be positive, the strength that
-    is typical (in `unit`), and what it would change (one of `KINDS`)."""
+    is typical (in `unit`), what it would change (one of `KINDS`), and how many typical strengths
+    the simulations reach to."""
 
     name: str
     one_sided: bool
     typical: float
     unit: str = ""
     kind: str = "contact"
+    reach: float = 3.0
 
 
 class Emulator(Protocol):

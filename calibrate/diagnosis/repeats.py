@@ -89,10 +89,12 @@ def from_targets(
 
 
 def measured_features(
-    features: Sequence[Feature], specimens: Sequence[Curves]
+    features: Sequence[Feature], specimens: Sequence[Curves], values: np.ndarray | None = None
 ) -> tuple[Feature, ...]:
-    """Those features that every specimen with a curve of their test has."""
-    values = np.array([vector(features, curves) for curves in specimens])
+    """Those features that every specimen with a curve of their test has; values (s, m) of all, if
+    they are known already."""
+    if values is None:
+        values = np.array([vector(features, curves) for curves in specimens])
     has_test = np.array([[f.test in curves for f in features] for curves in specimens])
     complete = np.isfinite(values) | ~has_test
     return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.diagnosis.features import Curves, Feature, vector
+from calibrate.diagnosis.features import Curves, Feature, seen, vector
 from calibrate.diagnosis.noise import best_shape
 
 REPEATS = 100
@@ -53,22 +53,61 @@ def recording(
     channels: Mapping[str, Channel],
     rng: np.random.Generator,
     repeats: int = REPEATS,
+    air: Mapping[str, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shift (m,) of the mean, covariance (m, m) of a specimen, and error (m,) that all share.
 
-    curves: finely sampled ones of a typical specimen; channels: one for each test.
+    curves: finely sampled ones of a typical specimen, from contact on; channels: one for each test;
+    air: ways (mm) before contact that are recorded too.  What is recorded is read as that of a
+    laboratory is (`features.seen`).
     """
+    moments, means = _departures(features, curves, channels, rng, repeats, air or {})
+    centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
+    shift, either = _middle(moments, means)
+    return shift, best_shape(centred).of(centred), either
+
+
+def recording_shift(
+    features: Sequence[Feature],
+    curves: Curves,
+    channels: Mapping[str, Channel],
+    rng: np.random.Generator,
+    repeats: int = REPEATS,
+    air: Mapping[str, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The shift and the shared error alone."""
+    return _middle(*_departures(features, curves, channels, rng, repeats, air or {}))
+
+
+def _departures(features, curves, channels, rng, repeats, air) -> tuple[np.ndarray, np.ndarray]:
+    """Features (r, m) of recordings less those of the curves, by moments and by means."""
     exact = vector(features, curves)
+    whole = {test: through_air(x, force, air.get(test, 0.0)) for test, (x, force) in curves.items()}
+
+    def once(averaging: bool) -> np.ndarray:
+        read = {test: channels[test].record(*whole[test], rng, averaging) for test in whole}
+        return seen(features, read) - exact
 
     def recorded(averaging: bool) -> np.ndarray:
-        read = np.array([
-            vector(features, {test: channels[test].record(*curves[test], rng, averaging)
-                              for test in curves})
-            for _ in range(repeats)
-        ])  # fmt: skip
-        return np.where(np.isfinite(read), read, exact)
+        found = np.array([once(averaging) for _ in range(repeats)])
+        return np.where(np.isfinite(found), found, 0.0 * exact)
 
-    moments, means = recorded(False), recorded(True)
-    centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
+    return recorded(False), recorded(True)
+
+
+def _middle(moments: np.ndarray, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Between both ways, and how far each is from it."""
     middle = (moments.mean(axis=0) + means.mean(axis=0)) / 2
-    return middle - exact, best_shape(centred).of(centred), moments.mean(axis=0) - middle
+    return middle, moments.mean(axis=0) - middle
+
+
+def through_air(
+    displacement: np.ndarray, force: np.ndarray, way: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A curve with a way (mm) before contact, at the force of its first point."""
+    if not way:
+        return displacement, force
+    return (
+        np.concatenate([[displacement[0] - way], displacement]),
+        np.concatenate([[force[0]], force]),
+    )

@@ -123,9 +123,10 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
     d = prepared.description
     inflation = prepared.null.inflation
     noise, base = fitted_base(d, measured, prepared.world.packing, inflation)
-    covariance = inflation * noise.mean
+    here = replace(noise, mean=base.covariance)
+    covariance = inflation * here.mean
     kernel = kernel_factors(d.features, noise.specimen)
-    plain = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, noise.mean)
+    plain = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, here.mean)
     shapes = projected(kernel, plain.operator)
     p_before = prepared.null.before.p_value(
         statistics(plain.residual, plain.effects, d.one_sided, shapes)
@@ -135,7 +136,7 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
         base.working,
         base.base_slopes,
         base.effect_slopes,
-        noise,
+        here,
         inflation,
         kernel,
     )
@@ -168,7 +169,8 @@ def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray
 
 def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
     """Evidences of the refitted explanations replaced by those at their own best fit."""
-    none = _at(prepared, noise, base)
+    nothing = [replace(f, chosen=()) for f in refits.values() if not f.strengths.any()]
+    none = max(_at(prepared, noise, fit) for fit in (base, *nothing))
     singles, pairs = first.singles.copy(), first.pairs.copy()
     for key, fit in refits.items():
         value = _at(prepared, noise, fit) - none

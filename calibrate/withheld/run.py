@@ -18,10 +18,9 @@ import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import CENTRE
-from calibrate.bank.lab import from_contact_on
 from calibrate.bank.store import declared
 from calibrate.campaign import side_by_side
-from calibrate.diagnosis.features import vector
+from calibrate.diagnosis.features import seen
 from calibrate.diagnosis.how_far import shrinkage
 from calibrate.errors import InputError
 from calibrate.output import write_json, write_text
@@ -199,7 +198,7 @@ def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
     values = np.array([
-        vector(chosen, from_contact_on({test: tuple(r.T) for test, r in s.records.items()}))
+        seen(chosen, {test: (r[:, 0], r[:, 1]) for test, r in s.records.items()})
         for s in specimens
     ])  # fmt: skip
     weight = np.array(fits["weight"])[keep]
