@@ -151,7 +151,7 @@ def test_an_emulator_that_is_linear_changes_nothing():
     np.testing.assert_allclose(one.facts.evidence.singles, other.facts.evidence.singles, atol=0.02)
 
 
-def test_gauss_newton_finds_a_bent_truth():
+def test_a_fit_finds_a_bent_truth():
     def at(delta, strengths):
         bend = 1 + 0.3 * strengths[2]
         values = KNOWN.base_slopes @ delta + KNOWN.effect_slopes[:, 2] * strengths[2] * bend
@@ -167,7 +167,7 @@ def test_gauss_newton_finds_a_bent_truth():
     assert found.strengths[2] == pytest.approx(1.5, abs=0.01)
 
 
-def test_gauss_newton_follows_a_bent_valley_to_its_end():
+def test_a_fit_follows_a_bent_valley_to_its_end():
     """Rosenbrock's valley, from its wrong end: each full step would leave it."""
     along, across = 30 * KNOWN.base_slopes[:, 0], 300 * KNOWN.effect_slopes[:, 2]
 

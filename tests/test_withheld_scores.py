@@ -12,9 +12,8 @@ import pytest
 from judged_cases import CLASSES, SEAT, label, specimens, verdict
 from rich.console import Console
 
-from calibrate.bank.lab import from_contact_on
 from calibrate.bank.store import declared
-from calibrate.diagnosis.features import vector
+from calibrate.diagnosis.features import seen
 from calibrate.errors import InputError
 from calibrate.report import kinds
 from calibrate.report import withheld as report
@@ -208,8 +207,7 @@ def test_shrinkage_on_fresh_specimens_by_hand():
     """Specimens all alike, so no scatter is taken off: d^2 of 3 shrinks to 5/4, E of 2 to 1.5."""
     features = declared(400.0)[:-2]
     fresh = specimens(3, count=1) * 2
-    curves = from_contact_on({t: tuple(r.T) for t, r in fresh[0].records.items()})
-    true = vector(features, curves)
+    true = seen(features, {t: (r[:, 0], r[:, 1]) for t, r in fresh[0].records.items()})
     keep = np.flatnonzero(np.isfinite(true))
     assert len(keep) > 20
     fits = {

@@ -41,6 +41,7 @@ WINDOW = 0.04  # half-width of the averaging window, share of the displacement a
 NEAR_PEAK = 0.95  # share of the peak above which the peak's place is averaged
 LATE = 0.08  # share of the largest force; a loading that begins above it is read from there on
 CONTACT = 0.012  # share of the range of forces at which the platen surely touches
+BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
 FEWEST_BEFORE = 3  # readings before contact that make a mean
 TEST_OF_TARGET = {"depression_depth_mm": CONFINED, "crushing_force_n": UNCONFINED}
 
@@ -166,7 +167,7 @@ def seen(
     as_read, tared = vector(features, cut), vector(features, without)
     if CONFINED in without:
         top = without[CONFINED][1].max()
-        beyond = [f.kind == "loading" and f.abscissa > top for f in features]
+        beyond = [f.kind == "loading" and f.abscissa > top + BEYOND * f.scale for f in features]
         tared = np.where(beyond, np.nan, tared)
     return np.where(tared_rows(features), tared, as_read)
 

@@ -22,12 +22,12 @@ from scipy.optimize import minimize
 from calibrate.diagnosis.linear import Linearised
 
 STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running away
-ROUNDS = 4  # most, each in coordinates of its own
+ROUNDS = 20  # most, each in coordinates of its own
 STEPS = 80  # most in a round
 HALVINGS = 4
 SAME = 0.1  # typical strengths, or prior deviations, by which fits in one hollow may differ
 DONE = 1e-2  # fall of the objective that is not worth another round
-FLAT = 1e-6  # relative fall in a step that ends a round
+FLAT = 1e-4  # fall in a step that ends a round
 REACH = 5.0  # standard deviations about a point, beside its misfit, within which its bottom lies
 ABSURD = 1e30  # objective where the description is not finite
 
@@ -198,7 +198,7 @@ class _Problem:
         bounds[p:, 0] = np.where(d.one_sided[on], np.maximum(bounds[p:, 0], 0.0), bounds[p:, 0])
         done = minimize(
             objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": STEPS, "ftol": FLAT},
+            options={"maxiter": STEPS, "ftol": FLAT / max(point.objective, 1.0)},
         )  # fmt: skip
         found = there(done.x)
         return found if found.objective < point.objective else point
