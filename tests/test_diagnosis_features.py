@@ -8,11 +8,15 @@ from calibrate.diagnosis.features import (
     UNCONFINED,
     declare,
     declare_targets,
+    force_before_contact,
+    readings_before_contact,
+    seen,
     segments_of,
+    tared_rows,
     vector,
 )
 from calibrate.diagnosis.repeats import from_curves, from_targets, from_vectors, measured_features
-from calibrate.diagnosis.sensor import Channel, recording
+from calibrate.diagnosis.sensor import Channel, recording, recording_shift, through_air
 
 FEATURES = declare(400.0, 6.0, 200.0)
 PEAK = [f.kind for f in FEATURES].index("peak force")
@@ -134,3 +138,65 @@ def test_recording_misses_the_peak_and_scatters():
     assert either[top] > 0.5  # a machine that averages misses more of it than one that samples
     assert np.linalg.eigvalsh(covariance).min() > -1e-12
     assert 0.1 < np.sqrt(covariance[PEAK, PEAK]) < 1.0
+
+
+def through(way: float, offset: float = 0.0):
+    """Both curves, read too large by an offset, behind a way through the air, fine all along."""
+    found = {}
+    for test, (x, force) in both().items():
+        x, force = through_air(x, force, way)
+        path = np.linspace(0.0, np.abs(np.diff(x)).sum(), 4000)
+        along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
+        found[test] = (np.interp(path, along, x), np.interp(path, along, force) + offset)
+    return found
+
+
+def test_an_offset_that_was_seen_before_contact_is_taken_off_where_the_turn_does_not_matter():
+    rows = tared_rows(FEATURES)
+    tared, untared = seen(FEATURES, through(0.8)), seen(FEATURES, through(0.8, 25.0))
+    np.testing.assert_allclose(untared[rows], tared[rows], atol=0.02)
+    largest = [f.kind for f in FEATURES].index("largest force")
+    assert not rows[largest]
+    assert untared[largest] == pytest.approx(tared[largest] + 25.0, abs=0.1)
+
+
+def test_a_loading_that_ends_too_early_once_tared_lacks_its_last_features():
+    """Read 25 N too large and turned at a reading of 400 N: nothing is known above 375 N."""
+    x, force = confined()
+    air = np.linspace(-0.8, -0.01, 20)
+    on = force <= 375
+    curves = {CONFINED: (np.append(air, x[on]), np.append(0 * air, force[on]) + 25.0)}
+    values = dict(zip([f.name for f in FEATURES], seen(FEATURES, curves), strict=True))
+    assert np.isnan(values["displacement at 380 N, loading"])
+    assert np.isnan(values["displacement at 396 N, loading"])
+    assert np.isfinite(values["displacement at 350 N, loading"])
+    assert np.isfinite(values["displacement at 392 N, unloading"])
+
+
+def test_what_another_curve_shows_before_contact_serves_one_that_does_not():
+    x, force = unconfined()
+    alone = {UNCONFINED: (x, force + 25.0)}
+    values = seen(FEATURES, alone, {UNCONFINED: 25.0})
+    np.testing.assert_allclose(values[PEAK], vector(FEATURES, both())[PEAK], atol=0.1)
+    assert seen(FEATURES, alone)[PEAK] == pytest.approx(values[PEAK] + 25.0, abs=0.5)
+
+
+def test_a_soft_beginning_is_not_taken_for_air():
+    force = unconfined()[1]
+    assert readings_before_contact(force) > 3
+    assert not force_before_contact(force) > 0.3  # NaN, or next to nothing
+    noise = 0.3 * np.random.default_rng(0).standard_normal(len(force) + 40)
+    behind = np.concatenate([np.zeros(40), force]) + 7.0 + noise
+    assert force_before_contact(behind) == pytest.approx(7.0, abs=0.2)
+
+
+def test_a_way_through_the_air_is_cut_off_again():
+    """Recorded through air or from contact on: the same shifts, but for where readings fall."""
+    channels = {CONFINED: Channel(0.1, 0.2, 0.002), UNCONFINED: Channel(0.1, 0.2, 0.002)}
+    rows = np.array([f.kind != "loading" or f.abscissa >= 10 for f in FEATURES])
+    found = [
+        recording_shift(FEATURES, both(), channels, np.random.default_rng(0), 60, air)[0]
+        for air in ({}, {CONFINED: 0.6, UNCONFINED: 0.6})
+    ]
+    spread = np.where([f.unit == "mm" for f in FEATURES], 0.03, 0.8)
+    assert (np.abs(found[1] - found[0]) < spread)[rows].all()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibrate.bank.instruments import LAGS, AsRecorded, Recorded, late
+from calibrate.bank.instruments import LAGS, AsRecorded, Recorded, Tared, late
 from calibrate.diagnosis.features import declare
 from calibrate.diagnosis.sensor import Channel, recording
 
@@ -91,3 +91,29 @@ def test_an_effectless_library_has_one_shift():
     read = Recorded(None, rows, rows)
     assert read.shift(np.zeros(0)) == pytest.approx([1.0, 2.0])
     assert read.slopes(np.zeros(3)).shape == (2, 3)
+
+
+class Affine:
+    """Three features that three effects move together, an offset (1) among them."""
+
+    slopes = np.arange(9.0).reshape(3, 3) + 1
+
+    def __call__(self, delta, strengths):
+        return self.slopes @ strengths, np.ones((3, 1)) * strengths[1], self.slopes
+
+    def wrong(self, delta, strengths):
+        return np.full((3, 2), strengths[1])
+
+
+def test_features_of_tared_curves_do_not_see_the_offset():
+    rows = np.array([True, False, True])
+    tared, at = Tared(Affine(), 1, rows), np.array([1.0, 2.0, 3.0])
+    values, base, effects = tared(np.zeros(1), at)
+    without = Affine.slopes @ np.array([1.0, 0.0, 3.0])
+    assert values == pytest.approx(np.where(rows, without, Affine.slopes @ at))
+    assert base[:, 0].tolist() == [0.0, 2.0, 0.0]
+    assert effects[:, 1].tolist() == [0.0, Affine.slopes[1, 1], 0.0]
+    assert effects[:, [0, 2]] == pytest.approx(Affine.slopes[:, [0, 2]])
+    assert tared.wrong(np.zeros(1), at)[:, 0].tolist() == [0.0, 2.0, 0.0]
+    same = tared(np.zeros(1), np.array([1.0, 0.0, 3.0]))[0]
+    assert same == pytest.approx(without)

@@ -42,6 +42,8 @@ NEAR_PEAK = 0.95  # share of the peak above which the peak's place is averaged
 LATE = 0.08  # share of the largest force; a loading that begins above it is read from there on
 CONTACT = 0.012  # share of the range of forces at which the platen surely touches
 BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
+TOUCH = 0.002  # the same at which it may touch already, where noise allows to see it
+SURE = 4.0  # deviations of a reading that are no noise
 FEWEST_BEFORE = 3  # readings before contact that make a mean
 TEST_OF_TARGET = {"depression_depth_mm": CONFINED, "crushing_force_n": UNCONFINED}
 
@@ -130,8 +132,13 @@ def declare_before_contact() -> tuple[Feature, ...]:
 
 
 def force_before_contact(force: np.ndarray) -> float:
-    """Mean of the readings (N) before contact, NaN if there are fewer than `FEWEST_BEFORE`."""
-    readings = readings_before_contact(force)
+    """Mean of the readings (N) before force leaves them at all, NaN if they are fewer than
+    `FEWEST_BEFORE`."""
+    away = force - np.median(force[:FEWEST_BEFORE])
+    seconds = np.diff(force, 2)
+    noise = 1.4826 * np.median(np.abs(seconds - np.median(seconds))) / np.sqrt(6)
+    leaves = np.argmax(away > max(TOUCH * away.max(), SURE * noise))
+    readings = min(int(leaves) - 1, readings_before_contact(force))
     return float(force[:readings].mean()) if readings >= FEWEST_BEFORE else np.nan
 
 
