@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from toy_place import formula, soils, toy_campaign
 
-from calibrate.campaign import NETCDF, store
+from calibrate.campaign import NETCDF, side_by_side, store
 from calibrate.campaign.run import QUALITY
 from calibrate.campaign.seal import LENGTH, sealed, unsealed
 from calibrate.errors import CalibrationError
-from calibrate.progress import PlainLines, duration
+from calibrate.progress import PlainLines, Silent, duration
 from calibrate.workflow import simulation_json
 
 SEEDS = (0, 1)
@@ -378,3 +378,23 @@ def test_progress_tells_the_time_left(monkeypatch):
 )
 def test_lengths_of_time(seconds, words):
     assert duration(seconds) == words
+
+
+def test_side_by_side_keeps_the_order_and_stops_at_an_error():
+    def late_first(number):
+        time.sleep(0.02 * (5 - number))
+        return number**2
+
+    assert side_by_side(late_first, 5, Silent(), "squares", 3) == [0, 1, 4, 9, 16]
+    begun = []
+
+    def fails(number):
+        begun.append(number)
+        if number == 1:
+            raise ValueError("the second one")
+        time.sleep(0.05)
+        return number
+
+    with pytest.raises(ValueError, match="the second one"):
+        side_by_side(fails, 50, Silent(), "squares", 2)
+    assert len(begun) < 50

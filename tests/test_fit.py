@@ -21,7 +21,7 @@ from formulas import BASE, LAB, Formulas, specimen
 
 from calibrate.campaign import Campaign
 from calibrate.errors import CalibrationError
-from calibrate.fit import Calibration, Settings, fit, packing_scatter
+from calibrate.fit import Calibration, Settings, descend, fit, packing_scatter
 from calibrate.measurements import Curve
 from calibrate.parameters import space
 from calibrate.presets import Preset
@@ -139,6 +139,25 @@ def test_the_best_iterate_is_kept():
     best = result.history[int(np.argmin(costs))]
     assert list(best["parameters"].values()) == result.best.values.tolist()
     assert best["status"] == "better"
+
+
+class Noted(Formulas):
+    """Notes what it was asked for."""
+
+    def each(self, soils, seeds, what):
+        self.asked = [*getattr(self, "asked", []), what]
+        return super().each(soils, seeds, what)
+
+
+def test_slopes_are_measured_anew_after_two_rejected_steps_in_a_row_only():
+    work = Noted()
+    walk = descend(scalar_case(TRUTH_TWO, 0, work=work), START_TWO * [8.0, 0.1])
+    better = [row["status"] == "better" for row in walk.history]
+    anew = [int(w.split()[-1]) for w in work.asked if w.startswith("slopes at evaluation")]
+    twice = [n for n in range(2, len(better) + 1) if not (better[n - 1] or better[n - 2])]
+    assert anew[0] == 1 and set(anew[1:]) == set(twice)
+    assert not all(better[n - 1] for n in range(2, min(twice) - 1))  # one alone did not do it
+    assert walk.stopped == "every target is met within the tolerance"
 
 
 def test_a_fit_ends_after_its_evaluations():

@@ -16,9 +16,9 @@ import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import described
+from calibrate.diagnosis.fits import fitted_base
 from calibrate.diagnosis.how_far import hat_of
-from calibrate.diagnosis.noise import estimate, packing_covariance
-from calibrate.diagnosis.refit import refit
+from calibrate.diagnosis.noise import packing_covariance
 from calibrate.errors import InputError
 from calibrate.measurements import Lab
 from calibrate.output import write_json
@@ -48,7 +48,8 @@ def learn(
 
 
 def left_by_fit(lab: Lab, ready: Ready, seed: int) -> Left | None:
-    """What a base fit leaves of a lab; None if it lacks more than a few features.
+    """What a base fit, made as a diagnosis makes it, leaves of a lab; None if it lacks more than
+    a few features.
 
     Fits are made without any shift: repeating them with the shift would let it run away along
     what base parameters can do as well.
@@ -58,8 +59,8 @@ def left_by_fit(lab: Lab, ready: Ready, seed: int) -> Left | None:
     chosen = lab_curves.chosen
     if len(chosen) < m - 2:  # all but the two targets
         return None
-    noise = estimate(d, measured, packing_covariance(d), d.prior_sd**2).mean
-    fit = refit(d, measured.mean, noise)
+    _, fit = fitted_base(d, measured, packing_covariance(d), 1.0)
+    noise = fit.covariance
     row, scatter = np.zeros(m), np.zeros((m, m))
     row[chosen] = np.arcsinh(measured.mean / scale[chosen]) - np.arcsinh(fit.values / scale[chosen])
     steep = np.sqrt(scale[chosen] ** 2 + fit.values**2)
