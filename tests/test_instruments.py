@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calibrate.bank.instruments import LAGS, AsRecorded, Recorded, Tared, late
+from calibrate.bank.lab import LabCurves
 from calibrate.diagnosis.features import declare
 from calibrate.diagnosis.sensor import Channel, recording
 
@@ -117,3 +118,16 @@ def test_features_of_tared_curves_do_not_see_the_offset():
     assert tared.wrong(np.zeros(1), at)[:, 0].tolist() == [0.0, 2.0, 0.0]
     same = tared(np.zeros(1), np.array([1.0, 0.0, 3.0]))[0]
     assert same == pytest.approx(without)
+
+
+@pytest.mark.parametrize(
+    ("before", "tests"),
+    [
+        (np.empty((0, 2)), ()),
+        (np.array([[0.1, np.nan], [np.nan, np.nan]]), ("confined",)),
+        (np.array([[0.1, 0.2]]), ("confined", "unconfined")),
+    ],
+)
+def test_tests_are_tared_where_a_force_before_contact_is_known(before, tests):
+    nothing: Any = None
+    assert LabCurves(nothing, nothing, before, {}, (), {}).tared == tests

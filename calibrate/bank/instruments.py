@@ -12,7 +12,7 @@ Where the force before contact was recorded, it is taken off (`features.seen`), 
 load cell moves those features alone in which the machine turned by its reading.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -67,7 +67,7 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
         wrong=np.column_stack([d.wrong, either]),
         emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
     )  # fmt: skip
-    return _tared(d) if found.tared else d
+    return _tared(d, found.tared)
 
 
 def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
@@ -92,11 +92,12 @@ def ways_through_air(found: LabCurves) -> dict[str, float]:
     }
 
 
-def _tared(d: Linearised) -> Linearised:
-    """The description of curves from which the force before contact was taken off."""
-    if OFFSET not in d.effect_names:
+def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
+    """The description of curves; of some tests the force before contact was taken off."""
+    if OFFSET not in d.effect_names or not tests:
         return d
-    offset, rows = d.effect_names.index(OFFSET), tared_rows(d.features)
+    offset = d.effect_names.index(OFFSET)
+    rows = tared_rows(d.features) & np.isin([f.test for f in d.features], tests)
     slopes, errors = d.effect_slopes.copy(), d.effect_errors.copy()
     slopes[rows, offset] = errors[rows, offset] = 0.0
     return replace(

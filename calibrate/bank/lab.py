@@ -51,9 +51,10 @@ class LabCurves:
     speeds: dict[str, float]
 
     @property
-    def tared(self) -> bool:
-        """Whether forces before contact were taken off."""
-        return bool(np.isfinite(self.before).any())
+    def tared(self) -> tuple[str, ...]:
+        """The tests whose forces before contact were taken off."""
+        known = np.isfinite(self.before)
+        return tuple(test for column, test in enumerate(TESTS) if known[:, column].any())
 
 
 def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
