@@ -221,6 +221,14 @@ def test_shrinkage_on_fresh_specimens_by_hand():
     assert run.realised_shrinkage(fits, fresh * 2).error == pytest.approx(0.0, abs=1e-9)
 
 
+def test_an_untared_load_cell_shows_on_fresh_specimens_too():
+    """What is read before contact is part of the gap that is claimed to shrink."""
+    names = ["force before contact, confined", "force before contact, unconfined"]
+    fits = {"features": names, "base": [20.0, 20.0], "best": [0.0, 0.0], "weight": [2.0, 2.0]}
+    found = run.realised_shrinkage(fits, specimens(4))
+    assert found.value > 0.95 and found.error is not None and found.error < 0.05
+
+
 def test_the_error_of_a_shrinkage_is_what_it_scatters_by():
     """The jackknife of twelve specimens against the scatter of many such dozens."""
     rng, models, weight = (

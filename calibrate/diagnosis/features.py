@@ -45,6 +45,8 @@ BEYOND = 0.01  # share of the largest force by which a tared loading may end too
 TOUCH = 0.002  # the same at which it may touch already, where noise allows to see it
 SURE = 4.0  # deviations of a reading that are no noise
 FEWEST_BEFORE = 3  # readings before contact that make a mean
+BEFORE = "before contact"  # kind and segment of the force that a machine shows at rest
+APART = ("target", BEFORE)  # kinds that are not read off a curve's course
 TEST_OF_TARGET = {"depression_depth_mm": CONFINED, "crushing_force_n": UNCONFINED}
 
 Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]  # test -> displacement (mm), force (N)
@@ -125,8 +127,7 @@ def declare_targets(names: Sequence[str]) -> tuple[Feature, ...]:
 def declare_before_contact() -> tuple[Feature, ...]:
     """The force (N) that a machine shows before its platen touches, in both tests."""
     return tuple(
-        Feature(f"force before contact, {test}", test, "before contact", "before contact",
-                0.0, "N", 0.0)
+        Feature(f"force before contact, {test}", test, BEFORE, BEFORE, 0.0, "N", 0.0)
         for test in TESTS
     )  # fmt: skip
 
@@ -161,8 +162,9 @@ def tared_rows(features: Sequence[Feature]) -> np.ndarray:
 def seen(
     features: Sequence[Feature], curves: Curves, rest: Mapping[str, float] | None = None
 ) -> np.ndarray:
-    """Features (m,) of recorded curves: cut where the platen surely touches, and those of
-    `tared_rows` without the force that was read before, unless there are too few readings of it.
+    """Features (m,) of recorded curves: the force before contact itself, the others cut where the
+    platen surely touches, those of `tared_rows` without that force, unless there are too few
+    readings of it.
 
     rest: that force (N) by test, for curves that do not show it.
     """
@@ -176,7 +178,9 @@ def seen(
         top = without[CONFINED][1].max()
         beyond = [f.kind == "loading" and f.abscissa > top + BEYOND * f.scale for f in features]
         tared = np.where(beyond, np.nan, tared)
-    return np.where(tared_rows(features), tared, as_read)
+    found = np.where(tared_rows(features), tared, as_read)
+    before = [f.kind == BEFORE for f in features]
+    return np.where(before, [at_rest.get(f.test, np.nan) for f in features], found)
 
 
 def from_contact_on(curves: Curves) -> Curves:
@@ -238,7 +242,7 @@ def _value(feature: Feature, read: Mapping[str, dict], targets: Mapping[str, flo
 
 def _read_confined(features, displacement, force) -> dict[tuple[str, float], float]:
     """Values by (kind, abscissa) of a confined curve in the order of recording."""
-    mine = [f for f in features if f.test == CONFINED and f.kind != "target"]
+    mine = [f for f in features if f.test == CONFINED and f.kind not in APART]
     if not mine:
         return {}
     turn = int(np.argmax(displacement))
@@ -264,7 +268,7 @@ def _read_confined(features, displacement, force) -> dict[tuple[str, float], flo
 
 def _read_unconfined(features, displacement, force) -> dict[tuple[str, float], float]:
     """Values by (kind, abscissa) of a crushing curve in the order of recording."""
-    mine = [f for f in features if f.test == UNCONFINED and f.kind != "target"]
+    mine = [f for f in features if f.test == UNCONFINED and f.kind not in APART]
     if not mine:
         return {}
     peak_mm, seat = mine[0].scale, mine[0].force

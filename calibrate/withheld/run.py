@@ -20,7 +20,7 @@ from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import CENTRE
 from calibrate.bank.store import declared
 from calibrate.campaign import side_by_side
-from calibrate.diagnosis.features import seen
+from calibrate.diagnosis.features import declare_before_contact, seen
 from calibrate.diagnosis.how_far import shrinkage
 from calibrate.errors import InputError
 from calibrate.output import write_json, write_text
@@ -194,7 +194,7 @@ def _fresh(
 def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
     """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off; its
     standard error by leaving out one specimen after the other (jackknife)."""
-    features = {f.name: f for f in declared(400.0)}
+    features = {f.name: f for f in (*declared(400.0), *declare_before_contact())}
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
     values = np.array([
