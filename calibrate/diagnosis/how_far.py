@@ -6,8 +6,9 @@ specimen, each feature in units of the scatter of specimens; both tests count al
     E^2 = 1 + d^2       d^2 = mean over features of (true mean - model)^2 / scatter^2
 
 1 is the floor: no model of the mean can predict a specimen better.  d^2 is estimated twice:
-from the sample with what fitting has swallowed given back (Mallows' Cp: |residual|^2 -
-tr Sigma + 2 tr H Sigma), and by leaving specimens out.  Shrinkage = (E0 - E1)/(E0 - 1).
+from the sample with what fitting has swallowed given back (Mallows' Cp: |residual|^2 - tr S +
+2 tr H S, where S is the scatter of the sample's mean alone: what the description itself is wrong
+by shows on fresh specimens too), and by leaving specimens out.  Shrinkage = (E0 - E1)/(E0 - 1).
 Ceilings are the same number for any change of the contact law (span of base parameters,
 contact effects and a smooth gap), and for any change of the measuring chain (smooth
 distortions of displacement and of force along force, the same in both tests, and the
@@ -60,7 +61,7 @@ def how_far(
     rng = np.random.default_rng(seed)
     weight = feature_weights(description, noise)
     before, after = (
-        gap_squared(description, measured.mean, noise, fit, weight) for fit in (base, best)
+        gap_squared(description, measured, noise, fit, weight) for fit in (base, best)
     )
     drawn = _drawn(description, measured, noise, (base, best), weight, rng)
     low, high = np.quantile(drawn, [0.05, 0.95])
@@ -91,11 +92,12 @@ def feature_weights(description: Linearised, noise: Noise) -> np.ndarray:
 
 
 def gap_squared(
-    description: Linearised, mean: np.ndarray, noise: Noise, fit: Refit, weight: np.ndarray
+    description: Linearised, measured: Measured, noise: Noise, fit: Refit, weight: np.ndarray
 ) -> float:
-    """d^2 of a fit to the mean (m,) of a sample, corrected for what fitting has swallowed."""
-    columns, prior = _columns(description, fit)
-    return _corrected(mean - fit.values, columns, prior, noise.mean, weight)
+    """d^2 of a fit to a sample's mean, corrected for what fitting has swallowed."""
+    hat = hat_of(*_columns(description, fit), fit.covariance)
+    residual = measured.mean - fit.values
+    return float(weight @ residual**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))
 
 
 def shrinkage(before: float, after: float) -> float:
@@ -130,11 +132,14 @@ def hat_of(columns: np.ndarray, prior: np.ndarray, covariance: np.ndarray) -> np
     return columns @ np.linalg.inv(columns.T @ weighted + np.diag(prior**-2.0)) @ weighted.T
 
 
-def _corrected(residual, columns, prior, covariance, weight) -> float:
-    """Mallows' estimate of the weighted squared distance from the true mean."""
-    hat = hat_of(columns, prior, covariance)
-    swallowed = 2 * weight @ np.diag(hat @ covariance) - weight @ np.diag(covariance)
-    return float(weight @ residual**2 + swallowed)
+def _of_the_mean(measured: Measured, noise: Noise) -> np.ndarray:
+    """Covariance (m, m) of a sample's mean about the mean of all such specimens."""
+    return noise.specimen * measured.weights()
+
+
+def _swallowed(hat: np.ndarray, scatter: np.ndarray, weight: np.ndarray) -> float:
+    """Mallows' correction of a weighted squared residual: 2 tr H S - tr S."""
+    return float(2 * weight @ np.diag(hat @ scatter) - weight @ np.diag(scatter))
 
 
 def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
@@ -143,11 +148,9 @@ def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
     root = np.linalg.cholesky(noise.mean)
     prepared = []
     for fit in fits:
-        columns, prior = _columns(description, fit)
-        hat = hat_of(columns, prior, noise.mean)
-        keep = np.eye(len(hat)) - hat
-        offset = 2 * weight @ np.diag(hat @ noise.mean) - weight @ np.diag(noise.mean)
-        prepared.append((keep, offset))
+        hat = hat_of(*_columns(description, fit), fit.covariance)
+        offset = _swallowed(hat, _of_the_mean(measured, noise), weight)
+        prepared.append((np.eye(len(hat)) - hat, offset))
     gap = best.values - base.values
     drawn = []
     for _ in range(BOOTSTRAP):
@@ -228,5 +231,4 @@ def _span_gap(base: Refit, measured, noise, columns, weight) -> float:
     prior[: base.base_slopes.shape[1]] = np.inf
     hat = hat_of(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
     left = base.working - hat @ base.working
-    swallowed = 2 * weight @ np.diag(hat @ noise.mean) - weight @ np.diag(noise.mean)
-    return float(weight @ left**2 + swallowed)
+    return float(weight @ left**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))
