@@ -176,10 +176,8 @@ def test_left_out_packings_show_scatter_that_an_emulator_forgot(emulator):
     assert sure.scatter[0] > 3 * honest.scatter[0]
 
 
-def test_left_out_packings_of_a_smooth_formula_need_hardly_any_tolerance(emulator):
-    found = missed(points(emulator))
-    assert (found.widening >= 1.0).all()
-    assert (found.tolerance < 0.5 * PACKING_SD).all()
+def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
+    assert (missed(points(emulator)).widening >= 1.0).all()
 
 
 def test_rescaled_residuals_have_components_of_the_new_size(emulator):

@@ -20,7 +20,14 @@ from calibrate.diagnosis.discrepancy import (
 from calibrate.diagnosis.evidence import SCALES, Evidence, bivariate_normal, pairs, singles
 from calibrate.diagnosis.generated import World
 from calibrate.diagnosis.lack_of_fit import statistics, table
-from calibrate.diagnosis.noise import Shape, amplitude_of, best_shape, estimate, packing_covariance
+from calibrate.diagnosis.noise import (
+    PRIOR_SD_LN_AMPLITUDE,
+    Shape,
+    amplitude_of,
+    best_shape,
+    estimate,
+    packing_covariance,
+)
 from calibrate.diagnosis.opinion import Facts, Opinion, fitted, log_probabilities
 from calibrate.diagnosis.projection import Projected, fitted_shift, project
 from calibrate.diagnosis.refit import best_strengths
@@ -67,13 +74,14 @@ def test_a_shape_keeps_every_variance():
 
 @pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
 def test_the_amplitude_comes_back_from_repeats(true):
+    """Twelve specimens outweigh the prior about 1."""
     covariance = world.scatter()
     tiny = 1e-6 * np.diag(np.diag(covariance))
     found = []
     for seed in range(30):
-        rows = true * world.draws(covariance, 4, seed)
+        rows = true * world.draws(covariance, 12, seed)
         rows = rows - rows.mean(axis=0)
-        found.append(amplitude_of(covariance, tiny, Scatter(rows.T @ rows, 3)))
+        found.append(amplitude_of(covariance, tiny, Scatter(rows.T @ rows, 11)))
     ln, sd = np.log([a for a, _ in found]), np.mean([s for _, s in found])
     assert abs(ln.mean() - np.log(true)) < 0.12
     assert 0.6 < ln.std() / sd < 1.6  # the stated deviation is that of repetitions
@@ -82,7 +90,7 @@ def test_the_amplitude_comes_back_from_repeats(true):
 def test_without_repeats_the_amplitude_is_the_prior():
     value, sd = amplitude_of(world.scatter(), np.zeros((M, M)), None)
     assert value == pytest.approx(1.0, abs=1e-6)
-    assert sd == pytest.approx(0.5, abs=0.02)
+    assert sd == pytest.approx(PRIOR_SD_LN_AMPLITUDE, abs=0.02)
 
 
 def test_the_mean_of_four_and_the_simulated_mean_add_up():

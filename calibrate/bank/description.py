@@ -15,6 +15,7 @@ import numpy as np
 
 from calibrate.bank.design import SHARP
 from calibrate.bank.emulator import FeatureEmulator, fit_emulator
+from calibrate.bank.left_out import Missed
 from calibrate.bank.store import Bank, Rows, limits
 from calibrate.diagnosis.linear import Effect, Linearised
 from calibrate.diagnosis.refit import refit
@@ -43,13 +44,12 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,),
-    directions (m, q), one standard deviation each, and what neither holds, a standard deviation
-    (m,); all in a bank's features, warped as its emulator warps them."""
+    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,)
+    and directions (m, q), one standard deviation each; in a bank's features, warped as its
+    emulator warps them."""
 
     mean: np.ndarray
     directions: np.ndarray
-    rest: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +67,9 @@ class Ready:
         """With further simulations behind the rows of the bank's `own`, near which its errors are
         taken for as wide as left-out packings have shown: their noise counts by that much less,
         as errors are widened afterwards (`AtSoil.wrong`)."""
-        bank, emulator, missed = self.bank.joined(rows), self.emulator, self.bank.missed
+        bank, emulator, missed = self.bank.joined(rows), self.emulator, self.missed
         noise = np.ones((len(bank.values), len(emulator.components)))
-        if missed is not None:
-            noise[len(own.values) :] = missed.scatter / missed.widening
+        noise[len(own.values) :] = missed.scatter / missed.widening
         fitted = fit_emulator(
             *bank.scaled(), bank.packing, bank.values, bank.scale(), bank.kernels, emulator.basis,
             noise,
@@ -81,35 +80,34 @@ class Ready:
     def specimens(self) -> np.ndarray:
         """Warped residuals (packings, m) of independent specimens: one row of each packing."""
         _, first = np.unique(self.bank.packing, return_index=True)
-        residuals, missed = self.emulator.residuals[first], self.bank.missed
-        return residuals if missed is None else self.emulator.rescaled(residuals, missed.scatter)
+        return self.emulator.rescaled(self.emulator.residuals[first], self.missed.scatter)
 
-    def tolerance(self, discrepancy: Discrepancy | None) -> np.ndarray:
-        """What a description is wrong by (m,), warped: interpolation, and unexplained mismatch."""
-        missed = self.bank.missed
-        own = np.zeros(len(self.bank.features)) if missed is None else missed.tolerance
-        return own if discrepancy is None else np.hypot(own, discrepancy.rest)
+    @property
+    def missed(self) -> Missed:
+        """What the bank knows that its emulator misses."""
+        known = len(self.emulator.components), len(self.bank.features)
+        return self.bank.missed or Missed.nothing(*known)
 
     def at(self, point: Point) -> "AtSoil":
         """The emulator in the coordinates of a diagnosis."""
-        design, missed = self.bank.design, self.bank.missed
+        design = self.bank.design
         return AtSoil(
             self.emulator, point.offset, design.spread(), design.typical() / limits(design),
-            np.ones(len(self.emulator.components)) if missed is None else missed.widening,
+            self.missed,
         )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class AtSoil:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
-    typical strength; with a discrepancy, its directions are further base coordinates.  Its
-    errors are wider than it states by `widening` (c,), what left-out packings have shown."""
+    typical strength; with a discrepancy, its directions are further base coordinates.
+    `missed` is what its errors are beyond what it states, as left-out packings have shown."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
     scale: np.ndarray
     strength: np.ndarray
-    widening: np.ndarray
+    missed: Missed
     discrepancy: Discrepancy | None = None
 
     def __call__(self, delta, strengths):
@@ -123,7 +121,8 @@ class AtSoil:
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""
         x, s = self._scaled(delta, strengths)
-        roots = self.emulator.error_directions(x, s) * np.sqrt(self.widening)
+        stated = self.emulator.error_directions(x, s) * np.sqrt(self.missed.widening)
+        roots = np.hstack([stated, self.missed.along(s)])
         return self.emulator.steepness(x, s)[:, None] * roots
 
     def _scaled(self, delta, strengths):
@@ -186,12 +185,12 @@ def describe(
     Sensor terms are left at zero for the caller to add.
     """
     d = _rough(ready, point, discrepancy)
-    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point, discrepancy)
+    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point)
     for _ in range(2):  # scatter depends on the fit, the fit on scatter
         few = d.only_features(chosen)
         covariance = first_covariance(few)
         fit = refit(few, measured, covariance)
-        d = _local(ready, d, fit.delta, density_sd, point, discrepancy)
+        d = _local(ready, d, fit.delta, density_sd, point)
     return d.only_features(chosen)
 
 
@@ -211,15 +210,13 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
         effects=candidates(bank), effect_slopes=effects,
         packing_residuals=ready.specimens, mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), effect_errors=np.zeros_like(effects),
-        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), tolerance=np.zeros(m),
-        wrong=np.zeros((m, 0)), emulator=emulator,
+        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
 
 
 def _local(
-    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point,
-    discrepancy: Discrepancy | None,
-) -> Linearised:  # fmt: skip
+    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point
+) -> Linearised:
     """The description linearised at a shift of the base coordinates."""
     none = np.zeros(len(d.effects))
     values, base, effects = d.at(delta, none)
@@ -232,7 +229,6 @@ def _local(
         packing_residuals=ready.specimens * steep,
         effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
-        tolerance=steep * ready.tolerance(discrepancy),
         wrong=d.wrong_at(delta, none),
     )  # fmt: skip
 

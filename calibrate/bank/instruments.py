@@ -204,8 +204,7 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
         packing_residuals=np.hstack([d.packing_residuals, empty]),
         effect_errors=taller(d.effect_errors), extra=wider(d.extra),
-        sensor=wider(d.sensor, variance), tolerance=taller(d.tolerance),
-        wrong=taller(d.wrong),
+        sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
         emulator=None if d.emulator is None else Taller(d.emulator, rows),
     )  # fmt: skip
 

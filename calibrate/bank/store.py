@@ -191,9 +191,10 @@ def save(bank: Bank, path: Path) -> None:
         rows = np.array([np.atleast_1d(getattr(k, name)) for k in bank.kernels])
         data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
     if bank.missed is not None:
-        data["tolerance"] = (("feature",), bank.missed.tolerance)
         data["widening"] = (("component",), bank.missed.widening)
         data["scatter"] = (("component",), bank.missed.scatter)
+        data["missed_directions"] = (("feature", "missed"), bank.missed.directions)
+        data["missed_effect"] = (("missed",), bank.missed.effect)
     names = {
         "coordinate": list(bank.design.base_names),
         "effect": list(bank.design.effect_names),
@@ -242,10 +243,14 @@ def _read(stored: xr.Dataset) -> Bank:
         values=stored["values"].values.astype(float),
         reference=reference,
         kernels=_kernels(stored),
-        missed=Missed(*(stored[name].values for name in ("widening", "scatter", "tolerance")))
-        if "tolerance" in stored
-        else None,
+        missed=_missed(stored),
     )
+
+
+def _missed(stored: xr.Dataset) -> Missed | None:
+    """What a file says that its emulator misses; None if it was not asked, or in other terms."""
+    names = ("widening", "scatter", "missed_directions", "missed_effect")
+    return Missed(*(stored[n].values for n in names)) if set(names) <= set(stored) else None
 
 
 def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:

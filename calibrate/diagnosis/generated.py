@@ -44,7 +44,7 @@ class World:
     def specimen(self) -> np.ndarray:
         """Covariance (m, m) of one specimen."""
         d = self.description
-        return self.packing + d.extra + d.sensor + np.diag(d.tolerance**2)
+        return self.packing + d.extra + d.sensor
 
     def measured(
         self,
@@ -118,8 +118,7 @@ class World:
         mean = normal(rng, self.packing_root, 1)[0] / np.sqrt(d.mean_specimens)
         shared = normal(rng, self.packing_root / deviation[:, None], len(delta)).T
         slopes = (d.base_errors * shared) @ delta
-        alone = d.tolerance * rng.standard_normal(len(d.mean))
-        return mean + slopes + alone + d.wrong @ rng.standard_normal(d.wrong.shape[1])
+        return mean + slopes + d.wrong @ rng.standard_normal(d.wrong.shape[1])
 
 
 def normal(rng: np.random.Generator, root: np.ndarray, count: int) -> np.ndarray:

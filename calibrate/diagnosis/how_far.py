@@ -60,9 +60,7 @@ def how_far(
     """The shrinkage by one refit, given the base fit."""
     rng = np.random.default_rng(seed)
     weight = feature_weights(description, noise)
-    before, after = (
-        gap_squared(description, measured, noise, fit, weight) for fit in (base, best)
-    )
+    before, after = (gap_squared(description, measured, noise, fit, weight) for fit in (base, best))
     drawn = _drawn(description, measured, noise, (base, best), weight, rng)
     low, high = np.quantile(drawn, [0.05, 0.95])
     value = shrinkage(before, after)

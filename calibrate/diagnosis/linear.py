@@ -52,9 +52,8 @@ class Linearised:
     effect_slopes (m, k) per typical strength; *_errors are standard errors of slopes of the same
     shapes; packing_residuals (n, m) are features of n simulated specimens minus their mean;
     extra (m, m) covariances of a specimen that simulations of packings do not contain
-    (density, moisture); sensor (m, m) that of the instruments; tolerance (m,) standard
-    deviation of what the description itself may be wrong by in each feature alone, and
-    wrong (m, q) directions in which it may be wrong in all, one standard deviation each.
+    (density, moisture); sensor (m, m) that of the instruments; wrong (m, q) directions in
+    which the description itself may be wrong, one standard deviation each.
     """
 
     features: tuple[Feature, ...]
@@ -70,7 +69,6 @@ class Linearised:
     effect_errors: np.ndarray
     extra: np.ndarray
     sensor: np.ndarray
-    tolerance: np.ndarray
     wrong: np.ndarray
     emulator: Emulator | None = field(default=None)
 
@@ -85,7 +83,6 @@ class Linearised:
             "effect_errors": (m, k),
             "extra": (m, m),
             "sensor": (m, m),
-            "tolerance": (m,),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -98,7 +95,7 @@ class Linearised:
     @property
     def own_error(self) -> np.ndarray:
         """Covariance (m, m) of what the description itself is wrong by, beside its slopes."""
-        return np.diag(self.tolerance**2) + self.wrong @ self.wrong.T
+        return self.wrong @ self.wrong.T
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -145,7 +142,6 @@ class Linearised:
             effect_errors=self.effect_errors[index],
             extra=self.extra[block],
             sensor=self.sensor[block],
-            tolerance=self.tolerance[index],
             wrong=self.wrong[index],
             emulator=None if self.emulator is None else _Rows(self.emulator, index),
         )
@@ -181,7 +177,6 @@ def simple(
         effect_errors=np.zeros_like(columns),
         extra=np.zeros((m, m)),
         sensor=np.zeros((m, m)),
-        tolerance=np.zeros(m),
         wrong=np.zeros((m, 0)),
     )
 
