@@ -9,13 +9,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import formulas
 import numpy as np
 import pytest
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
+from calibrate.bank.description import Ready
 from calibrate.bank.design import CENTRE
 from calibrate.bank.store import declared
 from calibrate.errors import InputError
@@ -100,6 +101,38 @@ def test_all_cases_have_the_same_form(tmp_path):
         forms.add((*(f.name for f in files), *(len(n) for n in lines), *(n[0] for n in lines)))
         texts.add(re.sub(r"density = .*|name = .*", "", (folder / "lab.toml").read_text()))
     assert len(forms) == 1 and len(texts) == 1
+
+
+# ---------------------------------------------------------------- specimens held back
+
+
+def test_specimens_held_back_have_packings_of_their_own(tmp_path, monkeypatch):
+    """Shrinkage is checked on packings of the plan that no diagnosis has seen."""
+    used = {}
+
+    class Standing:
+        def __init__(self, *_):
+            pass
+
+        def specimens(self, case, numbers):
+            used[case.name] = [case.packings[number] for number in numbers]
+            return specimens(1, count=len(numbers))
+
+    monkeypatch.setattr(run, "Laboratory", Standing)
+    planned = run._plan(tmp_path, cast(Ready, None), {"none": 2}, 1)
+    names = [attempts[0].name for attempts in planned]
+    for name in names:
+        (tmp_path / "sealed" / f"{name}.attempt").write_text("0")
+    fits = {"features": ["peak force, unconfined"], "base": [0.0], "best": [200.0], "weight": [1.0]}
+    said = {name: {"claimed": {}, "fits": fits} for name in names}
+    said[names[0]]["claimed"] = {"shrinkage": 0.5}
+    labels = {name: {"kind": "single", "snr": 5.0} for name in names}
+    found = run._fresh(tmp_path, said, labels, Silent())
+    assert list(found) == list(used) == names[:1]
+    case = planned[0][0]
+    assert len(used[case.name]) == 12
+    assert not set(used[case.name]) & set(case.packings[:4])
+    assert len(set(case.packings)) == 16
 
 
 # ---------------------------------------------------------------- seal

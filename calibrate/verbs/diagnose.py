@@ -1,9 +1,12 @@
 """`calibrate diagnose`: where a calibrated model misses the curves, which effect it leaves out."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from calibrate.bank.store import Bank
 
 
 def register(app: typer.Typer) -> None:
@@ -61,19 +64,19 @@ def diagnose_command(
         how = Nearby(simulate, out / RUNS, for_terminal())
         ready = refined(session.lab, ready, seed, how, known, say)
     found = diagnosed(session.lab, ready, seed, discrepancy=known, say=say)
-    origin = {
-        **output.origin_of(session),
-        "preset": NO_PRESET,
-        "settings": {
-            "bank": source.name,
-            "simulations": len(simulated.values),
-            "simulated_about_this_lab": len(ready.bank.values) - len(simulated.values),
-            "packings": len(set(simulated.packing.tolist())),
-            "seed": seed,
-        },
-    }
+    settings = {"bank": source.name, **_size(simulated, ready.bank), "seed": seed}
+    origin = {**output.origin_of(session), "preset": NO_PRESET, "settings": settings}
     report.show(report.write(out, found, origin, json), Console())
     print(f"result.json, {report.PAGE} and figures are in {out}")
+
+
+def _size(bank: "Bank", used: "Bank") -> dict[str, int]:
+    """How many simulations the bank holds, and how many were added about this lab."""
+    return {
+        "simulations": len(bank.values),
+        "simulated_about_this_lab": len(used.values) - len(bank.values),
+        "packings": len(set(bank.packing.tolist())),
+    }
 
 
 RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder

@@ -27,6 +27,7 @@ STRATA: dict[str, tuple[float, float]] = {
 }
 COUNTS = {"none": 104, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
 SPECIMENS = 4
+PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specimens held back
 SPHERES = (130, 190)  # other numbers than the bank's
 PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
 SMOOTHING = -0.95  # roundings nearly gone
@@ -47,8 +48,8 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Case:
-    """One case; `soil` values by name in SI; seeds of its specimens' packings; snr as planned,
-    then as simulated."""
+    """One case; `soil` values by name in SI; seeds of its specimens' packings, those that no
+    diagnosis sees last; snr as planned, then as simulated."""
 
     name: str
     kind: str
@@ -101,7 +102,7 @@ class Planner:
             soil=soil,
             spheres=int(self.random.choice(SPHERES)),
             preparation=float(self.random.choice(PREPARATIONS)),
-            packings=tuple(int(p) for p in self.random.permutation(POOL)[: 2 * SPECIMENS]),
+            packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
             seed=int(self.random.integers(2**31)),
             nonce=self.random.bytes(16).hex(),
         )

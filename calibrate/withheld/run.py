@@ -35,7 +35,6 @@ from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts
 
 PLAN = "sealed/plan.json"
 VERDICTS = "verdicts"
-FRESH = range(SPECIMENS, 4 * SPECIMENS)  # specimens that no diagnosis sees
 FEWEST_FRESH = 2  # up to which a shrinkage on fresh specimens has no error
 FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
 CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
@@ -184,7 +183,8 @@ def _fresh(
     def of(number: int) -> Realised | None:
         name = names[number]
         attempt = int((source / "sealed" / f"{name}.attempt").read_text())
-        specimens = laboratory.specimens(plans[name][attempt], FRESH)
+        case = plans[name][attempt]
+        specimens = laboratory.specimens(case, range(SPECIMENS, len(case.packings)))
         return realised_shrinkage(said[name]["fits"], specimens) if specimens else None
 
     found = side_by_side(of, len(names), progress, "simulating fresh specimens")
