@@ -14,7 +14,7 @@ from calibrate.bank import store
 from calibrate.bank.description import Ready
 from calibrate.bank.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
 from calibrate.bank.emulator import FeatureEmulator, fit_emulator, principal
-from calibrate.bank.left_out import Points, missed
+from calibrate.bank.left_out import Missed, Points, by_effects, missed
 from calibrate.bank.store import Bank, Cylinder, declared
 from calibrate.errors import InputError
 from calibrate.measurements import bundled_lab, load_lab
@@ -178,6 +178,48 @@ def test_left_out_packings_show_scatter_that_an_emulator_forgot(emulator):
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
     assert (missed(points(emulator)).widening >= 1.0).all()
+
+
+def test_errors_that_an_effect_makes_along_one_direction_are_found():
+    """Of two effects the second errs along a direction, ten deviations long at full strength."""
+    rng, m = np.random.default_rng(11), 12
+    root = rng.normal(size=(m, m))
+    s = np.zeros((300, 2))
+    s[100:160, 0], s[160:220, 1] = rng.uniform(0.2, 1, 60), rng.uniform(-1, 1, 60)
+    line = 10 * root[:, 0]
+    errors = rng.normal(size=(300, m)) @ root.T + s[:, [1]] * rng.normal(size=(300, 1)) * line
+    directions, effect = by_effects(errors, s)
+    assert set(effect.tolist()) == {1}
+    found, *by_chance = np.linalg.solve(root, directions).T
+    assert abs(found[0]) == pytest.approx(10, rel=0.35)
+    assert np.abs(found[1:]).max() < 0.2 * abs(found[0])
+    assert all(np.linalg.norm(other) < 3 for other in by_chance)
+
+
+def test_errors_without_a_direction_have_hardly_any():
+    rng = np.random.default_rng(12)
+    s = np.zeros((200, 1))
+    s[120:] = 0.5
+    directions, _ = by_effects(rng.normal(size=(200, 12)), s)
+    assert directions.shape[1] <= 1  # one in twenty by chance
+
+
+def test_what_is_missed_survives_its_file(tmp_path):
+    """Earlier files know nothing of effects; their widening counts all the same."""
+    bank = toy_bank.bank()
+    m, ones = len(bank.features), np.ones(len(bank.kernels))
+    known = Missed(1.5 * ones, ones, RNG.normal(size=(m, 2)), np.array([0, 1]))
+    path = tmp_path / "bank.nc"
+    store.save(replace(bank, missed=known), path)
+    again = store.load(path).missed
+    assert again is not None and (again.directions == known.directions).all()
+    assert (again.along(np.array([0.5, 0.0, 0.0])) == known.directions * [0.5, 0.0]).all()
+    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+        older = stored.load().drop_vars(["missed_directions", "missed_effect"])
+    older.to_netcdf(path, engine=store.NETCDF)
+    again = store.load(path).missed
+    assert again is not None and again.directions.shape == (m, 0)
+    assert (again.widening == known.widening).all()
 
 
 def test_rescaled_residuals_have_components_of_the_new_size(emulator):

@@ -248,9 +248,16 @@ def _read(stored: xr.Dataset) -> Bank:
 
 
 def _missed(stored: xr.Dataset) -> Missed | None:
-    """What a file says that its emulator misses; None if it was not asked, or in other terms."""
-    names = ("widening", "scatter", "missed_directions", "missed_effect")
-    return Missed(*(stored[n].values for n in names)) if set(names) <= set(stored) else None
+    """What a file says that its emulator misses; None if it was not asked.  Earlier files know
+    nothing of effects."""
+    if "widening" not in stored:
+        return None
+    widening, scatter = stored["widening"].values, stored["scatter"].values
+    if "missed_effect" not in stored:
+        nothing = Missed.nothing(len(widening), stored.sizes["feature"])
+        return replace(nothing, widening=widening, scatter=scatter)
+    directions, effect = stored["missed_directions"].values, stored["missed_effect"].values
+    return Missed(widening, scatter, directions, effect)
 
 
 def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
