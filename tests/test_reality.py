@@ -131,6 +131,13 @@ def test_strengths_cover_their_thirds_and_both_signs():
         assert (drawn.min() < 0) == effect.signed
 
 
+def test_a_strong_plan_takes_single_effects_from_the_upper_third():
+    single = [case.hidden[0] for case in plan(67, 5, thirds=(2,)) if len(case.hidden) == 1]
+    ranges = [(BY_NAME[h.name], abs(h.strength)) for h in single]
+    assert len(single) > 40
+    assert all(size >= e.weak * (e.strong / e.weak) ** (2 / 3) for e, size in ranges)
+
+
 def test_every_effect_changes_the_set_up():
     for effect in BY_NAME.values():
         assert effect.realise(Setup(Soil()), effect.strong) != Setup(Soil())

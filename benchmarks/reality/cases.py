@@ -18,6 +18,7 @@ SPECIMENS = 3  # of each case; each gives both curves
 ACCEPTED_DEPTH = (1.0, 8.0)  # mm, mean of the specimens, from the raw curves
 ACCEPTED_CRUSHING = (50.0, 650.0)  # N
 ATTEMPTS = 6
+THIRDS = (0, 1, 2)  # of a range of strengths that single effects visit; 2 is the strong one
 
 
 @dataclass(frozen=True)
@@ -64,18 +65,20 @@ class Case:
         }  # fmt: skip
 
 
-def plan(count: int, seed: int, nothing_hidden: bool = False) -> list[Case]:
+def plan(
+    count: int, seed: int, nothing_hidden: bool = False, thirds: tuple[int, ...] = THIRDS
+) -> list[Case]:
     """`count` cases; every beginning of the list holds the kinds in about their shares, or
     (for learning what the two codes differ by) nothing is hidden in any."""
     random = np.random.default_rng(seed)
-    kinds = [("none", ())] * count if nothing_hidden else _kinds(count, random)
+    kinds = [("none", ())] * count if nothing_hidden else _kinds(count, random, thirds)
     cases = []
     for kind, hidden in kinds:
         numbers = random.integers(2**31, size=3)
         case = Case(f"{int(numbers[0]):08x}", kind, hidden, int(numbers[1]), _nonce(random))
         cases.append(case)
     if len({case.name for case in cases}) < count:
-        return plan(count, seed + 1, nothing_hidden)
+        return plan(count, seed + 1, nothing_hidden, thirds)
     return cases
 
 
@@ -83,14 +86,16 @@ def _nonce(random: np.random.Generator) -> str:
     return random.bytes(16).hex()
 
 
-def _kinds(count: int, random: np.random.Generator) -> list[tuple[str, tuple[Hidden, ...]]]:
+def _kinds(
+    count: int, random: np.random.Generator, thirds: tuple[int, ...]
+) -> list[tuple[str, tuple[Hidden, ...]]]:
     """Kinds and effects, mixed so that each kind is spread evenly over the list."""
     number = {kind: round(share * count) for kind, share in SHARES.items()}
     number["library"] = count - sum(number.values())
     source = {
         "none": _nothing(),
-        "library": _single(LIBRARY, random),
-        "outside": _single(OUTSIDE, random),
+        "library": _single(LIBRARY, random, thirds),
+        "outside": _single(OUTSIDE, random, thirds),
         "two": _double(random),
     }
     placed: list[tuple[float, str, tuple[Hidden, ...]]] = []
@@ -106,13 +111,15 @@ def _nothing() -> Iterator[tuple[Hidden, ...]]:
         yield ()
 
 
-def _single(effects, random: np.random.Generator) -> Iterator[tuple[Hidden, ...]]:
-    """Every effect in turn, in random order, each time with the next third of its strengths."""
+def _single(
+    effects, random: np.random.Generator, thirds: tuple[int, ...]
+) -> Iterator[tuple[Hidden, ...]]:
+    """Every effect in turn, in random order, each time with the next of the thirds."""
     offsets = random.integers(3, size=len(effects))
     turn = 0
     while True:
         for index in random.permutation(len(effects)):
-            strength = effects[index].draw(random, int(offsets[index] + turn) % 3)
+            strength = effects[index].draw(random, thirds[int(offsets[index] + turn) % len(thirds)])
             yield (Hidden(effects[index].name, strength),)
         turn += 1
 

@@ -1,6 +1,7 @@
 """Generate cases whose reality LIGGGHTS computes, with sealed labels.
 
-    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR] [--nothing-hidden]
+    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR]
+                       [--nothing-hidden | --strong]
 
 Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
 repeated, so the command may be stopped and given again.  A case appears in OUT/cases when all its
@@ -16,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from cases import ATTEMPTS, SPECIMENS, Case, accepted, plan
+from cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
 from instrument import TARGET_FORCE
 from labfiles import Specimen, measured, write_case
 from specimen import Run, run
@@ -98,11 +99,14 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=HERE)
-    parser.add_argument("--nothing-hidden", action="store_true")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--nothing-hidden", action="store_true")
+    what.add_argument("--strong", action="store_true", help="single effects from the upper third")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     seed, labels = master_seed(options.work, options.seed), []
-    planned = plan(options.cases, seed, options.nothing_hidden)
+    thirds = THIRDS[-1:] if options.strong else THIRDS
+    planned = plan(options.cases, seed, options.nothing_hidden, thirds)
     (options.work / "plan.json").write_text(json.dumps([asdict(c) for c in planned], indent=1))
     with ProcessPoolExecutor(options.jobs) as pool:
         results = [pool.submit(make_case, c, options.work, options.out) for c in planned]
