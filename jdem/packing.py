@@ -10,6 +10,7 @@ under test.
 
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -178,10 +179,14 @@ def _settled(
         duration=0.3,
         platen=LOWER,
     )
+    numerics = _settling_numerics(2 * specimen.mean_radius())
+    programmes = stack([fall, calm]), stack([calm, level])
+    longest = max(sample_capacity(programme, numerics) for programme in programmes)
+    advance = partial(_advanced, specimen, numerics, _ROWS * -(-longest // _ROWS))
     soft = eqx.tree_at(lambda p: p.shear_modulus, soil, soil.shear_modulus * SOFT)
-    fallen = _advanced(specimen, loose, soft, [fall, calm])
+    fallen = advance(loose, soft, programmes[0])
     rested = eqx.tree_at(_position, loose, fallen.state.motion.position)
-    return _advanced(specimen, rested, soil, [calm, level])
+    return advance(rested, soil, programmes[1])
 
 
 def _position(packing: "Packing"):
@@ -189,13 +194,15 @@ def _position(packing: "Packing"):
 
 
 def _advanced(
-    specimen: Specimen, packing: Packing, soil: SoilParameters, segments: list[Segment]
+    specimen: Specimen,
+    numerics: Numerics,
+    capacity: int,
+    packing: Packing,
+    soil: SoilParameters,
+    programme: Segment,
 ) -> Record:
-    """The bed after some segments; raises ValueError where a contact list was too small."""
-    numerics = _settling_numerics(2 * specimen.mean_radius())
+    """The bed after a programme; raises ValueError where a contact list was too small."""
     bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
-    programme = stack(segments)
-    capacity = _ROWS * -(-sample_capacity(programme, numerics) // _ROWS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     record = _run(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):
@@ -204,7 +211,7 @@ def _advanced(
 
 
 _run = eqx.filter_jit(run)
-_ROWS = 256  # capacities are multiples of it, so that beds of all seeds share one program
+_ROWS = 256  # capacities are multiples of it: one program falls and levels beds of all seeds
 
 
 def _settling_numerics(diameter: float) -> Numerics:

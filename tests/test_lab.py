@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jdem.packing
 from calibrate.measurements import bundled_lab, load_lab
 from calibrate.parameters import FACTORS
 from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
@@ -266,6 +267,19 @@ def test_seeds_give_different_packings(packing, other_packing):
     assert not np.any(packing.spheres.radius == other_packing.spheres.radius)
     apart = np.abs(packing.position.stack() - other_packing.position.stack())
     assert np.median(apart) > 0.1 * float(packing.mean_diameter())
+
+
+def test_falling_and_levelling_share_one_program(monkeypatch):
+    """A bed of 50 falls for less time than levelling may take, by more than capacities round."""
+    capacities, settle = [], jdem.packing._run
+
+    def noted(*arguments):
+        capacities.append(arguments[-1])
+        return settle(*arguments)
+
+    monkeypatch.setattr(jdem.packing, "_run", noted)
+    prepare(Specimen(count=50), 0)
+    assert len(capacities) == 2 and len(set(capacities)) == 1
 
 
 def test_a_packing_has_the_wanted_density_and_lies_in_its_mould(packing):
