@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibrate.diagnosis import baselines
 from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare_targets
 from calibrate.diagnosis.fits import fitted_base
 from calibrate.diagnosis.generated import plan_of
@@ -29,7 +28,7 @@ from calibrate.diagnosis.linear import Effect, simple
 from calibrate.diagnosis.next_test import FurtherTest, next_tests
 from calibrate.diagnosis.refit import hollows, refit, start_at
 from calibrate.diagnosis.rehearsal import generated_case, rehearsed
-from calibrate.diagnosis.repeats import from_targets
+from calibrate.diagnosis.repeats import from_targets, from_vectors
 from calibrate.diagnosis.verdict import as_json, reports, status
 from calibrate.diagnosis.where import where
 from calibrate.diagnosis.which import Prepared, Which, diagnose, label, prepare
@@ -267,6 +266,25 @@ def test_a_factor_on_one_test_shows_across_tests():
     assert abs(across[CONFINED].factor - 1.0) < 4 * across[CONFINED].factor_se
 
 
+def test_the_force_at_which_the_machine_turns_hides_no_factor_of_displacements():
+    turn = [i for i, f in enumerate(KNOWN.features) if f.kind == "largest force"]
+    quiet = np.where(np.isin(np.arange(len(KNOWN.mean)), turn), 1e-3, 1.0)
+    d = replace(
+        KNOWN, mean=KNOWN.mean + 10 * world.UNIT, prior_sd=np.full(5, 0.01),
+        base_slopes=KNOWN.base_slopes * quiet[:, None],
+        packing_residuals=KNOWN.packing_residuals * quiet,
+    )  # fmt: skip
+    longer = np.where(world.CONFINED_ONES & (quiet == 1), 2.0 * world.UNIT, 0.0)
+    sample = world.case(31, 10 * world.UNIT + longer, off_centre=0.0)
+    sample = from_vectors(
+        d.features, d.mean + longer + quiet * (sample.specimens - d.mean - longer)
+    )
+    noise, base = base_of(prepare(d, world.PLAN, seed=1, draws=30), sample)
+    across = {c.predicted: c for c in where(d, sample, noise, base, seed=0).across}
+    assert len(turn) == 1 and across[CONFINED].factor_se < 0.05
+    assert abs(across[CONFINED].factor - 1.2) < 4 * across[CONFINED].factor_se
+
+
 # ------------------------------------------------------------------ how far
 
 
@@ -345,22 +363,3 @@ def test_the_reporting_rule():
     assert status(5.0, True, 0.1, 40.0) == "trivial"
     assert status(0.5, True, 0.1, 6.0) == "absent"
     assert status(0.5, True, 0.1, 1.0) == "inconclusive"
-
-
-def test_baselines_answer_in_the_same_words():
-    sample = world.case(61, gap_of(3, 12.0))
-    names = {"none", *KNOWN.effect_names}
-    assert baselines.template(KNOWN, sample, 0.0) in names
-    assert baselines.template(KNOWN, sample, np.inf) == "none"
-    assert baselines.bic(KNOWN, sample) in names
-    assert baselines.majority(["a", "b", "b"]) == "b"
-
-
-def test_the_classifier_learns_what_is_separable():
-    rng = np.random.default_rng(9)
-    inputs = np.concatenate([rng.normal(c, 1.0, (60, 3)) for c in (-3.0, 0.0, 3.0)])
-    labels = [name for name in "abc" for _ in range(60)]
-    trained = baselines.train(inputs, labels)
-    right = [trained.best(row) == name for row, name in zip(inputs, labels, strict=True)]
-    assert np.mean(right) > 0.9
-    assert trained.probability(inputs[0]).sum() == pytest.approx(1.0)

@@ -115,8 +115,8 @@ def test_specimens_held_back_have_packings_of_their_own(tmp_path, monkeypatch):
             pass
 
         def specimens(self, case, numbers):
-            used[case.name] = [case.packings[number] for number in numbers]
-            return specimens(1, count=len(numbers))
+            used.setdefault(case.name, []).extend(case.packings[number] for number in numbers)
+            return None if numbers.start == 7 else specimens(1, count=len(numbers))  # one collapses
 
     monkeypatch.setattr(run, "Laboratory", Standing)
     planned = run._plan(tmp_path, cast(Ready, None), {"none": 2}, 1)
@@ -201,6 +201,8 @@ def test_a_changed_verdict_is_refused(judged):
     path.write_text(path.read_text().replace("wall_friction", "none"))
     with pytest.raises(InputError, match="changed after it was stated"):
         run.opened(judged, judged, NO_BANK, 0, Silent(), fresh=False)
+    with pytest.raises(InputError, match="changed after it was stated"):
+        run._state(judged)  # what `judge` ends with
 
 
 # ---------------------------------------------------------------- canary

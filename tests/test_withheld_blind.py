@@ -115,7 +115,7 @@ def judge() -> trial.Judges:
     return trial.Judges(
         Manner(prepared.opinion, 0.1, {world.PLAN.shape: prepared.null}), ("none of ours",), 3.0,
         "e1",
-        baselines.train(inputs, ["none", "e1"] * 4), prepared.world.mean_covariance,
+        baselines.train(inputs, ["none", "e1"] * 4),
     )  # fmt: skip
 
 

@@ -14,11 +14,13 @@ from rich.console import Console
 
 from calibrate.bank.store import declared
 from calibrate.diagnosis.features import seen
+from calibrate.diagnosis.opinion import NONE
 from calibrate.errors import InputError
 from calibrate.report import kinds
 from calibrate.report import withheld as report
 from calibrate.report.withheld_words import percent
 from calibrate.withheld import run
+from calibrate.withheld.elsewhere import in_our_words
 from calibrate.withheld.named import BOTH, FAILED, OTHERS, named
 from calibrate.withheld.scores import (
     Realised,
@@ -48,6 +50,18 @@ def test_truth_is_said_in_the_case_s_own_classes():
     assert truth_of(pair, CLASSES) == "acquisition_lag + wall_friction"
     alike = label("a", "two", "seating_gap", "load_frame_compliance")
     assert truth_of(alike, CLASSES) == SEAT
+
+
+def test_scatter_between_specimens_is_no_gap_and_hides_no_effect():
+    scatter = {"name": "density_scatter", "strength": 1.0, "unit": "ln"}
+    seat = {"name": "seating", "strength": 1.0, "unit": "mm"}
+    alone = in_our_words({"kind": "library", "effects": [scatter]})
+    beside = in_our_words({"kind": "two", "effects": [scatter, seat]})
+    assert (alone["kind"], truth_of(alone, CLASSES)) == ("scatter", NONE)
+    assert (beside["kind"], truth_of(beside, CLASSES)) == ("single", SEAT)
+    said = [row(verdict("a", NONE), {**alone, "snr": 0.0})]
+    assert scored(said)["rivals"]["bic"]["ours_of_all"]["value"] == 1
+    assert scored(said)["detection_auc"]["n"] == 0
 
 
 def test_a_failed_diagnosis_is_wrong_whatever_was_hidden():

@@ -209,8 +209,8 @@ def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linea
         features=bank.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
         effects=candidates(bank), effect_slopes=effects,
         packing_residuals=ready.specimens, mean_specimens=CERTAIN,
-        base_errors=np.zeros_like(base), effect_errors=np.zeros_like(effects),
-        extra=np.zeros((m, m)), sensor=np.zeros((m, m)), wrong=np.zeros((m, 0)), emulator=emulator,
+        base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
+        wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
 
 
@@ -223,11 +223,9 @@ def _local(
     scaled = (point.offset + delta[: len(point.offset)]) / ready.bank.design.spread()
     steep = ready.emulator.steepness(scaled, none)
     typical = ready.bank.design.typical()
-    steps = ready.at(point).strength
     return replace(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
         packing_residuals=ready.specimens * steep,
-        effect_errors=ready.emulator.effect_errors(scaled) * steep[:, None] * steps,
         extra=_scatter(d, base, effects, density_sd, typical),
         wrong=d.wrong_at(delta, none),
     )  # fmt: skip

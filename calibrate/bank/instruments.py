@@ -98,10 +98,10 @@ def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
         return d
     offset = d.effect_names.index(OFFSET)
     rows = tared_rows(d.features) & np.isin([f.test for f in d.features], tests)
-    slopes, errors = d.effect_slopes.copy(), d.effect_errors.copy()
-    slopes[rows, offset] = errors[rows, offset] = 0.0
+    slopes = d.effect_slopes.copy()
+    slopes[rows, offset] = 0.0
     return replace(
-        d, effect_slopes=slopes, effect_errors=errors,
+        d, effect_slopes=slopes,
         emulator=None if d.emulator is None else Tared(d.emulator, offset, rows),
     )  # fmt: skip
 
@@ -203,8 +203,7 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         d, features=features, mean=taller(d.mean), base_slopes=taller(d.base_slopes),
         effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
         packing_residuals=np.hstack([d.packing_residuals, empty]),
-        effect_errors=taller(d.effect_errors), extra=wider(d.extra),
-        sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
+        extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
         emulator=None if d.emulator is None else Taller(d.emulator, rows),
     )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """What is usually done instead, to be measured against on the same cases.
 
-    majority     always the commonest answer
+    majority     always the commonest answer of generated cases
     template     the residual's direction against raw signatures, points as independent
-    bic          refit of each effect, independent noise of equal variance in each test, BIC
+    bic          refit of each effect, independent noise of one unknown scale in each test, BIC
     classifier   multinomial logistic regression on whitened residuals of generated cases
 
 All see the same measured mean and the same description.  None of them can say "unknown",
@@ -122,11 +122,11 @@ def _point_variance(description: Linearised, measured: Measured) -> np.ndarray:
 
 
 def _criterion(description: Linearised, measured: Measured, key: tuple[int, ...]) -> float:
-    """BIC with one unknown variance for each test, in units of that test's range."""
+    """BIC with one unknown factor for each test on the variances of points."""
     tests = tests_of(description.features)
-    covariance = np.diag(_point_variance(description, measured))
-    fit = refit(description, measured.mean, covariance, key)
-    residual = measured.mean - fit.values
+    variance = _point_variance(description, measured)
+    fit = refit(description, measured.mean, np.diag(variance), key)
+    residual = (measured.mean - fit.values) / np.sqrt(variance)
     n = len(residual)
     total = 0.0
     for test in dict.fromkeys(tests):

@@ -66,7 +66,6 @@ class Linearised:
     packing_residuals: np.ndarray
     mean_specimens: int
     base_errors: np.ndarray
-    effect_errors: np.ndarray
     extra: np.ndarray
     sensor: np.ndarray
     wrong: np.ndarray
@@ -80,7 +79,6 @@ class Linearised:
             "prior_sd": (p,),
             "effect_slopes": (m, k),
             "base_errors": (m, p),
-            "effect_errors": (m, k),
             "extra": (m, m),
             "sensor": (m, m),
         }
@@ -124,7 +122,6 @@ class Linearised:
             self,
             effects=tuple(self.effects[i] for i in keep),
             effect_slopes=self.effect_slopes[:, keep],
-            effect_errors=self.effect_errors[:, keep],
             emulator=None if self.emulator is None else _Fewer(self.emulator, keep, self),
         )
 
@@ -139,7 +136,6 @@ class Linearised:
             effect_slopes=self.effect_slopes[index],
             packing_residuals=self.packing_residuals[:, index],
             base_errors=self.base_errors[index],
-            effect_errors=self.effect_errors[index],
             extra=self.extra[block],
             sensor=self.sensor[block],
             wrong=self.wrong[index],
@@ -174,7 +170,6 @@ def simple(
         packing_residuals=packing_residuals,
         mean_specimens=mean_specimens or len(packing_residuals),
         base_errors=np.zeros_like(slopes),
-        effect_errors=np.zeros_like(columns),
         extra=np.zeros((m, m)),
         sensor=np.zeros((m, m)),
         wrong=np.zeros((m, 0)),

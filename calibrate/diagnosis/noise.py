@@ -1,7 +1,7 @@
 """How far specimens scatter: the covariance of one specimen's features, and of their mean.
 
     S(a) = A (S_packing + S_extra) A + S_sensor          A = diag(a of the feature's test)
-    Sigma = S(a) * shared/(n n') + A S_packing A / n_mean + slope errors + W W'
+    Sigma = S(a) * shared/(n n') + S_packing / n_mean + slope errors + W W'
 
 S_packing comes from simulated specimens, as factors and a diagonal or shrunk towards its
 diagonal, whichever predicts left-out specimens best.  From repeats come the amplitudes a, one
@@ -14,8 +14,7 @@ the posterior scale of a variance under its conjugate prior, a scaled inverse ch
 (Gelman et al., Bayesian data analysis, section 2.6): some specimens slip where most do not, and
 a mean that one of them has pulled is no gap.
 W are the directions in which the description may be wrong.  How far amplitude and
-factors may go is what predicts the means of sixty cases with nothing hidden best
-(docs/withheld.md).
+factors may go is what predicted the means of cases with nothing hidden best (docs/decisions.md).
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """A rehearsal: many generated cases are diagnosed, and the opinion learns to state what is so.
 
-Cases are made by `generated.World` in equal parts of no gap, single effects (signal-to-noise
-0.5-2, 2-6 and 6-15), pairs, and gaps that the library does not hold: half of these are an
-effect of the library, left out of it with its class, the other half smooth random ones.
+Cases are made by `generated.World`: one part of no gap, two of single effects (signal-to-noise
+0.5-2, 2-6 and 6-15), one of pairs, and one of gaps that the library does not hold: half of these
+are an effect of the library, left out of it with its class, the other half smooth random ones.
 Each case is diagnosed with a covariance estimated anew from as many simulated specimens as
 there are, so that what is not known of the covariance shows in the stated probabilities.
 One half of the cases fits the probabilities, the other the size of sets of explanations.
@@ -20,7 +20,7 @@ from calibrate.diagnosis.sets import threshold
 from calibrate.diagnosis.which import Prepared, diagnose, right
 
 STRATA = ((0.5, 2.0), (2.0, 6.0), (6.0, 15.0))
-KINDS = (NONE, "single", "single", "pair", UNKNOWN)  # in equal parts
+KINDS = (NONE, "single", "single", "pair", UNKNOWN)  # in turn
 
 
 @dataclass(frozen=True, eq=False)

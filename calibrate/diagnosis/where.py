@@ -10,6 +10,7 @@ the whitening that stays closest to the features themselves.  One test predicted
 other: the base parameters are fitted to one, with prior, and carried over by B cov(delta) B'.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +47,8 @@ class Segment:
 @dataclass(frozen=True, eq=False)
 class CrossTest:
     """One test predicted from the other: difference and its deviation by feature (of that
-    test), p-value of a perfect prediction, and the factor by which the measured curve is
-    larger than predicted, with its standard error."""
+    test), p-value of a perfect prediction, and the factor by which the measured displacements
+    (confined) or forces (unconfined) are larger than predicted, with its standard error."""
 
     predicted: str
     features: np.ndarray
@@ -120,17 +121,21 @@ def across_tests(
     for name in dict.fromkeys(tests):
         mine, other = np.flatnonzero(tests == name), np.flatnonzero(tests != name)
         if len(other):
-            found.append(_predicted(name, mine, other, marginal, base, measured))
+            found.append(_predicted(name, mine, other, marginal, base, measured, description))
     return tuple(found)
 
 
-def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> CrossTest:
+def _predicted(
+    name, mine, other, marginal, base: Refit, measured: Measured, description: Linearised
+) -> CrossTest:
+    features = description.features
     carry = np.linalg.solve(marginal[np.ix_(other, other)], marginal[np.ix_(other, mine)]).T
     expected = carry @ base.working[other]
     difference = base.working[mine] - expected
     covariance = marginal[np.ix_(mine, mine)] - carry @ marginal[np.ix_(other, mine)]
-    prediction = measured.mean[mine] - difference
-    weighted = np.linalg.solve(covariance, prediction)
+    alike = _of_the_commonest_unit([features[i].unit for i in mine])
+    prediction = (measured.mean[mine] - difference)[alike]
+    weighted = np.linalg.solve(covariance[np.ix_(alike, alike)], prediction)
     information = float(prediction @ weighted)
     chi2 = float(difference @ np.linalg.solve(covariance, difference))
     return CrossTest(
@@ -139,9 +144,16 @@ def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> 
         difference=difference,
         deviation=np.sqrt(np.diag(covariance)),
         p_value=float(stats.chi2.sf(chi2, len(mine))),
-        factor=1 + float(weighted @ difference) / information,
+        factor=1 + float(weighted @ difference[alike]) / information,
         factor_se=information**-0.5,
     )
+
+
+def _of_the_commonest_unit(units: Sequence[str]) -> np.ndarray:
+    """Displacements of a confined test, forces of an unconfined one: the machine turns at a force
+    that no soil changes, so that force and displacement have no factor in common."""
+    names, counts = np.unique(units, return_counts=True)
+    return np.flatnonzero(np.array(units) == names[counts.argmax()])
 
 
 def _segments(description, working, residual, covariance, marginal, critical, rng):

@@ -2,8 +2,9 @@
 
 Such labels state strengths of that code's own realisations.  They are converted to ours, and how
 visible they are is computed from the bank after the seal is open: for scores by
-signal-to-noise only.  What scatters between specimens without moving their mean
-(`density_scatter`) is no gap of the mean; it is a kind of its own.
+signal-to-noise only.  What scatters between specimens (`density_scatter`) is no gap of their mean:
+alone it is a kind of its own, of which "no gap" is the right answer; beside an effect it is
+left out.
 """
 
 import math
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import LIMITS
 from calibrate.withheld.plan import Visibility
+from calibrate.withheld.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
 SPECIMENS = 3
@@ -31,11 +33,12 @@ KINDS = {"library": "single"}
 
 def in_our_words(label: dict) -> dict:
     """A label with the keys that scoring reads, whoever made it."""
-    hidden = label.get("hidden") or label.get("effects", [])
+    hidden = [_ours(entry) for entry in label.get("hidden") or label.get("effects", [])]
     kind = KINDS.get(label["kind"], label["kind"])
-    if any(entry["name"] == "density_scatter" for entry in hidden):
-        kind = "scatter"
-    return {**label, "kind": kind, "hidden": [_ours(entry) for entry in hidden]}
+    moving = [entry for entry in hidden if entry["name"] != "density_scatter"]
+    if len(moving) < len(hidden):
+        kind = "single" if moving else SCATTER
+    return {**label, "kind": kind, "hidden": moving or hidden}
 
 
 def _ours(entry: dict) -> dict:
@@ -60,7 +63,7 @@ def with_visibility(
 
 def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
     strengths = {h["name"]: h["strength"] for h in label["hidden"] if h["name"] in LIMITS}
-    if not strengths or label["kind"] == "scatter":
+    if not strengths:
         return 0.0
     soil = {**ready.bank.design.centre}
     known = {

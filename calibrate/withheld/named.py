@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
-from calibrate.withheld.scores import Row
+from calibrate.withheld.scores import SCATTER, Row
 from jdem.effects.composite import EFFECTS
 
 NOTHING, TWO = "nothing", "two effects"  # rows besides effects
@@ -41,7 +41,7 @@ def named(result: dict, rows: Sequence[Row]) -> Named:
     for row in rows:
         counts[lines.index(hidden[row.case]), columns.index(column[row.case])] += 1
     kinds = {hidden[row.case]: row.kind for row in rows}
-    answer = {"two": BOTH, "outside": UNKNOWN, NONE: NONE}
+    answer = {"two": BOTH, "outside": UNKNOWN, NONE: NONE, SCATTER: NONE}
     for r, line in enumerate(lines):
         wanted = answer.get(kinds[line], line)
         right[r] = [name == wanted for name in columns]

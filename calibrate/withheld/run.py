@@ -29,7 +29,7 @@ from calibrate.withheld import seal
 from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
-from calibrate.withheld.plan import SPECIMENS, Case, Hidden, Planner, Visibility
+from calibrate.withheld.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner, Visibility
 from calibrate.withheld.scores import Realised, Row, row, scored
 from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
 
@@ -42,11 +42,12 @@ CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
 def generate(
     out: Path, ready: Ready, counts: dict[str, int] | None, seed: int | None,
-    progress: AbstractProgress,
+    progress: AbstractProgress, first_seed: int = FIRST_SEED,
 ) -> None:  # fmt: skip
-    """Makes and seals all cases that are not there yet; the plan itself is sealed too."""
+    """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
+    packings begin at first_seed."""
     attempts = _plan(out, ready, counts, seed)
-    laboratory = Laboratory(out / "simulated", CENTRE)
+    laboratory = Laboratory(out / "simulated", CENTRE, first_seed)
 
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
@@ -121,8 +122,7 @@ def judge(
     progress.say("learning how to state probabilities, training rivals")
     judge: Judges = judges(typical_case(cases[0], ready, seed, discrepancy), seed)
     diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
-    lines = [f"{_digest(path)}  {path.stem}" for path in sorted((out / VERDICTS).glob("*.json"))]
-    write_text(out / f"{VERDICTS}.sha256", "\n".join(lines) + "\n")
+    _state(out)
 
 
 def opened(
@@ -130,14 +130,8 @@ def opened(
     discrepancy: Discrepancy | None = None,
 ) -> tuple[dict, list[Row]]:  # fmt: skip
     """Opens the seal, checks both lists of hashes, scores; writes withheld.json."""
-    said = read_verdicts(out / VERDICTS)
-    stated = dict(
-        line.split()[::-1] for line in (out / f"{VERDICTS}.sha256").read_text().splitlines()
-    )
-    for name in said:
-        if stated.get(name) != _digest(out / VERDICTS / f"{name}.json"):
-            problem = "the verdict was changed after it was stated"
-            raise InputError(str(out / VERDICTS), name, problem, "judge the cases again")
+    said, stated = read_verdicts(out / VERDICTS), _stated(out)
+    _check_unchanged(out, stated)
     labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
     if not set(said) == set(stated) == set(labels):
         problem = f"{len(labels)} labels, {len(said)} verdicts"
@@ -156,6 +150,31 @@ def opened(
     }
     write_json(out / "withheld.json", result)
     return result, rows
+
+
+def _state(out: Path) -> None:
+    """Writes the hashes of all verdicts; those that were stated before must still hold."""
+    path = out / f"{VERDICTS}.sha256"
+    if path.exists():
+        _check_unchanged(out, _stated(out))
+    lines = [f"{_digest(path)}  {path.stem}" for path in sorted((out / VERDICTS).glob("*.json"))]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _stated(out: Path) -> dict[str, str]:
+    """The stated hash of each verdict."""
+    lines = (out / f"{VERDICTS}.sha256").read_text().splitlines()
+    return dict(line.split()[::-1] for line in lines)
+
+
+def _check_unchanged(out: Path, stated: dict[str, str]) -> None:
+    for name, digest in stated.items():
+        path = out / VERDICTS / f"{name}.json"
+        if not path.exists() or _digest(path) != digest:
+            problem = "the verdict was changed after it was stated"
+            raise InputError(
+                str(out / VERDICTS), name, problem, "judge the cases in another folder"
+            )
 
 
 def _given_up(source: Path) -> int:
@@ -184,8 +203,12 @@ def _fresh(
         name = names[number]
         attempt = int((source / "sealed" / f"{name}.attempt").read_text())
         case = plans[name][attempt]
-        specimens = laboratory.specimens(case, range(SPECIMENS, len(case.packings)))
-        return realised_shrinkage(said[name]["fits"], specimens) if specimens else None
+        specimens = [
+            one for number in range(SPECIMENS, len(case.packings))
+            for one in laboratory.specimens(case, range(number, number + 1)) or []
+        ]  # fmt: skip
+        enough = len(specimens) >= FEWEST_FRESH
+        return realised_shrinkage(said[name]["fits"], specimens) if enough else None
 
     found = side_by_side(of, len(names), progress, "simulating fresh specimens")
     return {name: one for name, one in zip(names, found, strict=True) if one}

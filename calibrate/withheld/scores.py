@@ -1,8 +1,9 @@
 """What the verdicts are worth once the seal is open: shares with Clopper-Pearson intervals.
 
-A case is right if the class of its effect is named first ("a + b" for two effects), a null if
-the verdict is none, a case from outside the library if it is unknown.  A failed diagnosis is
-wrong.  Stated probabilities are judged against a perfect forecaster of the same number of cases.
+A case is right if the class of its effect is named first ("a + b" for two effects), one that hides
+nothing, or nothing but scatter between specimens, if the verdict is none, a case from outside the
+library if it is unknown.  A failed diagnosis is wrong.  Stated probabilities are judged against a
+perfect forecaster of the same number of cases.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,6 +18,7 @@ CONFIDENT = 0.8
 BINS = 10
 STRATA = ((0.5, 2.0), (2.0, 6.0), (6.0, np.inf))
 CLOSE = 0.1  # of the claimed shrinkage to the realised one
+SCATTER = "scatter"  # kind of a case that hides nothing but scatter between specimens
 RIVALS = ("majority", "template", "bic", "classifier")
 
 
@@ -77,7 +79,7 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
 
 def truth_of(label: dict, classes: Sequence[Sequence[str]]) -> str:
     """The right answer in a case's own classes; an effect in none of them is its own class."""
-    if label["kind"] == NONE:
+    if label["kind"] in (NONE, SCATTER):
         return NONE
     if label["kind"] == "outside":
         return UNKNOWN
@@ -131,7 +133,8 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         },
         "false_alarm": share(r.verdict != NONE for r in of[NONE]),
         "detection_auc": area(
-            [r.p_before for r in rows if r.kind != NONE], [r.p_before for r in of[NONE]]
+            [r.p_before for r in rows if r.kind not in (NONE, SCATTER)],
+            [r.p_before for r in of[NONE]],
         ),
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of[NONE]),
         "unknown_recall": share(r.verdict == UNKNOWN for r in of["outside"]),

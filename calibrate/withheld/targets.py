@@ -14,7 +14,7 @@ AT_LEAST, AT_MOST, BELOW = "≥", "≤", "<"
 GAIN, SIGNIFICANT = 10.0, 0.05  # points over each rival, and McNemar's level
 CASES, CASES_OF_OTHER, NULL_CASES = 300, 40, 100
 RIVALS = {
-    "majority": "always saying the commonest effect",
+    "majority": "always giving the commonest answer",
     "template": "a template match without projection",
     "bic": "a refit of each effect with BIC and independent noise",
     "classifier": "a classifier trained on the bank",

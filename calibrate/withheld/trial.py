@@ -26,22 +26,21 @@ DRAWS, REHEARSED, TRAINING = 300, 240, 800
 
 @dataclass(frozen=True, eq=False)
 class Judges:
-    """The diagnosis' manner and its rivals, all made before a case is seen."""
+    """The diagnosis' manner and its rivals, made about one case's curves and no label."""
 
     manner: Manner
     features: tuple[str, ...]
     least_template: float
     majority: str
     classifier: baselines.Classifier
-    covariance: np.ndarray
 
 
 def judges(prepared: Prepared, seed: int) -> Judges:
     """Everything that is fitted to generated cases, on the description of one typical case."""
     linear = replace(prepared.description, emulator=None)
     world = replace(prepared.world, description=linear)
-    ready = rehearsed(replace(prepared, world=world), seed, REHEARSED)
-    rng = np.random.default_rng(seed + 1)
+    ready = rehearsed(replace(prepared, world=world), seed + 1, REHEARSED)  # seed drew the nulls
+    rng = np.random.default_rng(seed + 2)
     inputs, labels, null = [], [], []
     covariance = world.mean_covariance
     for number in range(TRAINING):
@@ -55,9 +54,8 @@ def judges(prepared: Prepared, seed: int) -> Judges:
         Manner(ready.opinion, ready.smallest, {prepared.world.plan.shape: prepared.null}),
         tuple(f.name for f in linear.features),
         float(np.quantile(null, 0.95)),
-        baselines.majority([name for name in labels if name not in (NONE, UNKNOWN, "pair")]),
+        baselines.majority(labels),
         baselines.train(np.array(inputs), labels),
-        covariance,
     )
 
 
@@ -120,10 +118,10 @@ def _rivals(d: Linearised, measured: Measured, judge: Judges, prepared: Prepared
     names = [f.name for f in d.features]
     classified = UNKNOWN
     if tuple(names) == judge.features:
-        inputs = baselines.classifier_inputs(d, measured, judge.covariance)
+        inputs = baselines.classifier_inputs(d, measured, prepared.world.mean_covariance)
         classified = judge.classifier.best(inputs)
     return {
-        "majority": judge.majority,
+        "majority": _relabelled(prepared, judge.majority),
         "template": label(prepared.classes, (template,)),
         "bic": label(prepared.classes, (baselines.bic(d, measured),)),
         "classifier": _relabelled(prepared, classified),
