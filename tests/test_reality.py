@@ -30,7 +30,11 @@ from physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_for
 from soil import PLATEN, TYPES, Soil, draw_soil  # noqa: E402
 from specimen import run  # noqa: E402
 
-CASES = sorted(path.parent for path in FOLDER.glob("cases/*/lab.toml"))
+SETS = (FOLDER, FOLDER / "strong")
+CASES_OF = {
+    folder: sorted(path.parent for path in folder.glob("cases/*/lab.toml")) for folder in SETS
+}
+CASES = [case for cases in CASES_OF.values() for case in cases]
 
 
 # ---------------------------------------------------------------- the files
@@ -75,8 +79,9 @@ def test_all_cases_look_alike_from_outside():
     assert len({outside(case) for case in CASES}) == 1
 
 
-def test_labels_match_the_published_hashes():
-    assert sorted(open_seal(FOLDER)) == [case.name for case in CASES]
+@pytest.mark.parametrize("folder", SETS, ids=lambda path: path.name)
+def test_labels_match_the_published_hashes(folder):
+    assert sorted(open_seal(folder)) == [case.name for case in CASES_OF[folder]]
 
 
 def metadata(case: Path) -> np.ndarray:
@@ -95,11 +100,11 @@ def neighbour_accuracy(features: np.ndarray, labels: np.ndarray) -> float:
     return float(np.mean([np.mean(votes[labels == kind] == kind) for kind in (0, 1)]))
 
 
-@pytest.mark.skipif(len(CASES) < 20, reason="too few cases to tell from chance")
-def test_metadata_do_not_tell_whether_something_is_hidden():
-    labels = open_seal(FOLDER)
-    hidden = np.array([len(labels[case.name]["effects"]) > 0 for case in CASES]).astype(int)
-    features = np.array([metadata(case) for case in CASES])
+@pytest.mark.parametrize("folder", SETS, ids=lambda path: path.name)
+def test_metadata_do_not_tell_whether_something_is_hidden(folder):
+    labels, cases = open_seal(folder), CASES_OF[folder]
+    hidden = np.array([len(labels[case.name]["effects"]) > 0 for case in cases]).astype(int)
+    features = np.array([metadata(case) for case in cases])
     seen = neighbour_accuracy(features, hidden)
     random = np.random.default_rng(0)
     chance = [neighbour_accuracy(features, random.permutation(hidden)) for _ in range(400)]
