@@ -260,7 +260,7 @@ def main() -> None:
     parser.add_argument("--spheres", type=int, default=300)
     parser.add_argument("--packings", type=int, default=8)
     parser.add_argument("--dropped", type=int, default=3, help="packings with nothing carried")
-    parser.add_argument("--seed", default="0", help="the audit's seed")
+    parser.add_argument("--seed", default="2", help="one of the seeds of the committed audit")
     parser.add_argument("--float32", action="store_true")
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="what is kept")
     chosen = parser.parse_args()
