@@ -269,11 +269,6 @@ class FeatureEmulator:
         """Standardised components (c,) at a point."""
         return self._processes(x, s)[0]
 
-    def effect_errors(self, x: np.ndarray) -> np.ndarray:
-        """Standard errors (m, k) of effects' slopes at strength 0, warped."""
-        variance = np.array([_slope_variance(c, self.x, self.s, x) for c in self.components])
-        return np.sqrt(self.basis.carried**2 @ variance)
-
 
 def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
@@ -326,16 +321,3 @@ def _variance(c: Component, x, s, at, strength) -> float:
     own = float(covariance(c.kernel, *point, *point)[0, 0])
     white = solve_triangular(c.lower, cross, lower=True, check_finite=False)
     return max(own - white @ white, 0.0)
-
-
-def _slope_variance(c: Component, x, s, at) -> np.ndarray:
-    """Variance (k,) of the slopes at strength 0."""
-    k, p = c.kernel, x.shape[1]
-    effect, mixed, weak = np.exp(2 * k.effect), np.exp(2 * k.interaction), np.exp(-2 * k.reach)
-    distance = (((at - x) / np.exp(k.length)) ** 2).sum(1) + s**2 @ weak
-    curved = np.exp(2 * k.curved - 0.5 * distance)
-    cross = s * (effect + mixed * (x @ at / p)[:, None] + curved[:, None] * weak)
-    own = effect + mixed * (at @ at) / p + np.exp(2 * k.curved) * weak
-    return np.maximum(
-        own - (solve_triangular(c.lower, cross, lower=True, check_finite=False) ** 2).sum(0), 0.0
-    )

@@ -121,19 +121,16 @@ def across_tests(
     for name in dict.fromkeys(tests):
         mine, other = np.flatnonzero(tests == name), np.flatnonzero(tests != name)
         if len(other):
-            found.append(_predicted(name, mine, other, marginal, base, measured, description))
+            found.append(_predicted(name, mine, other, marginal, base, measured))
     return tuple(found)
 
 
-def _predicted(
-    name, mine, other, marginal, base: Refit, measured: Measured, description: Linearised
-) -> CrossTest:
-    features = description.features
+def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> CrossTest:
     carry = np.linalg.solve(marginal[np.ix_(other, other)], marginal[np.ix_(other, mine)]).T
     expected = carry @ base.working[other]
     difference = base.working[mine] - expected
     covariance = marginal[np.ix_(mine, mine)] - carry @ marginal[np.ix_(other, mine)]
-    alike = _of_the_commonest_unit([features[i].unit for i in mine])
+    alike = _of_the_commonest_unit([measured.features[i].unit for i in mine])
     prediction = (measured.mean[mine] - difference)[alike]
     weighted = np.linalg.solve(covariance[np.ix_(alike, alike)], prediction)
     information = float(prediction @ weighted)
