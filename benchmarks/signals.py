@@ -40,9 +40,10 @@ def main() -> None:
     given = parser.parse_args()
     reporting.configure()
     ready = Ready.of(load(bundled_bank()))
-    laboratory = Laboratory(given.folder, CENTRE, FIRST_SEED)
+    laboratory = Laboratory(given.folder, CENTRE)
     rows = []
-    for case in chosen(Planner(ready, given.seed).cases(COUNTS), laboratory, given.each):
+    plan = Planner(ready, given.seed, FIRST_SEED).cases(COUNTS)
+    for case in chosen(plan, laboratory, given.each):
         rows.append(compared(case, laboratory, ready))
         print(rows[-1], flush=True)
     reporting.write("signals", {"cases": rows, **reporting.provenance()}, page(rows))

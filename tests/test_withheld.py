@@ -248,6 +248,20 @@ def test_a_realised_signal_is_free_of_what_packings_differ_by():
     assert np.mean(squares) == pytest.approx(25, abs=4)
 
 
+def test_a_realised_signal_is_shrunk_towards_the_predicted_one_where_packings_differ():
+    """Off by 3 in 40 directions: a right prediction of length 5 is kept, one that points
+    elsewhere by far more than the scatter explains (15) is not."""
+    random, truth, wrong = np.random.default_rng(3), np.zeros(40), np.zeros(40)
+    truth[:2], wrong[5] = (3.0, 4.0), 40.0
+    plain: Any = SimpleNamespace(world=SimpleNamespace(projected=lambda changes: changes))
+    draws = [truth + 3 * random.standard_normal((4, 40)) for _ in range(200)]
+    right = [Visibility.realised(plain, changes, truth) for changes in draws]
+    assert np.median(right) == pytest.approx(5, abs=0.5)
+    assert np.mean(np.square(right)) < 0.5 * np.mean([(c.mean(axis=0) ** 2).sum() for c in draws])
+    off = [Visibility.realised(plain, changes, wrong) for changes in draws]
+    assert np.mean(off) < 0.5 * 40
+
+
 def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monkeypatch):
     """An effect that doubles all forces; one packing does not stand without it."""
     made = laboratory.Laboratory(tmp_path, CENTRE)

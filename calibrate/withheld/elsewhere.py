@@ -1,22 +1,25 @@
-"""Labels of cases whose reality another code computed, in our words and units.
+"""Labels in our words and units, whoever made them, and how visible what they hide is.
 
-Such labels state strengths of that code's own realisations.  They are converted to ours, and how
-visible they are is computed from the bank after the seal is open: for scores by
-signal-to-noise only.  What scatters between specimens (`density_scatter`) is no gap of their mean:
-alone it is a kind of its own, of which "no gap" is the right answer; beside an effect it is
-left out.
+Labels of another code state strengths of its own realisations; they are converted to ours.  How
+visible effects are is computed after the seal is open, for scores by signal-to-noise only: from
+the simulated changes that a label holds, else from the bank.  What scatters between specimens
+(`density_scatter`) is no gap of their mean: alone it is a kind of its own, of which "no gap" is
+the right answer; beside an effect it is left out.
 """
 
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.bank.design import LIMITS
-from calibrate.withheld.plan import Visibility
+from calibrate.withheld.plan import SPECIMENS, Visibility
 from calibrate.withheld.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
-SPECIMENS = 3
+THEIRS = 3  # specimens of those cases
+FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
 
 # their name -> our name, and their strength in our unit
 OURS: dict[str, tuple[str, Callable[[float], float]]] = {
@@ -51,10 +54,8 @@ def _ours(entry: dict) -> dict:
 def with_visibility(
     labels: dict[str, dict], ready: Ready, discrepancy: Discrepancy | None
 ) -> dict[str, dict]:
-    """The labels with a signal-to-noise where they lack one."""
-    missing = [n for n, label in labels.items() if "snr" not in label]
-    if not missing:
-        return labels
+    """The labels with a signal-to-noise where they lack one, with the mismatch known as it is to
+    the diagnosis."""
     return {
         name: label if "snr" in label else {**label, "snr": _snr(label, ready, discrepancy)}
         for name, label in labels.items()
@@ -62,11 +63,18 @@ def with_visibility(
 
 
 def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
-    strengths = {h["name"]: h["strength"] for h in label["hidden"] if h["name"] in LIMITS}
-    if not strengths:
+    hidden = {h["name"]: h["strength"] for h in label["hidden"]}
+    if not hidden:
         return 0.0
-    soil = {**ready.bank.design.centre}
-    known = {
-        n: v for n, v in label.get("soil", {}).items() if n in soil and n != "rolling_friction"
-    }
-    return Visibility(ready, {**soil, **known}, SPECIMENS, discrepancy).snr(strengths)
+    ours = {n: s for n, s in hidden.items() if n in LIMITS}
+    soil = {n: v for n, v in label.get("soil", {}).items() if n in ready.bank.design.soil_names}
+    if "changes" not in label:
+        soil.pop("rolling_friction", None)  # another law's
+        everywhere = {**ready.bank.design.centre, **soil}
+        return Visibility(ready, everywhere, THEIRS, discrepancy).snr(ours) if ours else 0.0
+    visible = Visibility(ready, soil, SPECIMENS, discrepancy)
+    changes = np.array(label["changes"])
+    predicted = visible.change(ours) if len(ours) == len(hidden) else None
+    if len(changes) < FEWEST_CHANGES:
+        return label["planned_snr"]
+    return visible.realised(changes, predicted)

@@ -22,7 +22,6 @@ from calibrate.withheld.outside import CARRIED, AggregateCrushing, air_force
 from calibrate.withheld.plan import (
     ACCEPTED_CRUSHING,
     ACCEPTED_DEPTH,
-    FIRST_SEED,
     PREPARATIONS,
     SMOOTHING,
     SPECIMENS,
@@ -82,12 +81,11 @@ class Specimen:
 
 
 class Laboratory:
-    """Simulates and measures the specimens of cases; runs are cached in `folder`, seeds of
-    packings begin at first_seed."""
+    """Simulates and measures the specimens of cases; runs are cached in `folder`."""
 
-    def __init__(self, folder: Path, centre: dict[str, float], first_seed: int = FIRST_SEED):
+    def __init__(self, folder: Path, centre: dict[str, float]):
         self.lab: Lab = load_lab(bundled_lab())
-        self.folder, self.centre, self.first_seed = folder, centre, first_seed
+        self.folder, self.centre = folder, centre
         self._effects = {**EFFECTS, **CARRIED}
         costly = (*COSTLY, AggregateCrushing)
         self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
@@ -141,7 +139,7 @@ class Laboratory:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         level = PREPARATIONS.index(case.preparation)
         pool = 3 * SPHERES.index(case.spheres) + level
-        seed = self.first_seed + 1000 * pool + case.packings[number]
+        seed = case.first_seed + 1000 * pool + case.packings[number]
         vector = [strengths.get(name, 0.0) for name in self._effects]
         return self._simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
 

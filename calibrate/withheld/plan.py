@@ -5,7 +5,8 @@ has absorbed what it can, in units of the scatter of four specimens.  An effect 
 reach its stratum within the strengths that the bank holds gives way to another one, and the
 stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
 signatures that the bank predicts, and prefers those that it takes for too large; what counts in
-the end is the change that the laboratory itself sees with and without the effect (`realised`).
+the end is the change that the laboratory itself sees with and without the effect, shrunk towards
+the predicted one as far as packings differ by more (`realised`).
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ SPHERES = (130, 190)  # other numbers than the bank's
 PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
 SMOOTHING = -0.95  # roundings nearly gone
 POOL = 60  # packings of each number and preparation, from which cases draw
-FIRST_SEED = 1_900_000
+FIRST_SEED = 1_900_000  # of packings
 ATTEMPTS = 6
 FURTHEST = 2.0  # prior deviations of a soil
 ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means over specimens
@@ -48,8 +49,8 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Case:
-    """One case; `soil` values by name in SI; seeds of its specimens' packings, those that no
-    diagnosis sees last; snr as planned, then as simulated."""
+    """One case; `soil` values by name in SI; `packings` of its specimens within their pool, those
+    that no diagnosis sees last, whose seeds begin at first_seed; snr as planned."""
 
     name: str
     kind: str
@@ -62,17 +63,20 @@ class Case:
     packings: tuple[int, ...]
     seed: int
     nonce: str
+    first_seed: int = FIRST_SEED
 
-    def label(self) -> dict:
-        """What is sealed."""
-        return {**asdict(self), "case": self.name}
+    def label(self, changes: np.ndarray) -> dict:
+        """What is sealed: the case, and what its hidden effects do to features (n, m)."""
+        told = asdict(self)
+        planned = told.pop("snr")
+        return {**told, "case": self.name, "planned_snr": planned, "changes": changes.tolist()}
 
 
 class Planner:
     """Draws cases; the bank tells how visible an effect is at a soil."""
 
-    def __init__(self, ready: Ready, seed: int):
-        self.ready = ready
+    def __init__(self, ready: Ready, seed: int, first_seed: int = FIRST_SEED):
+        self.ready, self.first_seed = ready, first_seed
         self.random = np.random.default_rng(seed)
 
     def cases(self, counts: dict[str, int] | None = None) -> list[list[Case]]:
@@ -105,6 +109,7 @@ class Planner:
             packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
             seed=int(self.random.integers(2**31)),
             nonce=self.random.bytes(16).hex(),
+            first_seed=self.first_seed,
         )
 
     def _soil(self) -> dict[str, float]:
@@ -177,15 +182,25 @@ class Visibility:
         zero = np.zeros(len(d.prior_sd))
         return d.at(zero, given)[0] - d.at(zero, np.zeros(len(given)))[0]
 
-    def realised(self, changes: np.ndarray) -> float:
-        """Signal-to-noise of the mean of changes (n, m) of the curves' features, one for each of n
-        packings; what packings differ by is taken off:
+    def realised(self, changes: np.ndarray, predicted: np.ndarray | None = None) -> float:
+        """Signal-to-noise of the change that changes (n, m) of the curves' features, one for each
+        of n packings, speak for.
 
-        E|mean P c|^2 = (|sum P c|^2 - sum |P c|^2)/(n (n - 1))        P: the projection
+        With a predicted change (m,), that of their mean shrunk towards it (James and Stein 1961):
+
+            p + <1 - V/|c - p|^2> (c - p)       V = sum_i |c_i - c|^2/(n (n - 1)), all projected
+
+        without one that of their mean c less what packings differ by, |c|^2 - V.
         """
         projected, count = self.world.projected(changes.T).T, len(changes)
-        total = (projected.sum(axis=0) ** 2).sum() - (projected**2).sum()
-        return float(np.sqrt(max(total / (count * (count - 1)), 0.0)))
+        mean = projected.mean(axis=0)
+        scatter = ((projected - mean) ** 2).sum() / (count * (count - 1))
+        if predicted is None:
+            return float(np.sqrt(max(mean @ mean - scatter, 0.0)))
+        said = self.world.projected(predicted[:, None])[:, 0]
+        away = mean - said
+        share = max(1 - scatter / max(away @ away, 1e-300), 0.0)
+        return float(np.linalg.norm(said + share * away))
 
     def strength(self, name: str, limit: float, snr: float) -> float | None:
         """The strength (SI) towards `limit` with this signal-to-noise; None if out of reach."""

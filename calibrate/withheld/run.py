@@ -11,7 +11,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +29,13 @@ from calibrate.withheld import seal
 from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
-from calibrate.withheld.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner, Visibility
+from calibrate.withheld.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner
 from calibrate.withheld.scores import Realised, Row, row, scored
 from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
 
 PLAN = "sealed/plan.json"
 VERDICTS = "verdicts"
 FEWEST_FRESH = 2  # up to which a shrinkage on fresh specimens has no error
-FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
 CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
 
@@ -46,22 +45,25 @@ def generate(
 ) -> None:  # fmt: skip
     """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
     packings begin at first_seed."""
-    attempts = _plan(out, ready, counts, seed)
-    laboratory = Laboratory(out / "simulated", CENTRE, first_seed)
+    attempts = _plan(out, ready, counts, seed, first_seed)
+    laboratory = Laboratory(out / "simulated", CENTRE)
 
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
-        return [_as_realised(case, laboratory, ready).label()] if case else []
+        return [case.label(laboratory.changes(case))] if case else []
 
     labels = side_by_side(label, len(attempts), progress, "making cases")
     seal.write_seal([one for made in labels for one in made], out)
 
 
-def _plan(out: Path, ready: Ready, counts, seed: int | None) -> list[list[Case]]:
+def _plan(
+    out: Path, ready: Ready, counts, seed: int | None, first_seed: int = FIRST_SEED
+) -> list[list[Case]]:
     """The plan in `out`, drawn if there is none yet."""
     path = out / PLAN
     if not path.exists():
-        drawn = Planner(ready, secrets.randbits(62) if seed is None else seed).cases(counts)
+        secret = secrets.randbits(62) if seed is None else seed
+        drawn = Planner(ready, secret, first_seed).cases(counts)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
@@ -93,16 +95,6 @@ def _made(out: Path, laboratory: Laboratory, attempts: Sequence[Case]) -> Case |
             return case
     write_text(kept, "-1")
     return None
-
-
-def _as_realised(case: Case, laboratory: Laboratory, ready: Ready) -> Case:
-    """The case with the signal-to-noise that its own simulations show."""
-    if not case.hidden:
-        return case
-    changes = laboratory.changes(case)
-    if len(changes) < FEWEST_CHANGES:
-        return case
-    return replace(case, snr=Visibility(ready, case.soil).realised(changes))
 
 
 def case_folders(out: Path) -> list[Path]:
