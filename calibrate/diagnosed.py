@@ -23,6 +23,7 @@ from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.next_test import Proposal, next_tests
 from calibrate.diagnosis.noise import packing_covariance
 from calibrate.diagnosis.opinion import NONE, Opinion
+from calibrate.diagnosis.outliers import robust, scatter_of
 from calibrate.diagnosis.rehearsal import rehearsed
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.verdict import as_json
@@ -83,7 +84,7 @@ def described(
     d = describe(ready, point, found.measured.mean, found.chosen, scatter, discrepancy)
     d = with_instruments(d, found, ready.bank, seed)
     d, measured = with_baseline(d, found) if baseline else (d, found.measured)
-    return found, d, measured
+    return found, d, robust(measured, scatter_of(d))
 
 
 LARGEST_DENSITY_SD = 0.02  # of specimens in one mould; more is the field's scatter

@@ -17,7 +17,7 @@ from calibrate.errors import InputError
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.report import diagnosis as report
-from calibrate.report.diagnosis_words import shrinkage
+from calibrate.report.diagnosis_words import caution, shrinkage
 from calibrate.report.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 
@@ -116,6 +116,15 @@ def test_page_says_verdict_and_every_effect(done):
     for effect in found.which.effects:
         assert plain(effect.name).name in page
     assert report.page(done / "result.json").html == (done / report.PAGE).read_text()
+
+
+def test_an_odd_specimen_is_named(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    assert found.specimen_weights == result(done)["specimen_weights"]
+    odd = found.model_copy(update={"specimen_weights": [1.0, 1.0, 0.25, 0.9]})
+    said = caution(odd)
+    assert "Specimen 3 lies far from the others and counts for 25 % of one." in said
+    assert said.count("Specimen") == 1
 
 
 def test_figures_are_drawings_with_units(done):

@@ -14,6 +14,7 @@ from typing import Any, cast
 import formulas
 import numpy as np
 import pytest
+import toy_bank
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
 from calibrate.bank.description import Ready
@@ -235,12 +236,32 @@ def test_the_canary_finds_a_planted_leak_and_no_other(tmp_path):
 # ---------------------------------------------------------------- signal-to-noise
 
 
+def nothing_absorbed() -> Any:
+    """A soil at which calibration absorbs nothing, features in units of scatter."""
+    world = SimpleNamespace(projected=lambda changes: changes)
+    return SimpleNamespace(world=world, left=np.linalg.norm)
+
+
+def test_calibration_leaves_less_of_a_change_that_another_soil_makes():
+    """A change to what the bank says of another soil is absorbed, but for its prior; a bent
+    one is not absorbed by a line."""
+    visible = Visibility(Ready.of(toy_bank.bank()), toy_bank.CENTRE)
+    d, none = visible.description, np.zeros(3)
+    here = d.at(np.zeros(len(d.prior_sd)), none)[0]
+    shift = np.zeros(len(d.prior_sd))
+    shift[0] = 1.5 * d.prior_sd[0]
+    change = d.at(shift, none)[0] - here
+    assert visible.left(change) <= 1.6
+    assert visible.left(0.0 * change) == pytest.approx(0.0, abs=1e-6)
+    assert visible.left(-0.9 * here) > 10
+
+
 def test_a_realised_signal_is_free_of_what_packings_differ_by():
     """Changes of length 5, each packing off by a normal deviate of 3 in all of 40 directions: the
     squared length of their mean is 25 + 9 40/4."""
     random, truth = np.random.default_rng(2), np.zeros(40)
     truth[:2] = 3.0, 4.0
-    plain: Any = SimpleNamespace(world=SimpleNamespace(projected=lambda changes: changes))
+    plain = nothing_absorbed()
     draws = [truth + 3 * random.standard_normal((4, 40)) for _ in range(400)]
     squares = [Visibility.realised(plain, changes) ** 2 for changes in draws]
     naive = [np.sum(changes.mean(axis=0) ** 2) for changes in draws]
@@ -253,7 +274,7 @@ def test_a_realised_signal_is_shrunk_towards_the_predicted_one_where_packings_di
     elsewhere by far more than the scatter explains (15) is not."""
     random, truth, wrong = np.random.default_rng(3), np.zeros(40), np.zeros(40)
     truth[:2], wrong[5] = (3.0, 4.0), 40.0
-    plain: Any = SimpleNamespace(world=SimpleNamespace(projected=lambda changes: changes))
+    plain = nothing_absorbed()
     draws = [truth + 3 * random.standard_normal((4, 40)) for _ in range(200)]
     right = [Visibility.realised(plain, changes, truth) for changes in draws]
     assert np.median(right) == pytest.approx(5, abs=0.5)

@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.bank.design import SHARP
+from calibrate.bank.design import SHARP, Design
 from calibrate.bank.emulator import FeatureEmulator, fit_emulator
+from calibrate.bank.late import LAG, Late
 from calibrate.bank.left_out import Missed
 from calibrate.bank.store import Bank, Rows, limits
 from calibrate.diagnosis.linear import Effect, Linearised
@@ -67,11 +68,12 @@ class Ready:
         """With further simulations behind the rows of the bank's `own`, near which its errors are
         taken for as wide as left-out packings have shown: their noise counts by that much less,
         as errors are widened afterwards (`AtSoil.wrong`)."""
-        bank, emulator, missed = self.bank.joined(rows), self.emulator, self.missed
+        emulator, missed = self.emulator, self.missed
+        bank = self.bank.joined(rows, emulator=emulator)
         noise = np.ones((len(bank.values), len(emulator.components)))
         noise[len(own.values) :] = missed.scatter / missed.widening
         fitted = fit_emulator(
-            *bank.scaled(), bank.packing, bank.values, bank.scale(), bank.kernels, emulator.basis,
+            *bank.scaled(), bank.packing, bank.in_time, bank.scale(), bank.kernels, emulator.basis,
             noise,
         )  # fmt: skip
         return Ready(bank, fitted)
@@ -93,7 +95,7 @@ class Ready:
         design = self.bank.design
         return AtSoil(
             self.emulator, point.offset, design.spread(), design.typical() / limits(design),
-            self.missed,
+            self.missed, self.bank.reader() if self.bank.late is not None else None, _lag(design),
         )  # fmt: skip
 
 
@@ -101,22 +103,26 @@ class Ready:
 class AtSoil:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
     typical strength; with a discrepancy, its directions are further base coordinates.
-    `missed` is what its errors are beyond what it states, as left-out packings have shown."""
+    `missed` is what its errors are beyond what it states, as left-out packings have shown; `late`
+    turns what it says of readings in time to late ones, lag (k,) being seconds per typical
+    strength."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
     scale: np.ndarray
     strength: np.ndarray
     missed: Missed
+    late: Late | None
+    lag: np.ndarray
     discrepancy: Discrepancy | None = None
 
     def __call__(self, delta, strengths):
         x, s = self._scaled(delta, strengths)
         values, base, effects = self.emulator(x, s)
-        base, effects = base / self.scale, effects * self.strength
-        if self.discrepancy is None:
-            return values, base, effects
-        return self._shifted(self.discrepancy, delta[len(self.offset) :], values, base, effects)
+        found = values, base / self.scale, effects * self.strength
+        if self.discrepancy is not None:
+            found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
+        return self._read(self.late, strengths, *found) if self.late else found
 
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""
@@ -128,6 +134,13 @@ class AtSoil:
     def _scaled(self, delta, strengths):
         return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
 
+    def _read(self, late: Late, strengths, values, base, effects):
+        """The same as a machine reads it."""
+        slopes = np.hstack([base, effects])
+        values, slopes, along = late.read(values, slopes, float(self.lag @ strengths))
+        base, effects = np.split(slopes, [base.shape[1]], axis=1)
+        return values, base, effects + along[:, None] * self.lag
+
     def _shifted(self, wrong: Discrepancy, share, values, base, effects):
         """The same with the discrepancy added to the warped features."""
         scale = self.emulator.scale
@@ -137,6 +150,11 @@ class AtSoil:
         turned = (steep / np.sqrt(1 + before**2))[:, None]
         base = np.hstack([base * turned, (scale * steep)[:, None] * wrong.directions])
         return scale * np.sinh(warped), base, effects * turned
+
+
+def _lag(design: Design) -> np.ndarray:
+    """How late readings are (k,), s per typical strength."""
+    return np.where(np.array(design.effect_names) == LAG, design.typical(), 0.0)
 
 
 def candidates(bank: Bank) -> tuple[Effect, ...]:

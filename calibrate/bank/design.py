@@ -32,6 +32,8 @@ SHARP = (-0.95, -0.5)  # crowd at the lower end of this
 PREPARATION_SD = 0.3  # of ln of the settling friction's factor
 LARGER = 4 / 3  # spheres of every fourth packing over those of the others
 SMALLER = 0.8  # the same of one in four after the first ROUNDED
+CROSSED = 390  # packings of which every fourth has one size, and so one half of the settling
+# frictions, as points of a Sobol sequence lie; later ones bring each size to all of them
 MIXED = 300  # packings whose rows differ in everything
 WEAKEST = 0.3  # of its limit, an effect by itself
 SETTINGS = ("smoothing", "preparation", "spheres")
@@ -85,7 +87,7 @@ class Design:
     packings x rows_each simulations of specimens of `spheres` spheres.
     """
 
-    packings: int = 390
+    packings: int = 422
     rows_each: int = 6
     spheres: int = 150
     seed: int = 20
@@ -115,7 +117,10 @@ class Design:
         return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
 
     def spheres_of(self, packing: int) -> int:
-        """Number of spheres of a packing: every fourth has more, every fourth late one fewer."""
+        """Number of spheres of a packing: every fourth has more, every fourth late one fewer; of
+        the last ones four have fewer, four more, in turn."""
+        if packing >= CROSSED:
+            return round(self.spheres * (LARGER if packing // 4 % 2 else SMALLER))
         late = packing >= ROUNDED
         factor = {3: LARGER, 1: SMALLER if late else 1.0}.get(packing % 4, 1.0)
         return round(self.spheres * factor)

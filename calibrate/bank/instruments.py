@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from calibrate.bank.lab import LabCurves
+from calibrate.bank.late import LAG
 from calibrate.bank.store import Bank
 from calibrate.diagnosis.features import (
     CONFINED,
@@ -37,7 +38,7 @@ from calibrate.diagnosis.sensor import recording, recording_shift
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
-LAG, OFFSET = "acquisition_lag", "load_cell_offset"
+OFFSET = "load_cell_offset"
 Interpolator = Callable[..., np.ndarray]
 ON_A_LAG = 30  # recordings
 LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded

@@ -16,6 +16,7 @@ import xarray as xr
 
 from calibrate.bank.design import Design
 from calibrate.bank.emulator import FeatureEmulator, Kernel, fit_emulator
+from calibrate.bank.late import LAG, Late
 from calibrate.bank.left_out import Missed, Points, missed
 from calibrate.campaign import Run, engine_hash
 from calibrate.diagnosis.features import Curves, Feature, declare, declare_targets, vector
@@ -72,8 +73,9 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class Bank:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves; once fitted, kernels, and what left-out
-    packings show them to miss."""
+    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the confined
+    test; once fitted, kernels, what left-out packings show them to miss, and what late readings
+    add to the rows (n, m)."""
 
     design: Design
     cylinder: Cylinder
@@ -85,6 +87,8 @@ class Bank:
     reference: Curves
     kernels: tuple[Kernel, ...] = ()
     missed: Missed | None = None
+    late: np.ndarray | None = None
+    speed: float = 8.0
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -95,10 +99,25 @@ class Bank:
         """Points as the emulator takes them: over their spread, over limits."""
         return self.base / self.design.spread(), self.strengths / limits(self.design)
 
+    @property
+    def in_time(self) -> np.ndarray:
+        """Values (n, m) less what late readings add."""
+        return self.values if self.late is None else self.values - self.late
+
+    @property
+    def lag(self) -> np.ndarray:
+        """How late forces are read in each row (n,), s."""
+        names = self.design.effect_names
+        return self.strengths[:, names.index(LAG)] if LAG in names else np.zeros(len(self.values))
+
+    def reader(self) -> Late:
+        """What late readings do to the features."""
+        return Late(self.features, self.speed)
+
     def emulator(self) -> FeatureEmulator:
-        """The emulator of all features."""
+        """The emulator of all features as they are when no reading is late."""
         x, s = self.scaled()
-        return fit_emulator(x, s, self.packing, self.values, self.scale(), self.kernels or None)
+        return fit_emulator(x, s, self.packing, self.in_time, self.scale(), self.kernels or None)
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "Bank":
         """The bank with the runs of a larger design's further packings; not fitted."""
@@ -107,19 +126,42 @@ class Bank:
         later = packing >= first
         base, strengths = (part[later] for part in design.rows())
         rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
-        return replace(self.joined(rows, first), design=design, kernels=(), missed=None)
+        whole = self.joined(rows, first)
+        return replace(whole, design=design, kernels=(), missed=None, late=None)
 
-    def joined(self, rows: "Rows", first: int | None = None) -> "Bank":
+    def joined(
+        self, rows: "Rows", first: int | None = None, emulator: FeatureEmulator | None = None
+    ) -> "Bank":
         """The bank with further simulations behind its own, their packings numbered from `first`
-        (after its own) on; kernels stay."""
+        (after its own) on; kernels stay.  What late readings add to the rows is told by the
+        bank's emulator."""
         packing = (self.packing.max() + 1 if first is None else first) + rows.packing
+        more = replace(self, base=rows.base, strengths=rows.strengths, values=rows.values)
+        told = self.late is not None and emulator is not None
         return replace(
             self,
+            late=np.vstack([self.late, more.late_by(emulator)]) if told else None,
             base=np.vstack([self.base, rows.base]),
             strengths=np.vstack([self.strengths, rows.strengths]),
             packing=np.concatenate([self.packing, packing]),
             values=np.vstack([self.values, rows.values]),
         )
+
+    def late_by(self, emulator: FeatureEmulator) -> np.ndarray:
+        """What late readings add to the rows (n, m), by an emulator of features without."""
+        x, s = self.scaled()
+        lag, late = self.lag, np.zeros_like(self.values)
+        for row in np.flatnonzero(lag):
+            without = np.where(np.array(self.design.effect_names) == LAG, 0.0, s[row])
+            in_time = emulator(x[row], without)[0]
+            late[row] = self.reader().shift(in_time[None], lag[[row]])[0]
+        return late
+
+    def _without_lag(self) -> "Bank":
+        """The rows that are read in time."""
+        on = self.lag == 0
+        parts = {name: getattr(self, name)[on] for name in ("base", "strengths", "packing")}
+        return replace(self, **parts, values=self.values[on], late=None, kernels=())
 
     def scale(self) -> np.ndarray:
         """By what the emulator warps features, shape (m,)."""
@@ -127,8 +169,10 @@ class Bank:
 
     def fitted(self) -> "Bank":
         """The bank with its kernels and what they miss; takes minutes."""
-        known = replace(self, kernels=tuple(c.kernel for c in self.emulator().components))
-        points = Points(*self.scaled(), self.packing, self.values, self.scale(), known.kernels)
+        late = self.late_by(self._without_lag().emulator()) if self.lag.any() else None
+        bank = replace(self, late=late, kernels=())
+        known = replace(bank, kernels=tuple(c.kernel for c in bank.emulator().components))
+        points = Points(*bank.scaled(), bank.packing, bank.in_time, bank.scale(), known.kernels)
         return replace(known, missed=missed(points))
 
 
@@ -163,6 +207,7 @@ def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run
     return Bank(
         design, Cylinder.of(lab), engine_hash(),
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
+        speed=1e3 * lab.confined.rate,
     )  # fmt: skip
 
 
@@ -190,6 +235,8 @@ def save(bank: Bank, path: Path) -> None:
     for name in Kernel._fields if bank.kernels else ():
         rows = np.array([np.atleast_1d(getattr(k, name)) for k in bank.kernels])
         data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
+    if bank.late is not None:
+        data["late"] = (("row", "feature"), bank.late.astype(np.float32))
     if bank.missed is not None:
         data["widening"] = (("component",), bank.missed.widening)
         data["scatter"] = (("component",), bank.missed.scatter)
@@ -201,7 +248,11 @@ def save(bank: Bank, path: Path) -> None:
         "feature": [f.name for f in bank.features],
     }
     about = {"design": asdict(bank.design), "cylinder": asdict(bank.cylinder)}
-    attributes = {"engine": bank.engine, **{k: json.dumps(v) for k, v in about.items()}}
+    attributes = {
+        "engine": bank.engine,
+        "speed": bank.speed,
+        **{k: json.dumps(v) for k, v in about.items()},
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
     dataset = xr.Dataset(data, coords=names, attrs=attributes)
@@ -244,6 +295,8 @@ def _read(stored: xr.Dataset) -> Bank:
         reference=reference,
         kernels=_kernels(stored),
         missed=_missed(stored),
+        late=stored["late"].values.astype(float) if "late" in stored else None,
+        speed=float(stored.attrs.get("speed", Bank.speed)),
     )
 
 

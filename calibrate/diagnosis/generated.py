@@ -14,6 +14,7 @@ import numpy as np
 
 from calibrate.diagnosis.discrepancy import kernel_factors
 from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.outliers import robust, scatter_of
 from calibrate.diagnosis.projection import project
 from calibrate.diagnosis.repeats import Measured, from_vectors
 from calibrate.diagnosis.score import lengths
@@ -61,7 +62,12 @@ class World:
             mean = mean + gap
         count = len(self.plan)
         values = mean + self._packings(rng, count) + normal(rng, self.other_root, count)
-        return from_vectors(d.features, np.where(self.plan, values, np.nan))
+        return robust(from_vectors(d.features, np.where(self.plan, values, np.nan)), self._seen)
+
+    @cached_property
+    def _seen(self) -> np.ndarray:
+        """Covariance (m, m) by which odd specimens are told."""
+        return scatter_of(self.description)
 
     def simulated(self, rng: np.random.Generator) -> np.ndarray:
         """As many residuals (n, m) of simulated specimens as the description has."""

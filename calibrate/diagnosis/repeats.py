@@ -26,7 +26,9 @@ class Measured:
     """Features of a soil: mean (m,), in how many specimens two features were both
     measured, shared (m, m), and the scatter of repeats by test (absent if unknown).
 
-    `specimens` (s, m) keeps the single ones, NaN where not measured; no rows for targets.
+    `specimens` (s, m) keeps the single ones, NaN where not measured, and weight (s,) how much
+    each counts; no rows for targets.  With weights, `shared` is of as many specimens as would
+    make a mean as sure.
     """
 
     features: tuple[Feature, ...]
@@ -34,6 +36,7 @@ class Measured:
     shared: np.ndarray
     scatter: dict[str, Scatter]
     specimens: np.ndarray
+    weight: np.ndarray
 
     @property
     def counts(self) -> np.ndarray:
@@ -46,7 +49,8 @@ class Measured:
 
     def without(self, specimen: int) -> "Measured":
         """The same with one specimen left out; features left unmeasured keep their mean."""
-        return from_vectors(self.features, np.delete(self.specimens, specimen, axis=0))
+        rest, weight = (np.delete(a, specimen, axis=0) for a in (self.specimens, self.weight))
+        return from_vectors(self.features, rest, weight)
 
 
 def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Measured:
@@ -54,8 +58,11 @@ def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Mea
     return from_vectors(features, np.array([vector(features, curves) for curves in specimens]))
 
 
-def from_vectors(features: Sequence[Feature], specimens: np.ndarray) -> Measured:
-    """The sample of feature vectors (s, m); NaN where a specimen lacks a feature.
+def from_vectors(
+    features: Sequence[Feature], specimens: np.ndarray, weight: np.ndarray | None = None
+) -> Measured:
+    """The sample of feature vectors (s, m); NaN where a specimen lacks a feature; weight (s,):
+    how much each counts, 1 if not given.
 
     ValueError if a feature was never measured: use `measured_features` first.
     """
@@ -63,14 +70,18 @@ def from_vectors(features: Sequence[Feature], specimens: np.ndarray) -> Measured
     missing = [f.name for i, f in enumerate(features) if not known[:, i].any()]
     if missing:
         raise ValueError(f"never measured: {missing[0]}; drop it with measured_features")
-    shared = known.astype(float).T @ known.astype(float)
-    mean = np.nanmean(specimens, axis=0)
+    weight = np.ones(len(specimens)) if weight is None else weight
+    heavy = weight[:, None] * known
+    total, squares = heavy.sum(axis=0), heavy.T @ heavy
+    counts = total**2 / np.diag(squares)
+    mean = np.where(known, heavy * specimens, 0.0).sum(axis=0) / total
     scatter = {
         test: found
         for test in TESTS
-        if (found := _scatter(specimens[:, tests_of(features) == test])) is not None
+        if (found := _scatter(specimens[:, tests_of(features) == test], weight)) is not None
     }
-    return Measured(tuple(features), mean, shared, scatter, specimens)
+    shared = squares * np.outer(counts / total, counts / total)
+    return Measured(tuple(features), mean, shared, scatter, specimens, weight)
 
 
 def from_targets(
@@ -85,7 +96,8 @@ def from_targets(
         if n > 1
     }
     mean = np.array([row[0] for row in rows], float)
-    return Measured(tuple(features), mean, np.diag(counts), scatter, np.empty((0, len(rows))))
+    none = np.empty((0, len(rows)))
+    return Measured(tuple(features), mean, np.diag(counts), scatter, none, np.empty(0))
 
 
 def measured_features(
@@ -100,10 +112,11 @@ def measured_features(
     return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())
 
 
-def _scatter(values: np.ndarray) -> Scatter | None:
-    """Scatter of the complete rows (s, m_t); None for fewer than two."""
-    rows = values[np.isfinite(values).all(axis=1)] if values.size else values
-    if len(rows) < 2:
+def _scatter(values: np.ndarray, weight: np.ndarray) -> Scatter | None:
+    """Weighted scatter of the complete rows (s, m_t); None for fewer than two."""
+    complete = np.isfinite(values).all(axis=1)
+    rows, heavy = values[complete], weight[complete]
+    if len(rows) < 2 or not values.size:
         return None
-    centred = rows - rows.mean(axis=0)
-    return Scatter(centred.T @ centred, len(rows) - 1)
+    centred = rows - heavy @ rows / heavy.sum()
+    return Scatter(centred.T @ (heavy[:, None] * centred), len(rows) - 1)

@@ -163,6 +163,7 @@ class DiagnosisRecord(Origin):
     next_test: NextTest | None
     features: list[FeatureRow]
     specimens: list[dict[Test, Curve]]
+    specimen_weights: list[Number] = Field(default_factory=list)
     best: list[str]
     explanations: list[Explanation]
     base_parameters: list[Shift]
@@ -193,6 +194,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         "next_test": _labelled(diagnosis, found["next_test"]),
         "features": _features(diagnosis),
         "specimens": [_aligned(diagnosis, curves) for curves in diagnosis.found.specimens],
+        "specimen_weights": diagnosis.measured.weight.tolist(),
         "best": [d.effect_names[k] for k in which.best],
         "explanations": _explanations(diagnosis),
         "base_parameters": [
@@ -205,7 +207,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
 
 
 def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
-    counts, features = diagnosis.measured.counts, diagnosis.measured.features
+    counts, features = diagnosis.found.measured.counts, diagnosis.found.measured.features
     return {
         test: int(
             max((c for c, f in zip(counts, features, strict=True) if f.test == test), default=0)

@@ -6,6 +6,8 @@ Nothing is claimed that the record does not hold: a weak verdict is called weak,
 interval reaches zero is not called one, and numbers without curves are said to be mute.
 """
 
+from collections.abc import Sequence
+
 from calibrate.diagnosis.classes import SEPARABLE
 from calibrate.diagnosis.opinion import ALPHA, NONE, UNKNOWN
 from calibrate.records.diagnosis import DiagnosisRecord, HowFar, NextTest, Segment
@@ -13,6 +15,7 @@ from calibrate.report.effects import TOGETHER, members, plain, title
 from calibrate.report.html import number
 
 SURE, LIKELY = 0.8, 0.5
+ODD = 0.6  # weight of a specimen below which the reader is told
 FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
 GAIN = 1.1  # of separation, below which a further test adds next to nothing
 TEST_NAMES = {"confined": "confined test", "unconfined": "crushing test"}
@@ -199,12 +202,12 @@ def _unseen(found: DiagnosisRecord) -> str:
 
 
 def caution(found: DiagnosisRecord) -> str:
-    """What weakens the answer: few repeats, an effect that calibration mimics."""
+    """What weakens the answer: few repeats, odd ones, an effect that calibration mimics."""
     few = [TEST_NAMES[test] for test in ("confined", "unconfined")
            if 0 < getattr(found.settings, test) < FEW and not found.targets_only]  # fmt: skip
     absent = [TEST_NAMES[test] for test in ("confined", "unconfined")
               if getattr(found.settings, test) == 0]  # fmt: skip
-    parts = []
+    parts = [*_odd(found.specimen_weights)]
     if few:
         parts.append(f"With fewer than {FEW} specimens in the {' and the '.join(few)}, scatter is "
                      "taken mostly from simulations.")  # fmt: skip
@@ -216,6 +219,15 @@ def caution(found: DiagnosisRecord) -> str:
         names = ", ".join(sorted(plain(n).name for n in absorbed))
         parts.append(f"Calibration can imitate {names} almost wholly.")
     return " ".join(parts)
+
+
+def _odd(weights: Sequence[float]) -> list[str]:
+    """Specimens that count for less, because they lie far from the others."""
+    return [
+        f"Specimen {number_} lies far from the others and counts for {percent(weight)} of one."
+        for number_, weight in enumerate(weights, 1)
+        if weight < ODD
+    ]
 
 
 def amount(value: float, unit: str) -> str:

@@ -71,7 +71,8 @@ def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
     if "changes" not in label:
         soil.pop("rolling_friction", None)  # another law's
         everywhere = {**ready.bank.design.centre, **soil}
-        return Visibility(ready, everywhere, THEIRS, discrepancy).snr(ours) if ours else 0.0
+        visible = Visibility(ready, everywhere, THEIRS, discrepancy)
+        return visible.left(visible.change(ours)) if ours else 0.0
     visible = Visibility(ready, soil, SPECIMENS, discrepancy)
     changes = np.array(label["changes"])
     predicted = visible.change(ours) if len(ours) == len(hidden) else None

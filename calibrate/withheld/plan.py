@@ -19,6 +19,7 @@ from calibrate.bank.design import CENTRE, LIMITS, SOIL_PRIOR_SD
 from calibrate.diagnosis.generated import World
 from calibrate.diagnosis.noise import packing_covariance
 from calibrate.diagnosis.opinion import NONE
+from calibrate.diagnosis.refit import refit, start_at
 from calibrate.withheld.outside import OUTSIDE
 
 STRATA: dict[str, tuple[float, float]] = {
@@ -35,6 +36,7 @@ SMOOTHING = -0.95  # roundings nearly gone
 POOL = 60  # packings of each number and preparation, from which cases draw
 FIRST_SEED = 1_900_000  # of packings
 ATTEMPTS = 6
+STARTS = 3  # of fits beside that from the soil itself
 FURTHEST = 2.0  # prior deviations of a soil
 ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means over specimens
 
@@ -164,12 +166,12 @@ class Visibility:
         discrepancy: Discrepancy | None = None,
     ):  # fmt: skip
         every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
-        point = point_of(ready.bank, soil)
-        values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(LIMITS)))[0]
+        point, design = point_of(ready.bank, soil), ready.bank.design
+        values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(design.limits)))[0]
         self.description = describe(ready, point, values[every], every, discrepancy=discrepancy)
         plan = np.ones((specimens, len(every)), bool)
         self.world = World(self.description, plan, packing_covariance(self.description))
-        self.typical = dict(zip(LIMITS, ready.bank.design.typical(), strict=True))
+        self.typical = dict(zip(design.effect_names, design.typical(), strict=True))
 
     def snr(self, strengths: dict[str, float]) -> float:
         """Signal-to-noise of effects of these strengths (SI) together."""
@@ -186,21 +188,30 @@ class Visibility:
         """Signal-to-noise of the change that changes (n, m) of the curves' features, one for each
         of n packings, speak for.
 
-        With a predicted change (m,), that of their mean shrunk towards it (James and Stein 1961):
+        With a predicted change (m,), what calibration leaves of their mean shrunk towards it (James
+        and Stein 1961):
 
             p + <1 - V/|c - p|^2> (c - p)       V = sum_i |c_i - c|^2/(n (n - 1)), all projected
 
-        without one that of their mean c less what packings differ by, |c|^2 - V.
+        without one, what it leaves of their mean c, less V.
         """
-        projected, count = self.world.projected(changes.T).T, len(changes)
-        mean = projected.mean(axis=0)
-        scatter = ((projected - mean) ** 2).sum() / (count * (count - 1))
+        mean, count = changes.mean(axis=0), len(changes)
+        scatter = (self.world.projected((changes - mean).T) ** 2).sum() / (count * (count - 1))
         if predicted is None:
-            return float(np.sqrt(max(mean @ mean - scatter, 0.0)))
-        said = self.world.projected(predicted[:, None])[:, 0]
-        away = mean - said
-        share = max(1 - scatter / max(away @ away, 1e-300), 0.0)
-        return float(np.linalg.norm(said + share * away))
+            return float(np.sqrt(max(self.left(mean) ** 2 - scatter, 0.0)))
+        away = (self.world.projected((mean - predicted)[:, None]) ** 2).sum()
+        share = max(1 - scatter / max(away, 1e-300), 0.0)
+        return self.left(predicted + share * (mean - predicted))
+
+    def left(self, change: np.ndarray) -> float:
+        """What calibration leaves of a change (m,) of the features, in units of scatter: not as
+        far as slopes at the soil can mimic it, but as far as any soil can."""
+        d = self.description
+        values = d.at(np.zeros(len(d.prior_sd)), np.zeros(len(d.effects)))[0] + change
+        rng = np.random.default_rng(0)
+        away = [None, *(d.prior_sd * rng.standard_normal((STARTS, len(d.prior_sd))))]
+        fits = [refit(d, values, self.world.mean_covariance, (), start_at(d, x)) for x in away]
+        return float(np.sqrt(min(fit.objective for fit in fits)))
 
     def strength(self, name: str, limit: float, snr: float) -> float | None:
         """The strength (SI) towards `limit` with this signal-to-noise; None if out of reach."""

@@ -1,0 +1,81 @@
+"""Late readings in closed form: against the filtered curve itself, and as slopes."""
+
+import numpy as np
+import pytest
+
+from calibrate.bank.late import Late
+from calibrate.bank.store import declared
+from calibrate.diagnosis.features import vector
+
+SPEED = 8.0  # mm/s
+FEATURES = declared(400.0)
+LATE = Late(FEATURES, SPEED)
+UP = np.array([f.kind == "loading" for f in FEATURES])
+DOWN = np.array([f.kind == "unloading" for f in FEATURES])
+
+
+def stiff(force: np.ndarray) -> np.ndarray:
+    """Travel (mm) of a soil that stiffens: the power law x = 3 (F/400)^0.6."""
+    return 3.0 * (force / 400.0) ** 0.6
+
+
+def curve(length: float) -> tuple[np.ndarray, np.ndarray]:
+    """The soil's curve as it is read `length` (mm) late, step by step: the platen goes down until
+    the reading is 400 N and up again; unloading from F releases 0.8 mm F/400 as its force falls."""
+    step, way, force, reading = 1e-3, 0.0, 0.0, 0.0
+    path, shown = [0.0], [0.0]
+    while reading < 400.0:
+        way += step
+        force = 400.0 * (way / 3.0) ** (1 / 0.6)
+        reading += step / (length + step) * (force - reading)
+        path.append(way)
+        shown.append(reading)
+    top, turn = force, way
+    while way > turn - 0.8 * top / 400.0 - 5 * length:
+        way -= step
+        force = max(top - (turn - way) * 400.0 / 0.8, 0.0)
+        reading += step / (length + step) * (force - reading)
+        path.append(way)
+        shown.append(reading)
+    return np.array(path), np.array(shown)
+
+
+def features(length: float) -> np.ndarray:
+    return vector(FEATURES, {"confined": curve(length)})
+
+
+@pytest.mark.parametrize("lag", [0.01, 0.03, 0.06])
+def test_a_soil_read_late_moves_as_the_filter_says(lag):
+    exact = features(1e-6)
+    known = np.where(np.isfinite(exact), exact, 0.0)
+    moved = LATE.shift(known[None], np.array([lag]))[0]
+    change = features(SPEED * lag) - exact
+    length = SPEED * lag
+    middle = DOWN & np.array([40 <= f.abscissa <= 320 for f in FEATURES])
+    assert change[middle] == pytest.approx(moved[middle], abs=0.1 * length)
+    assert change[UP] == pytest.approx(moved[UP], abs=0.12 * length)
+    assert np.abs(change[middle]).min() > 0.9 * length  # something to be predicted
+
+
+def test_nothing_moves_without_a_lag_and_nothing_but_the_branches_with_one():
+    values = np.nan_to_num(features(1e-6))[None]
+    assert not LATE.shift(values, np.zeros(1)).any()
+    moved = LATE.shift(values, np.array([0.05]))[0]
+    assert not moved[~(UP | DOWN)].any() and np.abs(moved[DOWN]).min() > 0.1
+
+
+def test_slopes_are_those_of_the_shifted_values():
+    values, rng = np.nan_to_num(features(1e-6)), np.random.default_rng(0)
+    smooth = np.where(UP | DOWN, np.linspace(0.0, 1.0, len(values)), 0.0)
+    slopes = np.column_stack(
+        [0.1 * values, smooth, rng.standard_normal(len(values)) * ~(UP | DOWN)]
+    )
+    shown, turned, along = LATE.read(values, slopes, 0.04)
+    assert shown == pytest.approx(values + LATE.shift(values[None], np.array([0.04]))[0])
+    for before, after in zip(slopes.T, turned.T, strict=True):
+        beside = LATE.read(values + 1e-2 * before, slopes, 0.04)[0]
+        assert (beside - shown) / 1e-2 == pytest.approx(after, abs=0.15 * np.abs(before).max())
+    later = LATE.read(values, slopes, 0.05)[0]
+    assert along == pytest.approx((later - shown) / 0.01, abs=1e-6 + 0.02 * np.abs(along).max())
+    none = LATE.read(values, slopes, 0.0)
+    assert none[0] is values and none[1] is slopes
