@@ -64,6 +64,15 @@ def test_nothing_moves_without_a_lag_and_nothing_but_the_branches_with_one():
     assert not moved[~(UP | DOWN)].any() and np.abs(moved[DOWN]).min() > 0.1
 
 
+@pytest.mark.parametrize("absurd", [0.0, 1e9, -1e9, np.inf])
+def test_what_is_no_curve_is_left_as_it_is(absurd):
+    """Fits try any values on their way."""
+    values = np.full((1, len(FEATURES)), absurd)
+    with np.errstate(invalid="ignore"):
+        assert not LATE.shift(values, np.array([0.05])).any()
+        assert not LATE.shift(np.nan_to_num(features(1e-6))[None], np.array([1e9])).any()
+
+
 def test_slopes_are_those_of_the_shifted_values():
     values, rng = np.nan_to_num(features(1e-6)), np.random.default_rng(0)
     smooth = np.where(UP | DOWN, np.linspace(0.0, 1.0, len(values)), 0.0)

@@ -69,7 +69,10 @@ class Ready:
         taken for as wide as left-out packings have shown: their noise counts by that much less,
         as errors are widened afterwards (`AtSoil.wrong`)."""
         emulator, missed = self.emulator, self.missed
-        bank = self.bank.joined(rows, emulator=emulator)
+        bank = self.bank.joined(rows)
+        if self.bank.late is not None:
+            behind = bank.late_by(emulator)[len(self.bank.late) :]
+            bank = replace(bank, late=np.vstack([self.bank.late, behind]))
         noise = np.ones((len(bank.values), len(emulator.components)))
         noise[len(own.values) :] = missed.scatter / missed.widening
         fitted = fit_emulator(

@@ -28,6 +28,7 @@ STEP = 0.02  # mm of path between points
 BEYOND = 2.5  # largest forces up to which a curve goes on
 LAST = 5  # features of loading that make the slope by which it does
 AFTER = 6.0  # lengths for which the reading is followed after unloading
+SHORT, LONG = 10 * STEP, 200.0  # mm; ways that a platen may go
 SHORTEST = 1e-3  # mm; no lag at all
 SMALL = 0.01  # s; step of the lag by which slopes are told
 
@@ -85,8 +86,12 @@ class Late:
         return up, down
 
     def _moved(self, values: np.ndarray, length: float) -> np.ndarray:
-        """What a lag of `length` (mm) adds to both branches' features, one row."""
+        """What a lag of `length` (mm) adds to both branches' features, one row; nothing to what is
+        no curve of a soil, as fits may try."""
         branches = self._branch(values)
+        way, _, _, back, _ = branches
+        if not (SHORT < way[-1] - way[0] < LONG and back[-1] < LONG and length < LONG):
+            return np.zeros(len(self._branches))
         return self._filtered(*branches, length) - self._filtered(*branches, SHORTEST)
 
     def _branch(self, values: np.ndarray):
@@ -114,7 +119,7 @@ class Late:
         path = np.arange(way[0], way[-1], STEP)
         reading = np.maximum.accumulate(_late(np.interp(path, way, force), length, 0.0))
         turn = float(np.interp(top, reading, path))
-        over = float(np.interp(turn, way, force)) / top
+        over = max(float(np.interp(turn, way, force)) / top, 1.0)
         read = np.interp([*up, REFERENCE * top], reading, path)
         home = np.arange(0.0, over * back[-1] + AFTER * length, STEP)
         falling = _late(over * top * np.interp(home / over, back, share), length, top)

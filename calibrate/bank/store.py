@@ -126,21 +126,15 @@ class Bank:
         later = packing >= first
         base, strengths = (part[later] for part in design.rows())
         rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
-        whole = self.joined(rows, first)
-        return replace(whole, design=design, kernels=(), missed=None, late=None)
+        return replace(self.joined(rows, first), design=design, kernels=(), missed=None)
 
-    def joined(
-        self, rows: "Rows", first: int | None = None, emulator: FeatureEmulator | None = None
-    ) -> "Bank":
+    def joined(self, rows: "Rows", first: int | None = None) -> "Bank":
         """The bank with further simulations behind its own, their packings numbered from `first`
-        (after its own) on; kernels stay.  What late readings add to the rows is told by the
-        bank's emulator."""
+        (after its own) on; kernels stay, what late readings add has to be told anew."""
         packing = (self.packing.max() + 1 if first is None else first) + rows.packing
-        more = replace(self, base=rows.base, strengths=rows.strengths, values=rows.values)
-        told = self.late is not None and emulator is not None
         return replace(
             self,
-            late=np.vstack([self.late, more.late_by(emulator)]) if told else None,
+            late=None,
             base=np.vstack([self.base, rows.base]),
             strengths=np.vstack([self.strengths, rows.strengths]),
             packing=np.concatenate([self.packing, packing]),

@@ -1,8 +1,9 @@
 """Data made from the description itself: specimens with or without a known gap.
 
 Each draw shifts the base parameters by their prior, adds errors of mean and slopes, and
-scatters specimens as simulated ones scatter: a smoothed bootstrap (Silverman and Young 1987,
-Biometrika 74) of these, so that rare specimens that slip are drawn as often as they are simulated.
+scatters specimens as simulated ones scatter, times an amplitude from its prior: a smoothed
+bootstrap (Silverman and Young 1987, Biometrika 74) of these, so that rare specimens that slip
+are drawn as often as they are simulated.
 Used for null distributions and to rehearse a diagnosis; data of the same make as the
 description flatter it, so this is never a test of the diagnosis.
 """
@@ -13,7 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from calibrate.diagnosis.discrepancy import kernel_factors
+from calibrate.diagnosis.features import TESTS, tests_of
 from calibrate.diagnosis.linear import Linearised
+from calibrate.diagnosis.noise import PRIOR_SD_LN_AMPLITUDE
 from calibrate.diagnosis.outliers import robust, scatter_of
 from calibrate.diagnosis.projection import project
 from calibrate.diagnosis.repeats import Measured, from_vectors
@@ -61,13 +64,21 @@ class World:
         if gap is not None:
             mean = mean + gap
         count = len(self.plan)
-        values = mean + self._packings(rng, count) + normal(rng, self.other_root, count)
+        packings = self._amplitude(rng) * self._packings(rng, count)
+        values = mean + packings + normal(rng, self.other_root, count)
         return robust(from_vectors(d.features, np.where(self.plan, values, np.nan)), self._seen)
 
     @cached_property
     def _seen(self) -> np.ndarray:
         """Covariance (m, m) by which odd specimens are told."""
         return scatter_of(self.description)
+
+    def _amplitude(self, rng: np.random.Generator) -> np.ndarray:
+        """By how much more than simulated ones specimens scatter (m,): one draw of the amplitudes'
+        prior for each test, as laboratories and numbers of spheres differ."""
+        tests = tests_of(self.description.features)
+        drawn = {t: np.exp(PRIOR_SD_LN_AMPLITUDE * rng.standard_normal()) for t in TESTS}
+        return np.array([drawn[test] for test in tests])
 
     def simulated(self, rng: np.random.Generator) -> np.ndarray:
         """As many residuals (n, m) of simulated specimens as the description has."""
