@@ -1,0 +1,33 @@
+"""Lab files of cases that are known to hide nothing, to learn a mismatch from.
+
+    calibrate mismatch $(python benchmarks/nulls.py FOLDER...) --out MISMATCH.json
+
+Each folder holds `cases/` and, unless all of them hide nothing, `sealed/` with labels; name only
+sets whose seal has been opened for scoring.
+"""
+
+import argparse
+from pathlib import Path
+
+from calibrate.withheld.seal import LABELS, open_seal
+
+NOTHING = "none"  # kind of a label
+
+
+def lab_files(folder: Path) -> list[Path]:
+    """The lab files of a folder's cases with nothing hidden, by name."""
+    every = sorted((folder / "cases").glob("*/lab.toml"))
+    if not (folder / LABELS).exists():
+        return every
+    labels = open_seal(folder)
+    return [path for path in every if labels[path.parent.name]["kind"] == NOTHING]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Lab files of cases that hide nothing.")
+    parser.add_argument("folders", nargs="+", type=Path)
+    print(*(path for folder in parser.parse_args().folders for path in lab_files(folder)))
+
+
+if __name__ == "__main__":
+    main()
