@@ -32,7 +32,7 @@ from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose,
 from calibrate.measurements import Lab
 
 DRAWS = 400  # of null distributions
-REHEARSED = 300  # cases, from which it is learned how to state probabilities
+REHEARSED = 480  # cases, from which it is learned how to state probabilities
 LEADING = 4  # explanations between which a further test is to decide
 LEAST_LIKELY = 0.01  # probability of such an explanation, but for the likeliest
 Say = Callable[[str], None]

@@ -25,6 +25,7 @@ from calibrate.measurements import load_lab
 from calibrate.progress import Silent
 from calibrate.withheld import laboratory, run
 from calibrate.withheld.canary import canary
+from calibrate.withheld.elsewhere import with_visibility
 from calibrate.withheld.laboratory import READINGS, recorded, write_case
 from calibrate.withheld.outside import ATMOSPHERE, PORES, air_force
 from calibrate.withheld.plan import Case, Hidden, Visibility
@@ -302,3 +303,24 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
     assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # averaged over a window
     confined = [i for i, f in enumerate(declared(400.0)[:-2]) if f.test == "confined"]
     assert not changes[:, confined].any()
+
+
+def test_a_label_with_changes_tells_how_visible_its_effect_was():
+    ready, strengths = Ready.of(toy_bank.bank()), {"load_cell_gain": 0.1}
+    visible = Visibility(ready, toy_bank.CENTRE)
+    change = visible.change(strengths)
+    hidden = [{"name": name, "strength": value} for name, value in strengths.items()]
+    label = {"kind": "single", "soil": toy_bank.CENTRE, "planned_snr": 3.0}
+    found = with_visibility(
+        {
+            "as predicted": {**label, "hidden": hidden, "changes": [change.tolist()] * 3},
+            "one packing": {**label, "hidden": hidden, "changes": [change.tolist()]},
+            "nothing": {**label, "hidden": [], "changes": [(0 * change).tolist()] * 3},
+            "told": {**label, "snr": 7.0, "hidden": hidden},
+        },
+        ready,
+        None,
+    )
+    told = {name: entry["snr"] for name, entry in found.items()}
+    assert told["as predicted"] == pytest.approx(visible.left(change)) and told["as predicted"] > 1
+    assert (told["one packing"], told["nothing"], told["told"]) == (3.0, 0.0, 7.0)

@@ -1,8 +1,9 @@
 """A rehearsal: many generated cases are diagnosed, and the opinion learns to state what is so.
 
-Cases are made by `generated.World`: one part of no gap, two of single effects (signal-to-noise
-0.5-2, 2-6 and 6-15), one of pairs, and one of gaps that the library does not hold: half of these
-are an effect of the library, left out of it with its class, the other half smooth random ones.
+Cases are made by `generated.World`: of twelve, four have no gap, five a single effect
+(signal-to-noise 0.5-2, 2-6 and 6-15), one has a pair, and two have gaps that the library does not
+hold: half of these are an effect of the library, left out of it with its class, the other half
+smooth random ones.  These shares are the prior of what is stated (those of withheld sets).
 Each case is diagnosed with a covariance estimated anew from as many simulated specimens as
 there are, so that what is not known of the covariance shows in the stated probabilities.
 One half of the cases fits the probabilities, the other the size of sets of explanations.
@@ -20,7 +21,8 @@ from calibrate.diagnosis.sets import threshold
 from calibrate.diagnosis.which import Prepared, diagnose, right
 
 STRATA = ((0.5, 2.0), (2.0, 6.0), (6.0, 15.0))
-KINDS = (NONE, "single", "single", "pair", UNKNOWN)  # in turn
+KINDS = (NONE, "single", UNKNOWN, NONE, "single", "pair", NONE, "single", UNKNOWN, NONE,
+         "single", "single")  # in turn  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from calibrate.diagnosis.which import Prepared, Which, diagnose, label
 from calibrate.measurements import load_lab
 from calibrate.output import write_json
 
-DRAWS, REHEARSED, TRAINING = 300, 240, 800
+DRAWS, REHEARSED, TRAINING = 300, 480, 1200
 
 
 @dataclass(frozen=True, eq=False)
