@@ -2,14 +2,14 @@
 
     calibrate mismatch $(python benchmarks/nulls.py FOLDER...) --out MISMATCH.json
 
-Each folder holds `cases/` and, unless all of them hide nothing, `sealed/` with labels; name only
-sets whose seal has been opened for scoring.
+Each folder holds `cases/` and, unless all of them hide nothing, sealed labels with their hashes;
+name only sets whose seal has been opened for scoring.
 """
 
 import argparse
 from pathlib import Path
 
-from calibrate.withheld.seal import LABELS, open_seal
+from calibrate.withheld.seal import HASHES, open_seal
 
 NOTHING = "none"  # kind of a label
 
@@ -17,7 +17,9 @@ NOTHING = "none"  # kind of a label
 def lab_files(folder: Path) -> list[Path]:
     """The lab files of a folder's cases with nothing hidden, by name."""
     every = sorted((folder / "cases").glob("*/lab.toml"))
-    if not (folder / LABELS).exists():
+    if not every:
+        raise SystemExit(f"{folder}: there are no cases here")
+    if not (folder / HASHES).exists():
         return every
     labels = open_seal(folder)
     return [path for path in every if labels[path.parent.name]["kind"] == NOTHING]

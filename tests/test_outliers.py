@@ -4,6 +4,8 @@ import diagnosis_world as world
 import numpy as np
 import pytest
 
+from calibrate.diagnosis.features import declare_before_contact
+from calibrate.diagnosis.noise import amplitude_of
 from calibrate.diagnosis.outliers import FREEDOM, robust, weights
 from calibrate.diagnosis.repeats import from_vectors
 
@@ -32,6 +34,36 @@ def test_one_far_off_hardly_moves_the_mean():
     assert np.mean(odd) < 0.2
     assert np.mean(plain) == pytest.approx(5.25, abs=0.15)
     assert np.mean(robust_means) == pytest.approx(3.4, abs=0.25)
+
+
+def test_repeats_that_all_scatter_widely_are_not_odd_and_say_so():
+    """Twice the scatter of simulated specimens: the amplitude is found as without weights."""
+    rng, wide = np.random.default_rng(4), world.scatter()
+    features = world.FEATURES
+    fixed, found, plain = 1e-6 * np.eye(len(features)), [], []
+    confined = np.flatnonzero([f.test == "confined" for f in features])
+    block = np.ix_(confined, confined)
+    for _ in range(30):
+        rows = 2 * world.draws(wide, 4, int(rng.integers(2**31)))
+        sample = from_vectors(features, rows)
+        for told, amplitudes in ((robust(sample, wide), found), (sample, plain)):
+            scatter = told.scatter["confined"]
+            amplitudes.append(amplitude_of(wide[block], fixed[block], scatter)[0])
+    assert np.mean(found) > 0.85 * np.mean(plain) and np.mean(plain) > 1.25
+
+
+def test_one_test_speaks_for_itself_and_forces_before_contact_do_not():
+    rng, features = np.random.default_rng(5), (*world.FEATURES, *declare_before_contact())
+    m = len(world.FEATURES)
+    wide = np.eye(m + 2)
+    wide[:m, :m] = world.scatter()
+    rows = np.hstack([world.draws(world.scatter(), 7, 3), 50 * rng.standard_normal((7, 2))])
+    rows[:4, [i for i, f in enumerate(features) if f.test == "unconfined"]] = np.nan
+    rows[4:, [i for i, f in enumerate(features) if f.test == "confined"]] = np.nan
+    assert robust(from_vectors(features, rows), wide).weight.mean() > 0.85
+    rows[1, 0] += 40 * np.sqrt(wide[0, 0])
+    weight = robust(from_vectors(features, rows), wide).weight
+    assert weight[1] < 0.3 and weight[[0, 2, 3]].mean() > 0.7
 
 
 def test_a_weight_is_that_of_students_t():

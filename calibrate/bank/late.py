@@ -54,7 +54,7 @@ class Late:
         if not lag:
             later = self.shift(values[None], np.array([SMALL]))[0]
             return values, slopes, later / SMALL
-        size = np.maximum(np.abs(slopes).max(axis=0), 1e-300) / STEP
+        size = np.maximum(np.abs(slopes[self._branches]).max(axis=0), 1e-300) / STEP
         beside = values + (slopes / size).T
         every = self.shift(np.vstack([values, beside, values]), np.full(len(beside) + 2, lag))
         every[-1] = self.shift(values[None], np.array([lag + SMALL]))[0]

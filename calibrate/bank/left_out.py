@@ -120,7 +120,7 @@ def _left_out(
     points: Points,
 ) -> Iterator[tuple[FeatureEmulator, np.ndarray, np.ndarray, np.ndarray]]:
     """Each row with at most one effect, with an emulator that has not seen its packing; folds
-    are blocks of packings, which hold all numbers of spheres."""
+    are blocks of packings; of all but the last ones each block holds all numbers of spheres."""
     few = (points.s != 0).sum(axis=1) <= 1
     basis = principal(np.arcsinh(points.values / points.scale))
     for fold in range(FOLDS):

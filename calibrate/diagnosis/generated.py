@@ -1,7 +1,7 @@
 """Data made from the description itself: specimens with or without a known gap.
 
 Each draw shifts the base parameters by their prior, adds errors of mean and slopes, and
-scatters specimens as simulated ones scatter, times an amplitude from its prior: a smoothed
+scatters packings as simulated ones scatter, times an amplitude from its prior: a smoothed
 bootstrap (Silverman and Young 1987, Biometrika 74) of these, so that rare specimens that slip
 are drawn as often as they are simulated.
 Used for null distributions and to rehearse a diagnosis; data of the same make as the
@@ -74,7 +74,7 @@ class World:
         return scatter_of(self.description)
 
     def _amplitude(self, rng: np.random.Generator) -> np.ndarray:
-        """By how much more than simulated ones specimens scatter (m,): one draw of the amplitudes'
+        """By how much more than simulated ones packings scatter (m,): one draw of the amplitudes'
         prior for each test, as laboratories and numbers of spheres differ."""
         tests = tests_of(self.description.features)
         drawn = {t: np.exp(PRIOR_SD_LN_AMPLITUDE * rng.standard_normal()) for t in TESTS}

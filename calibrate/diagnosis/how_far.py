@@ -167,16 +167,17 @@ def _left_out(description, measured, noise, fits, weight) -> float | None:
     per_test = [np.isfinite(specimens[:, tests == t]).any(axis=1).sum() for t in set(tests)]
     if not len(specimens) or min(per_test) < 2:
         return None
-    sums = np.zeros(2)
+    sums, total = np.zeros(2), measured.weight @ np.isfinite(specimens)
     for number, specimen in enumerate(specimens):
         rest = measured.without(number)
         fewer = noise.specimen * (rest.weights() - measured.weights())
         known = np.isfinite(specimen)
+        share = measured.weight[number] / total[known].max()
         for i, whole in enumerate(fits):
             covariance, start = whole.covariance + fewer, (whole.delta, whole.strengths)
             fit = refit(description, rest.mean, covariance, whole.chosen, start)
             error = np.where(known, specimen - fit.values, 0.0)
-            sums[i] += weight @ error**2 / measured.counts[known].max()
+            sums[i] += share * weight @ error**2
     return shrinkage(float(sums[0] - 1), float(sums[1] - 1))
 
 

@@ -13,7 +13,6 @@ from collections.abc import Callable
 import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
-from calibrate.bank.design import LIMITS
 from calibrate.withheld.plan import SPECIMENS, Visibility
 from calibrate.withheld.scores import SCATTER
 
@@ -66,16 +65,16 @@ def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
     hidden = {h["name"]: h["strength"] for h in label["hidden"]}
     if not hidden:
         return 0.0
-    ours = {n: s for n, s in hidden.items() if n in LIMITS}
+    ours = {n: s for n, s in hidden.items() if n in ready.bank.design.effect_names}
     soil = {n: v for n, v in label.get("soil", {}).items() if n in ready.bank.design.soil_names}
     if "changes" not in label:
         soil.pop("rolling_friction", None)  # another law's
         everywhere = {**ready.bank.design.centre, **soil}
         visible = Visibility(ready, everywhere, THEIRS, discrepancy)
         return visible.left(visible.change(ours)) if ours else 0.0
-    visible = Visibility(ready, soil, SPECIMENS, discrepancy)
     changes = np.array(label["changes"])
-    predicted = visible.change(ours) if len(ours) == len(hidden) else None
     if len(changes) < FEWEST_CHANGES:
         return label["planned_snr"]
+    visible = Visibility(ready, soil, SPECIMENS, discrepancy)
+    predicted = visible.change(ours) if len(ours) == len(hidden) else None
     return visible.realised(changes, predicted)
