@@ -9,9 +9,8 @@ name only sets whose seal has been opened for scoring.
 import argparse
 from pathlib import Path
 
+from calibrate.diagnosis.opinion import NONE
 from calibrate.withheld.seal import HASHES, open_seal
-
-NOTHING = "none"  # kind of a label
 
 
 def lab_files(folder: Path) -> list[Path]:
@@ -22,7 +21,7 @@ def lab_files(folder: Path) -> list[Path]:
     if not (folder / HASHES).exists():
         return every
     labels = open_seal(folder)
-    return [path for path in every if labels[path.parent.name]["kind"] == NOTHING]
+    return [path for path in every if labels[path.parent.name]["kind"] == NONE]
 
 
 def main() -> None:

@@ -137,7 +137,7 @@ def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
 
 def _late(force: np.ndarray, length: float, first: float) -> np.ndarray:
     """Readings (n,) of forces every `STEP` of path, beginning at `first`; exact where force is
-    straight between them."""
+    straight between them (`instruments._filtered` does the same for points at any distance)."""
     kept = np.exp(-STEP / length)
     share = length / STEP * (1 - kept)
     new, old = 1 - share, share - kept
