@@ -22,7 +22,7 @@ from jax import Array
 
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
-from calibrate.parameters import Space, ensemble
+from calibrate.parameters import Space, ensemble, fitting_ensemble
 from jdem.experiments.composite import Outcome, VirtualLab
 from jdem.observables import displacement_at
 from jdem.packing import Packing
@@ -33,9 +33,9 @@ from jdem.sensitivity.regression import Regression
 from jdem.sensitivity.virtual_power import VirtualPower
 
 STRATEGIES = (
-    "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend",
+    "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend",
 )  # fmt: skip
-SIMULATED = ("regression", "ensemble")  # from values of runs that a campaign keeps
+SIMULATED = ("regression", "ensemble", "fit")  # from values of runs that a campaign keeps
 BLENDS = {"blend": "pathwise", "virtual_power_blend": "virtual_power"}  # each with the ensemble
 REFERENCE = Regression((0.2,))
 OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
@@ -149,6 +149,7 @@ def verdict(rows: Sequence[dict]) -> bool:
 def strategies(space: Space) -> dict[str, AbstractStrategy]:
     """What can be audited, by name, with the steps that suit the space's parameters."""
     return {
+        "fit": fitting_ensemble(space),
         "ensemble": ensemble(space),
         "regression": Regression((0.25,)),
         "pathwise": Pathwise(),

@@ -118,8 +118,8 @@ def audit_command(
         list[str] | None,
         typer.Option(
             "--strategy",
-            help="ensemble (default), regression, pathwise, blend, virtual_power, "
-            "virtual_power_blend; may be given several times.",
+            help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
+            "virtual_power, virtual_power_blend; may be given several times.",
         ),
     ] = None,
     changes: Changes = None,
@@ -137,7 +137,7 @@ def audit_command(
     output.check_writable(json)
     session = output.Session.open(lab, preset, out, dask).resized(spheres)
     values = output.parse_changes(changes or [])
-    names = output.parse_strategies(strategy or ["ensemble"])
+    names = output.parse_strategies(strategy or ["fit"])
     output.run_audit(session, names, values, packings, seed, json)
 
 

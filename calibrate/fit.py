@@ -24,7 +24,7 @@ from jax import Array
 from calibrate.campaign import Campaign, Run
 from calibrate.errors import CalibrationError
 from calibrate.identifiability import Identifiability, assess
-from calibrate.parameters import Space, ensemble
+from calibrate.parameters import Space, fitting_ensemble
 from calibrate.problem import Problem, shrunk_covariance
 from jdem.sensitivity.base import AbstractStrategy
 
@@ -35,8 +35,8 @@ class Settings:
 
     A fit is done when every whitened data residual is below `tolerance`, when the solver
     says so, when `patience` evaluations in a row were no better, or after `evaluations`.
-    Slopes come from `strategy` in ln p, by default the ensemble that passes the audit
-    (docs/gradients.md), with steps that suit the parameters.
+    Slopes come from `strategy` in ln p, by default what the audit passes: the ensemble, with
+    parameters that it could not confirm in groups moved alone (docs/gradients.md).
     """
 
     evaluations: int = 24
@@ -95,7 +95,7 @@ class Calibration:
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
         self.forward_runs = 0.0  # asked for so far, on each packing
-        self.strategy = self.settings.strategy or ensemble(self.space)
+        self.strategy = self.settings.strategy or fitting_ensemble(self.space)
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 

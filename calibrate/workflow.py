@@ -16,7 +16,7 @@ from calibrate.campaign import Campaign, Run
 from calibrate.fit import Calibration, Fit, Settings, fit, packing_scatter
 from calibrate.identifiability import choose_free
 from calibrate.measurements import Lab
-from calibrate.parameters import FACTORS, Space, base_soil, space, with_values
+from calibrate.parameters import FACTORS, Space, base_soil, ensemble, space, with_values
 from calibrate.presets import Preset, specimen, virtual_lab
 from calibrate.problem import Problem, pose
 from calibrate.progress import AbstractProgress
@@ -247,8 +247,9 @@ def screen(
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
     candidates = tuple(name for name in CANDIDATES if name not in held)
     every = space(lab, candidates, base)
+    settings = Settings(strategy=ensemble(every))
     calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
     )
     slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
     whitened = calibration.whitened(slopes)

@@ -16,7 +16,7 @@ from calibrate.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, 
 from calibrate.campaign import Run
 from calibrate.fit import Evaluation, secant
 from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import FACTORS, probing_groups, space
+from calibrate.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
 from calibrate.plotting.audit import MARKS
 from calibrate.records.audit import Strategy
 from jdem.observables import Curve
@@ -87,10 +87,11 @@ def test_seven_slopes_cost_six_forward_runs():
             assert strategy.runs(len(names), packings) - 1 <= 6
 
 
-def test_groups_keep_what_matters_apart():
+@pytest.mark.parametrize("grouped", [probing_groups, fitting_groups])
+def test_groups_keep_what_matters_apart(grouped):
     """Each of the four parameters that matter most to force has a partner that does not."""
     names = (*FACTORS, "shear_modulus")
-    groups = [{names[i] for i in group} for group in probing_groups(names)]
+    groups = [{names[i] for i in group} for group in grouped(names)]
     assert sum(len(group) for group in groups) == len(names) == len(set().union(*groups))
     for one, other in (
         ("shear_modulus", "plasticity_ratio"),
@@ -100,6 +101,23 @@ def test_groups_keep_what_matters_apart():
         ("plasticity_ratio", "rolling_friction"),
     ):
         assert not any({one, other} <= group for group in groups)
+
+
+def test_a_fit_moves_unconfirmed_parameters_alone_and_nothing_else():
+    names = (*FACTORS, "shear_modulus")
+    groups = [{names[i] for i in group} for group in fitting_groups(names)]
+    alone = {name for group in groups if len(group) == 1 for name in group}
+    assert {name for name in names if name in ALONE} <= alone
+    assert fitting_groups(ALONE) == tuple((i,) for i in range(len(ALONE)))
+    sure = tuple(name for name in names if name not in ALONE)
+    assert fitting_groups(sure) == probing_groups(sure)
+
+
+def test_alone_is_the_reference_of_the_audit():
+    """The same runs, so the same slope: what a fit relies on where the groups were not enough."""
+    alone = Ensemble(0.2, tuple((i,) for i in range(PARAMETERS)))(quadratic, POINT, PACKINGS)
+    reference = Regression((0.2,))(quadratic, POINT, PACKINGS)
+    assert np.allclose(alone.slopes, reference.slopes, rtol=1e-12)
 
 
 def test_a_slope_does_not_feel_other_groups():

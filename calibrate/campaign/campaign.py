@@ -17,7 +17,7 @@ from calibrate.campaign.keys import content_hash, packing_content, run_content
 from calibrate.campaign.places import AbstractPlace, Here, MachineFailure, cores
 from calibrate.campaign.run import Run, not_simulated
 from calibrate.campaign.simulation import blank
-from calibrate.campaign.store import Store
+from calibrate.campaign.store import SHIPPED, Store
 from calibrate.errors import CalibrationError, one_line
 from calibrate.progress import AbstractProgress, Silent
 from jdem.experiments.composite import VirtualLab
@@ -150,6 +150,10 @@ class Campaign:
             return seed
 
     def _settled(self, seed: int) -> Packing:
+        """The bed that ships with the package, or one that settles now."""
+        shipped = SHIPPED.packing(self._packing_name(seed))
+        if shipped is not None:
+            return shipped
         specimen, soil = self.specimen, self.preparation
         try:
             return self._tried(lambda: self.place.prepare(specimen, seed, soil))

@@ -3,6 +3,9 @@
 Runs are NetCDF, packings .npz, both with a seal (`calibrate.campaign.seal`).  An entry is
 written beside its place and renamed into it.  While an entry is made its lock in claims/ is
 held; the operating system frees it when the process dies, so no claim outlives its owner.
+
+Beds of the bundled soils ship with the package, so that a first simulation need not settle
+its own, and so that everybody's are the same.
 """
 
 import errno
@@ -13,6 +16,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import h5py
@@ -105,6 +109,9 @@ class Store:
                     path.unlink()
             except OSError:  # somebody else was quicker, or may not
                 continue
+
+
+SHIPPED = Store(Path(str(resources.files("calibrate.campaign"))) / "beds")  # make beds
 
 
 def _acquired(lock: BaseFileLock) -> bool:

@@ -9,8 +9,6 @@ import io
 import zipfile
 from collections.abc import Iterator
 
-from openpyxl import load_workbook
-
 from calibrate.errors import BadValue
 from calibrate.machine.cells import Sheet, sheet
 
@@ -36,6 +34,8 @@ def workbook_sheets(data: bytes) -> list[Sheet]:
 
 
 def _sheets(data: bytes) -> Iterator[Sheet]:
+    from openpyxl import load_workbook  # 0.2 s, and few exports are workbooks
+
     book = load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
     for page in book.worksheets:
         page.reset_dimensions()  # what the file says of its size may be wrong

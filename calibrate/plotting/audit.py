@@ -13,7 +13,8 @@ from calibrate.records.base import OBSERVABLES, TESTS, Observable, Test
 
 MARKS = {
     "regression": ("^", DARK, "-."),
-    "ensemble": ("o", MIDDLE, "-"),
+    "fit": ("o", MIDDLE, "-"),
+    "ensemble": ("P", LIGHT, "--"),
     "pathwise": ("x", "0.5", ":"),
     "blend": ("s", LIGHT, "--"),
     "virtual_power": ("D", DARK, "--"),

@@ -7,7 +7,7 @@ from pydantic import model_validator as check
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record
 
 Strategy = Literal[
-    "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend"
+    "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend"
 ]
 
 

@@ -79,7 +79,9 @@ class Ensemble(AbstractStrategy):
         steps = sorted(set(np.atleast_1d(self.steps).tolist()))
         sizes = "all parameters moved together"
         if self.groups is not None:
-            sizes = f"{len(self.groups)} groups of parameters moved together"
+            lengths = sorted({len(group) for group in self.groups})
+            each = " to ".join(str(n) for n in (lengths[0], lengths[-1])[: len(lengths)])
+            sizes = f"{len(self.groups)} groups of {each} parameters moved together"
         return (
             f"ensemble: {sizes}, {self.pairs} antithetic pair{'s' * (self.pairs > 1)} of runs a "
             f"group and packing, by +-{' or '.join(f'{step:.3g}' for step in steps)} in ln p, "
