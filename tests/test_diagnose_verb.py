@@ -193,9 +193,14 @@ repeats = 3
 def test_an_effect_that_shrinks_nothing_is_not_credited(done):
     found = read(done / "result.json", DiagnosisRecord)
     assert found.how_far is not None
-    for removed, said in ((0.6, "removes 60 % of the gap"), (-0.4, "does not shrink the gap")):
+    for removed, shown, said in (
+        (0.6, True, "removes 60 % of the gap"),
+        (0.6, False, "the data cannot show (60 % here, 90 % interval 50 % to 70 %"),
+        (-0.4, True, "does not shrink the gap"),
+    ):
+        interval = (removed - 0.1, removed + 0.1)
         far = found.how_far.model_copy(
-            update={"shrinkage": removed, "interval": (removed - 0.1, removed + 0.1)}
+            update={"shrinkage": removed, "interval": interval, "shown": shown}
         )
         assert said in shrinkage(found.model_copy(update={"how_far": far}))
 

@@ -127,7 +127,8 @@ def test_specimens_held_back_have_packings_of_their_own(tmp_path, monkeypatch):
         (tmp_path / "sealed" / f"{name}.attempt").write_text("0")
     fits = {"features": ["peak force, unconfined"], "base": [0.0], "best": [200.0], "weight": [1.0]}
     said = {name: {"claimed": {}, "fits": fits} for name in names}
-    said[names[0]]["claimed"] = {"shrinkage": 0.5}
+    said[names[0]]["claimed"] = {"shrinkage": 0.5, "low": 0.4, "high": 0.6}
+    said[names[1]]["claimed"] = {"shrinkage": 0.5, "low": 0.2, "high": 0.9}  # shows nothing
     labels = {name: {"kind": "single", "snr": 5.0} for name in names}
     found = run._fresh(tmp_path, said, labels, Silent())
     assert list(found) == list(used) == names[:1]

@@ -77,12 +77,22 @@ def test_a_failed_diagnosis_is_wrong_whatever_was_hidden():
 
 
 def test_a_row_holds_what_was_said_of_the_truth():
-    said = verdict("a", SEAT, 0.6, claimed={"shrinkage": 0.7})
+    said = verdict("a", SEAT, 0.6, claimed={"shrinkage": 0.7, "low": 0.6, "high": 0.8})
     said["by_class"] = {SEAT: 0.6, "wall_friction": 0.3, "none": 0.1}
     found = row(said, label("a", "single", "wall_friction"), realised=Realised(0.5, 0.1))
     assert (found.truth, found.of_truth, found.second) == ("wall_friction", 0.3, "wall_friction")
     assert (found.claimed, found.realised, found.realised_error) == (0.7, 0.5, 0.1)
-    assert not found.in_set
+    assert not found.in_set and not found.too_vague
+
+
+def test_a_wide_interval_claims_no_shrinkage():
+    said = verdict("a", SEAT, 0.6, claimed={"shrinkage": 0.7, "low": 0.2, "high": 0.8})
+    found = row(said, label("a", "single", "wall_friction"), realised=Realised(0.5, 0.1))
+    assert found.claimed is None and found.too_vague
+    shown = replace(found, claimed=0.7, too_vague=False)
+    scores = scored([found, shown, replace(ROW, claimed=None)])
+    assert (scores["shrinkage_shown"]["value"], scores["shrinkage_shown"]["n"]) == (0.5, 2)
+    assert (scores["shrinkage_within_10"]["value"], scores["shrinkage_within_10"]["n"]) == (0.0, 1)
 
 
 @pytest.mark.parametrize(
@@ -140,6 +150,8 @@ def test_scores_of_hand_made_cases():
     assert values["detection_auc"] == 15 / 16  # one of 8 x 2 pairs is the wrong way round
     assert values["set_coverage"] == 9 / 10
     assert values["shrinkage_within_10"] == 1 / 2
+    assert values["shrinkage_shown"] == 1
+    assert found["visible_unknown_recall"]["n"] == 0
     by_snr = {name: found["accuracy_by_snr"][name]["value"] for name in found["accuracy_by_snr"]}
     assert by_snr == {"0.5-2": 0.0, "2-6": 0.0, "above 6": 1 / 2}
     assert found["first_two_by_snr"]["above 6"]["value"] == 1.0

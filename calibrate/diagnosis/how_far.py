@@ -9,6 +9,7 @@ specimen, each feature in units of the scatter of specimens; both tests count al
 from the sample with what fitting has swallowed given back (Mallows' Cp: |residual|^2 - tr S +
 2 tr H S, where S is the scatter of the sample's mean alone: what the description itself is wrong
 by shows on fresh specimens too), and by leaving specimens out.  Shrinkage = (E0 - E1)/(E0 - 1).
+Where its interval is wide the data cannot show it, and no value is claimed.
 Ceilings are the same number for any change of the contact law (span of base parameters,
 contact effects and a smooth gap), and for any change of the measuring chain (smooth
 distortions of displacement and of force along force, the same in both tests, and the
@@ -27,6 +28,7 @@ from calibrate.diagnosis.noise import Noise
 from calibrate.diagnosis.refit import Refit, refit
 from calibrate.diagnosis.repeats import Measured
 
+WIDEST = 0.3  # of an interval (90 %), for a shrinkage to be claimed
 SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing
 BOOTSTRAP = 300
 CENTRES = (0.05, 0.3, 0.6, 0.9)  # of distortions, shares of the largest force
@@ -47,6 +49,11 @@ class HowFar:
     high: float
     left_out: float | None
     ceilings: dict[str, float]
+
+    @property
+    def shown(self) -> bool:
+        """Whether the data can show the shrinkage."""
+        return is_shown(self.low, self.high)
 
 
 def how_far(
@@ -79,6 +86,11 @@ def how_far(
         left_out=left_out,
         ceilings=ceilings,
     )
+
+
+def is_shown(low: float, high: float) -> bool:
+    """Whether an interval is narrow enough for a shrinkage to be claimed."""
+    return high - low <= WIDEST
 
 
 def feature_weights(description: Linearised, noise: Noise) -> np.ndarray:

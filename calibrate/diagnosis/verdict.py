@@ -135,6 +135,7 @@ def _how_far(far: HowFar | None) -> dict | None:
         "floor": far.floor,
         "shrinkage": far.shrinkage,
         "interval": [far.low, far.high],
+        "shown": far.shown,
         "shrinkage_left_out": far.left_out,
         "ceiling": far.ceilings,
     }

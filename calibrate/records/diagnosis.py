@@ -74,13 +74,15 @@ class Which(Record):
 
 
 class HowFar(Record):
-    """Gap in scatters of a specimen, before and after, and how much of it goes."""
+    """Gap in scatters of a specimen, before and after, how much of it goes, and whether the data
+    can show that much."""
 
     before: Number
     after: Number
     floor: Number
     shrinkage: Number
     interval: tuple[Number, Number]
+    shown: bool
     shrinkage_left_out: Number
     ceiling: dict[str, Number]
 

@@ -82,6 +82,7 @@ class WithheldRecord(Record):
     detection_auc: Share
     gate_rejects_null: Share
     unknown_recall: Share
+    visible_unknown_recall: Share | None = None
     outside_noticed: Share
     outside_by_snr: dict[str, dict[str, Share]] = Field(default_factory=dict)
     outside_taken_for_an_effect: Share
@@ -93,6 +94,7 @@ class WithheldRecord(Record):
     mean_set_size: float | None
     calibration_error: Calibration
     shrinkage_within_10: Share
+    shrinkage_shown: Share | None = None
     rivals: dict[str, Rival]
     other_code: bool
     given_up: Count

@@ -138,6 +138,9 @@ def shrinkage(found: DiagnosisRecord) -> str:
         ends = _why_outside(found)
     elif low <= 0:
         return f"The data cannot show that adding “{name}” shrinks the gap ({ends})."
+    elif not far.shown:
+        found_here = f"{percent(far.shrinkage)} here, {ends}{_fresh(far)}"
+        return f"How much of the gap goes with “{name}” the data cannot show ({found_here})."
     share = f"{percent(far.shrinkage)} of the gap ({ends}{_fresh(far)})"
     text = f"Adding “{name}” to the model removes {share}"
     alone = (

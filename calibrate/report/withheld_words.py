@@ -15,10 +15,12 @@ SCORES = {
     "two_both_named": "two effects, both named",
     "two_one_named": "two effects, at least one named",
     "gate_rejects_null": "nothing hidden, gate rejects at 5 %",
+    "visible_unknown_recall": "outside the library, signal-to-noise above 2, called unknown",
     "outside_noticed": "outside the library, something noticed",
     "outside_taken_for_an_effect": "outside the library, taken for an effect of it",
     "detection_auc": "smaller p-value where something is hidden (area under the ROC curve)",
     "set_coverage": "truth within the stated set of explanations",
+    "shrinkage_shown": "an effect named, and the data show how far the gap shrinks",
 }
 OUTSIDE = {"unknown": "called unknown", "noticed": "gap detected at 5 %"}
 PERCENT = "\u00a0%"  # no line ends before the sign
@@ -45,7 +47,9 @@ def markdown(result: dict, title: str) -> str:
              for name in result["accuracy_by_snr"]]),
         *outside_table(result),
         "## Other shares",
-        _table(["", "share"], [[words, shown(result[key])] for key, words in SCORES.items()]),
+        _table(["", "share"], [
+            [words, shown(result[key])] for key, words in SCORES.items() if result.get(key)
+        ]),
         f"Mean number of explanations in a set: {number(result['mean_set_size'], 3)}.",
         "## Rivals on the same cases", _table(
             RIVAL_COLUMNS, rival_rows(result)),

@@ -30,7 +30,7 @@ from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
 from calibrate.withheld.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner
-from calibrate.withheld.scores import Realised, Row, row, scored
+from calibrate.withheld.scores import Realised, Row, claims_shrinkage, row, scored
 from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
 
 PLAN = "sealed/plan.json"
@@ -187,7 +187,7 @@ def _fresh(
     plans = {rows[0].name: rows for rows in _planned(source)}
     names = [
         name for name, verdict in said.items()
-        if verdict.get("claimed") and labels[name]["kind"] == "single"
+        if claims_shrinkage(verdict) and labels[name]["kind"] == "single"
         and labels[name]["snr"] >= CHECKED_SNR
     ]  # fmt: skip
 

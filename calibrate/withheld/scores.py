@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from calibrate.diagnosis.how_far import is_shown
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 
 CONFIDENT = 0.8
@@ -41,6 +42,7 @@ class Row:
     claimed: float | None
     realised: float | None
     realised_error: float | None = None
+    too_vague: bool = False  # an effect was named, but the data could not show any shrinkage
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
     by_class = verdict.get("by_class", {})
     ranked = sorted(by_class, key=lambda n: -by_class[n])
     claimed = verdict.get("claimed")
+    shown = claims_shrinkage(verdict)
     likely = verdict.get("likely_set", [])
     return Row(
         case=verdict["case"],
@@ -71,10 +74,17 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
         set_size=len(likely),
         p_before=verdict.get("p_before", 1.0),
         rivals=verdict.get("rivals", {}),
-        claimed=None if claimed is None else claimed["shrinkage"],
+        claimed=claimed["shrinkage"] if claimed and shown else None,
         realised=None if realised is None else realised.value,
         realised_error=None if realised is None else realised.error,
+        too_vague=claimed is not None and not shown,
     )
+
+
+def claims_shrinkage(verdict: dict) -> bool:
+    """Whether a verdict claims by how much the gap shrinks."""
+    claimed = verdict.get("claimed")
+    return bool(claimed) and is_shown(claimed["low"], claimed["high"])
 
 
 def truth_of(label: dict, classes: Sequence[Sequence[str]]) -> str:
@@ -138,6 +148,9 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         ),
         "gate_rejects_null": share(r.p_before <= 0.05 for r in of[NONE]),
         "unknown_recall": share(r.verdict == UNKNOWN for r in of["outside"]),
+        "visible_unknown_recall": share(
+            r.verdict == UNKNOWN for r in of["outside"] if r.snr >= STRATA[1][0]
+        ),
         "outside_noticed": share(r.verdict != NONE for r in of["outside"]),
         "outside_by_snr": outside_by_snr(of["outside"]),
         "outside_taken_for_an_effect": share(
@@ -151,6 +164,9 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         "mean_set_size": float(np.mean([r.set_size for r in rows])) if rows else None,
         "calibration_error": calibration(rows, seed),
         "shrinkage_within_10": share(abs(_claim(r)) <= CLOSE for r in claims),
+        "shrinkage_shown": share(
+            r.claimed is not None for r in rows if r.claimed is not None or r.too_vague
+        ),
         "rivals": {name: against(clear, rows, name) for name in RIVALS},
         "confusion": confusion(rows),
     }
