@@ -1,16 +1,16 @@
 """`calibrate convert`: the export of a testing machine becomes curves and a lab file."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calibrate.errors import BadValue, InputError
-from calibrate.machine import labtext
-from calibrate.machine.convert import Export, file_stem, read_export
-from calibrate.machine.recordings import Units
-from calibrate.machine.specimens import Specimen
-from calibrate.quantities import FORCE, MILLIMETRES, Kind, unit_factor
+
+if TYPE_CHECKING:
+    from calibrate.machine.convert import Export
+    from calibrate.machine.specimens import Specimen
+    from calibrate.quantities import Kind
 
 TESTS = ("confined", "unconfined")
 COMMAND_LINE = "command line"
@@ -39,7 +39,11 @@ def convert_command(
 ) -> None:
     """Turn a testing machine's export into clean curves and a lab file for `calibrate fit`."""
     from calibrate import output
+    from calibrate.machine import labtext
+    from calibrate.machine.convert import file_stem, read_export
+    from calibrate.machine.recordings import Units
     from calibrate.plotting.lab import preview_figure
+    from calibrate.quantities import FORCE, MILLIMETRES
 
     output.check_writable(json)
     if test is not None and test not in TESTS:
@@ -65,8 +69,10 @@ def convert_command(
     _tell(read, lab)
 
 
-def summary(read: Export, lab: Path) -> dict:
+def summary(read: "Export", lab: Path) -> dict:
     """What was read and assumed, as plain data."""
+    from calibrate.machine import labtext
+
     files = {id(specimen): name for name, specimen in labtext.curve_files(read).items()}
     return {
         "file": read.file,
@@ -78,7 +84,7 @@ def summary(read: Export, lab: Path) -> dict:
     }
 
 
-def _row(specimen: Specimen, file: str) -> dict:
+def _row(specimen: "Specimen", file: str) -> dict:
     return {
         "label": specimen.label,
         "test": specimen.test,
@@ -97,8 +103,10 @@ def _row(specimen: Specimen, file: str) -> dict:
     }
 
 
-def _checked(unit: str | None, kind: Kind, option: str) -> str | None:
+def _checked(unit: str | None, kind: "Kind", option: str) -> str | None:
     """A unit from the command line, refused if it is none of this kind."""
+    from calibrate.quantities import unit_factor
+
     if unit is None:
         return None
     try:
@@ -108,7 +116,7 @@ def _checked(unit: str | None, kind: Kind, option: str) -> str | None:
     return unit
 
 
-def _tell(read: Export, lab: Path) -> None:
+def _tell(read: "Export", lab: Path) -> None:
     """One line a specimen, then what was assumed, warnings last."""
     print(f"{read.file}: {read.layout}")
     for specimen in read.specimens:

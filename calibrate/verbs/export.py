@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from calibrate.errors import BadValue, InputError
-from calibrate.quantities import LENGTH, positive_quantity
 
 FILES = {
     "liggghts": "soil.liggghts",
@@ -69,6 +68,8 @@ def export_command(
 
 
 def _length(diameter: str | None) -> float | None:
+    from calibrate.quantities import LENGTH, positive_quantity
+
     if diameter is None:
         return None
     try:
