@@ -18,6 +18,7 @@ from calibrate.diagnosis.opinion import NONE, UNKNOWN
 from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.which import Prepared, Which, diagnose, label
+from calibrate.errors import InputError
 from calibrate.measurements import load_lab
 from calibrate.output import write_json
 
@@ -150,7 +151,7 @@ def diagnose_all(
     for case in waiting:
         try:
             verdict = verdict_of(case, ready, judge, seed, discrepancy)
-        except (ValueError, np.linalg.LinAlgError) as error:  # counts as an error, not as absent
+        except (InputError, ValueError, np.linalg.LinAlgError) as error:  # wrong, not absent
             verdict = {"case": case.name, "failed": str(error), "verdict": "failed", "stated": 0.0}
         write_json(out / f"{case.name}.json", verdict)
         progress.advance()
