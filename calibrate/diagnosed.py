@@ -46,11 +46,17 @@ class Manner:
     opinion: Opinion
     smallest: float
     nulls: dict[tuple[int, ...], NullTable]
+    power: float = 1.0
 
     @staticmethod
     def neutral() -> "Manner":
         """Evidences as they are."""
         return Manner(Opinion(), 0.1, {})
+
+    @staticmethod
+    def of(prepared: Prepared, nulls: dict[tuple[int, ...], NullTable]) -> "Manner":
+        """That of a rehearsed diagnosis."""
+        return Manner(prepared.opinion, prepared.smallest, nulls, prepared.power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +111,9 @@ def ready_to_diagnose(
         prepared = rehearsed(prepared, seed + 1, REHEARSED)
     else:
         manner.nulls.setdefault(plan.shape, prepared.null)
-        prepared = replace(prepared, opinion=manner.opinion, smallest=manner.smallest)
+        prepared = replace(
+            prepared, opinion=manner.opinion, smallest=manner.smallest, power=manner.power
+        )
     return replace(prepared, world=replace(prepared.world, description=d))
 
 

@@ -159,7 +159,7 @@ def test_a_diagnosis_runs_while_the_seal_cannot_be_opened(sealed_case, judge):
 
 def test_a_case_that_is_refused_is_a_wrong_verdict_and_not_the_end(sealed_case, judge):
     lab = sealed_case / "cases" / "0abcd" / "lab.toml"
-    lab.write_text(lab.read_text().replace('diameter = "50 mm"', 'diameter = "50 miles"'))
+    lab.write_text(lab.read_text().replace('diameter = "50 mm"', 'diameter = "50 N"'))
     said = verdict_in(sealed_case, "refused", judge)
     assert said["verdict"] == "failed" and said["stated"] == 0.0
     assert "diameter" in said["failed"]

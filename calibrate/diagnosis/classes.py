@@ -12,6 +12,8 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
+JOINED = " / "  # between effects of one class, in its label
+TOGETHER = " + "  # between effects at work at once
 SEPARABLE = 2.8  # signal-to-noise between two hypotheses for 80 % power
 REFERENCE_SNR = 6.0  # at which classes are made
 INVISIBLE = 0.02  # visibility below which calibration absorbs an effect
@@ -31,7 +33,7 @@ class Classes:
 
     def label(self, name: str) -> str:
         """A class's label: its members, joined; other words (none, unknown) stay."""
-        return " / ".join(self.of(name)) if name in self.names else name
+        return JOINED.join(self.of(name)) if name in self.names else name
 
     def alike(self) -> list[list[str]]:
         """Classes of more than one effect."""

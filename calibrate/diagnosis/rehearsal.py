@@ -6,7 +6,8 @@ hold: half of these are an effect of the library, left out of it with its class,
 smooth random ones.  These shares are the prior of what is stated (those of withheld sets).
 Each case is diagnosed with a covariance estimated anew from as many simulated specimens as
 there are, so that what is not known of the covariance shows in the stated probabilities.
-One half of the cases fits the probabilities, the other the size of sets of explanations.
+One half of the cases fits the probabilities, the other the size of sets of explanations. What is
+stated then is tempered as opened withheld cases taught (`tempering`).
 """
 
 from collections.abc import Sequence
@@ -14,11 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.diagnosis.classes import Classes
 from calibrate.diagnosis.noise import best_shape
-from calibrate.diagnosis.opinion import NONE, UNKNOWN, Facts, fitted, log_probabilities
+from calibrate.diagnosis.opinion import NONE, UNKNOWN, Facts, fitted
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.sets import threshold
-from calibrate.diagnosis.which import Prepared, diagnose, right
+from calibrate.diagnosis.tempering import learned_power
+from calibrate.diagnosis.which import Prepared, diagnose, label, right, stated
 
 STRATA = ((0.5, 2.0), (2.0, 6.0), (6.0, 15.0))
 KINDS = (NONE, "single", UNKNOWN, NONE, "single", "pair", NONE, "single", UNKNOWN, NONE,
@@ -42,6 +45,7 @@ def rehearsed(prepared: Prepared, seed: int, cases: int = 400) -> Prepared:
     shape = best_shape(residuals - residuals.mean(axis=0))
     facts: list[Facts] = []
     truths: list[np.ndarray] = []
+    labels: list[tuple[Classes, str]] = []
     for number in range(cases):
         case = generated_case(prepared, rng, KINDS[number % len(KINDS)])
         library = prepared.without(case.left_out) if case.left_out else prepared
@@ -49,11 +53,17 @@ def rehearsed(prepared: Prepared, seed: int, cases: int = 400) -> Prepared:
         found = diagnose(library, case.measured).facts
         facts.append(found)
         truths.append(right(found, library.classes, case.truth))
+        labels.append((library.classes, label(library.classes, case.truth)))
     order = rng.permutation(cases)
     half = cases // 2
     opinion = fitted(_these(facts, order[:half]), _these(truths, order[:half]))
-    said = [np.exp(log_probabilities(facts[i], opinion))[truths[i]].sum() for i in order[half:]]
-    return replace(prepared, opinion=opinion, smallest=threshold(np.array(said)))
+    power = learned_power()
+    said = [
+        stated(facts[i], labels[i][0], opinion, power)[1].get(labels[i][1], 0.0)
+        for i in order[half:]
+    ]
+    smallest = threshold(np.array(said))
+    return replace(prepared, opinion=opinion, smallest=smallest, power=power)
 
 
 def generated_case(prepared: Prepared, rng: np.random.Generator, kind: str) -> Case:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibrate.diagnosis import evidence as evidences
-from calibrate.diagnosis.classes import Classes, classes
+from calibrate.diagnosis.classes import TOGETHER, Classes, classes
 from calibrate.diagnosis.discrepancy import Factors, kernel_factors, projected
 from calibrate.diagnosis.evidence import Evidence, evidence
 from calibrate.diagnosis.fits import all_fits, fitted_base
@@ -41,13 +41,15 @@ from calibrate.diagnosis.refit import Refit
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import Scores, scores
 from calibrate.diagnosis.sets import explanations
+from calibrate.diagnosis.tempering import LEAST, tempered
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """All that a diagnosis needs beside the data.
 
-    `smallest` is the least probability of a member of the set of explanations.
+    Probabilities are those of the opinion to this `power` (`tempering`); `smallest` is the least
+    of a member of the set of explanations.
     """
 
     world: World
@@ -55,6 +57,7 @@ class Prepared:
     classes: Classes
     opinion: Opinion
     smallest: float
+    power: float = 1.0
 
     @property
     def description(self) -> Linearised:
@@ -158,7 +161,7 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
 
 def label(classes_: Classes, hypothesis: tuple[str, ...]) -> str:
     """The name of an explanation by classes: that of a class, or of two classes with "+"."""
-    return " + ".join(sorted({classes_.label(name) for name in hypothesis}))
+    return TOGETHER.join(sorted({classes_.label(name) for name in hypothesis}))
 
 
 def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray:
@@ -219,13 +222,7 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
 
 
 def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
-    every = hypotheses(facts)
-    values = np.exp(log_probabilities(facts, prepared.opinion))
-    probability = {" + ".join(h): float(p) for h, p in zip(every, values, strict=True)}
-    by_class: dict[str, float] = {}
-    for h, p in zip(every, values, strict=True):
-        name = label(prepared.classes, h)
-        by_class[name] = by_class.get(name, 0.0) + float(p)
+    probability, by_class = stated(facts, prepared.classes, prepared.opinion, prepared.power)
     return Which(
         verdict=_verdict(facts, by_class),
         probability=probability,
@@ -234,6 +231,24 @@ def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
         facts=facts,
         **rest,
     )
+
+
+def stated(
+    facts: Facts, classes_: Classes, opinion: Opinion, power: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Probabilities by explanation and by class."""
+    every = hypotheses(facts)
+    values = np.exp(log_probabilities(facts, opinion)).tolist()
+    of_class = [label(classes_, h) for h in every]
+    raw: dict[str, float] = {}
+    for name, p in zip(of_class, values, strict=True):
+        raw[name] = raw.get(name, 0.0) + p
+    by_class = tempered(raw, power)
+    probability = {
+        TOGETHER.join(h): p / max(raw[name], LEAST) * by_class[name]
+        for h, name, p in zip(every, of_class, values, strict=True)
+    }
+    return probability, by_class
 
 
 def _verdict(facts: Facts, by_class: dict[str, float]) -> str:

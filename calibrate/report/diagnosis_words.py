@@ -8,10 +8,10 @@ interval reaches zero is not called one, and numbers without curves are said to 
 
 from collections.abc import Sequence
 
-from calibrate.diagnosis.classes import SEPARABLE
+from calibrate.diagnosis.classes import SEPARABLE, TOGETHER
 from calibrate.diagnosis.opinion import ALPHA, NONE, UNKNOWN
 from calibrate.records.diagnosis import DiagnosisRecord, HowFar, NextTest, Segment
-from calibrate.report.effects import TOGETHER, members, plain, title
+from calibrate.report.effects import members, plain, title
 from calibrate.report.html import number
 
 SURE, LIKELY = 0.8, 0.5

@@ -6,12 +6,10 @@ adding an effect needs nothing of this file.
 
 from dataclasses import dataclass
 
+from calibrate.diagnosis.classes import JOINED, TOGETHER
 from calibrate.report.html import number, words
 from jdem.effects.base import About
 from jdem.effects.composite import EFFECTS
-
-JOINED = " / "  # between effects of one class
-TOGETHER = " + "  # between effects at work at once
 
 
 @dataclass(frozen=True)

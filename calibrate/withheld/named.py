@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibrate.diagnosis.classes import JOINED, TOGETHER
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 from calibrate.withheld.scores import SCATTER, Row
 from jdem.effects.composite import EFFECTS
@@ -59,7 +60,7 @@ def _column(row: Row, hidden: str) -> str:
         return BOTH
     if row.verdict == row.truth and row.kind == "single":
         return hidden
-    return OTHERS if " + " in row.verdict else plain(row.verdict.split(" / ")[0])
+    return OTHERS if TOGETHER in row.verdict else plain(row.verdict.split(JOINED)[0])
 
 
 def _ordered(found: Iterable[str], first: Sequence[str], last: Sequence[str]) -> list[str]:

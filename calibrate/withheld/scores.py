@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from calibrate.diagnosis.classes import JOINED, TOGETHER
 from calibrate.diagnosis.how_far import is_shown
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 
@@ -94,9 +95,9 @@ def truth_of(label: dict, classes: Sequence[Sequence[str]]) -> str:
     if label["kind"] == "outside":
         return UNKNOWN
     named = {hidden["name"] for hidden in label["hidden"]}
-    joined = {" / ".join(group) for group in classes if named & set(group)}
+    joined = {JOINED.join(group) for group in classes if named & set(group)}
     alone = named - {name for group in classes for name in group}
-    return " + ".join(sorted(joined | alone))
+    return TOGETHER.join(sorted(joined | alone))
 
 
 def share(values: Iterable[bool]) -> dict:
@@ -191,7 +192,7 @@ def _right(r: Row) -> bool:
 
 
 def _parts(label: str) -> set[str]:
-    return set(label.split(" + "))
+    return set(label.split(TOGETHER))
 
 
 def _claim(r: Row) -> float:
@@ -215,7 +216,9 @@ def calibration(rows: Sequence[Row], seed: int) -> dict:
     stated = np.array([r.stated for r in rows])
     right = np.array([_right(r) for r in rows], float)
     rng = np.random.default_rng(seed)
-    perfect = [_ece(stated, (rng.random(len(rows)) < stated).astype(float)) for _ in range(2000)]
+    perfect = [
+        expected_error(stated, (rng.random(len(rows)) < stated).astype(float)) for _ in range(2000)
+    ]
     index = np.minimum((stated * BINS).astype(int), BINS - 1)
     bins = [
         {"from": b / BINS, "stated": float(stated[index == b].mean()),
@@ -223,7 +226,7 @@ def calibration(rows: Sequence[Row], seed: int) -> dict:
         for b in range(BINS) if (index == b).any()
     ]  # fmt: skip
     return {
-        "value": _ece(stated, right),
+        "value": expected_error(stated, right),
         "low": 0.0,
         "high": float(np.quantile(perfect, 0.95)),
         "n": len(rows),
@@ -233,7 +236,8 @@ def calibration(rows: Sequence[Row], seed: int) -> dict:
     }
 
 
-def _ece(stated: np.ndarray, right: np.ndarray) -> float:
+def expected_error(stated: np.ndarray, right: np.ndarray) -> float:
+    """Mean distance, over cases in bins, of stated probabilities (n,) from the share right."""
     index = np.minimum((stated * BINS).astype(int), BINS - 1)
     gaps = [
         abs(stated[index == b].mean() - right[index == b].mean()) * (index == b).mean()

@@ -12,6 +12,7 @@ import numpy as np
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis import baselines
+from calibrate.diagnosis.classes import JOINED
 from calibrate.diagnosis.how_far import feature_weights, how_far
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
@@ -52,7 +53,7 @@ def judges(prepared: Prepared, seed: int) -> Judges:
         if case.truth == (NONE,):
             null.append(baselines.template_scores(linear, case.measured).max())
     return Judges(
-        Manner(ready.opinion, ready.smallest, {prepared.world.plan.shape: prepared.null}),
+        Manner.of(ready, {prepared.world.plan.shape: prepared.null}),
         tuple(f.name for f in linear.features),
         float(np.quantile(null, 0.95)),
         baselines.majority(labels),
@@ -80,6 +81,7 @@ def verdict_of(
         "verdict": which.verdict,
         "stated": which.stated,
         "by_class": which.by_class,
+        "power": prepared.power,
         "likely_set": which.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
         "p_before": which.facts.p_before,
@@ -131,7 +133,7 @@ def _rivals(d: Linearised, measured: Measured, judge: Judges, prepared: Prepared
 
 def _relabelled(prepared: Prepared, name: str) -> str:
     """A class named by the classifier, in this case's classes: that of its first member."""
-    first = name.split(" / ")[0]
+    first = name.split(JOINED)[0]
     known = first in prepared.classes.names
     return label(prepared.classes, (first,)) if known else name
 
