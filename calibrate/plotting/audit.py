@@ -35,8 +35,8 @@ def audit_figure(found: AuditSlopes, path: Path) -> None:
 
 def agreement(axis: Axes, found: AuditSlopes, observable: Observable) -> None:
     """Estimates of one observable's slopes against the reference; the band is what passes."""
-    for name, each in found.strategies.items():
-        _estimates(axis, each.of(observable), name)
+    for number, (name, each) in enumerate(found.strategies.items()):
+        _estimates(axis, each.of(observable), name, named=number == 0)
     axis.margins(x=0.25)
     _band(axis, found.within[observable])
     axis.set_xlabel(f"reference slope ({UNITS[observable]} per unit of ln p)")
@@ -44,8 +44,9 @@ def agreement(axis: Axes, found: AuditSlopes, observable: Observable) -> None:
     axis.legend(frameon=False)
 
 
-def _estimates(axis: Axes, rows: Sequence[Slope], strategy: str) -> None:
-    """Points with both standard errors; slopes too small to judge are pale."""
+def _estimates(axis: Axes, rows: Sequence[Slope], strategy: str, named: bool) -> None:
+    """Points with both standard errors, and with the parameters' names if they are to be `named`;
+    slopes too small to judge are pale."""
     mark, colour, _ = MARKS[strategy]
     limit = 3 * max((abs(row.reference) for row in rows), default=0.0)
     shown = [row for row in rows if abs(row.estimate) < limit]
@@ -61,7 +62,7 @@ def _estimates(axis: Axes, rows: Sequence[Slope], strategy: str) -> None:
             alpha=1.0 if row.judged else 0.35,
             label=label if number == 0 else None,
         )
-        if row.judged:
+        if row.judged and named:
             at, shift = (row.reference, row.estimate), (6, -4)
             axis.annotate(pretty(row.parameter), at, shift, textcoords="offset points", fontsize=8)
 

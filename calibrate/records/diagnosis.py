@@ -82,7 +82,7 @@ class HowFar(Record):
     floor: Number
     shrinkage: Number
     interval: tuple[Number, Number]
-    shown: bool
+    shown: bool = True  # files of earlier versions do not say
     shrinkage_left_out: Number
     ceiling: dict[str, Number]
 
