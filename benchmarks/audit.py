@@ -1,6 +1,6 @@
 """The audit of the gradients that `fit` and screening use, on two sets of packings.
 
-    python benchmarks/audit.py               about 45 minutes on two cores
+    python benchmarks/audit.py               more than an hour of one core
     python benchmarks/audit.py --packings 8  quicker, and less precise
 
 The bundled soil at 300 spheres: reference slopes by regression over +-20 %, one parameter at a

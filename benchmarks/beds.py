@@ -1,6 +1,6 @@
 """The settled beds that ship with the package: those of bundled soils that a first command needs.
 
-    python benchmarks/beds.py                    about five minutes on two idle cores
+    python benchmarks/beds.py                    three minutes, beside two other jobs
 
 Which beds: all that `simulate` and `fit` take with seed 0 at the preset quick, and those that
 `simulate` takes at standard.  They are kept by the hash of all that they depend on, the engine's

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.diagnosis.tempering import LEARNED, fitted_power, tempered
+from calibrate.diagnosis.tempering import LEARNED, ODD, fitted_power, tempered
 from calibrate.output import write_text
 from calibrate.withheld.scores import expected_error
 
@@ -45,7 +45,7 @@ def quality(stated: list[dict], truths: list[str], powers: list[float]) -> dict:
     best = [max(p, key=lambda name: p[name]) for p in bent]
     sure = np.array([p[name] for p, name in zip(bent, best, strict=True)])
     right = np.array([name == truth for name, truth in zip(best, truths, strict=True)], float)
-    score = np.mean([np.log(max(p.get(t, 0.0), 1e-6)) for p, t in zip(bent, truths, strict=True)])
+    score = np.mean([np.log(max(p.get(t, 0.0), ODD)) for p, t in zip(bent, truths, strict=True)])
     return {"calibration_error": expected_error(sure, right), "log_score": float(score)}
 
 

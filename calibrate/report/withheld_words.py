@@ -47,9 +47,7 @@ def markdown(result: dict, title: str) -> str:
              for name in result["accuracy_by_snr"]]),
         *outside_table(result),
         "## Other shares",
-        _table(["", "share"], [
-            [words, shown(result[key])] for key, words in SCORES.items() if result.get(key)
-        ]),
+        _table(["", "share"], other_shares(result)),
         f"Mean number of explanations in a set: {number(result['mean_set_size'], 3)}.",
         "## Rivals on the same cases", _table(
             RIVAL_COLUMNS, rival_rows(result)),
@@ -58,6 +56,11 @@ def markdown(result: dict, title: str) -> str:
         "## Seal", canary_sentence(result),
     ]  # fmt: skip
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+def other_shares(result: dict) -> list[list[str]]:
+    """Words and value of each further score; files of earlier versions lack some."""
+    return [[words, shown(result[key])] for key, words in SCORES.items() if result.get(key)]
 
 
 # ---------------------------------------------------------------- sentences
