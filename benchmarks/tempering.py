@@ -4,20 +4,22 @@
 
 Reads the fourth own set's verdicts (benchmarks/results/withheld_own_verdicts.tar.xz, as they were
 stated before its seal was opened) and what was true (withheld_own.json); writes
-calibrate/diagnosis/tempering.json.  Verdicts that were tempered already are refused.
+calibrate/diagnosis/tempering.json.  From verdicts that were tempered, what was stated before counts.
 
-Printed: calibration error and mean logarithmic score as stated, tempered, and tempered by what
+Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic score as stated, tempered, and tempered by what
 four fifths of the cases gave for the other fifth.
 """
 
 import json
 import tarfile
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import reporting
 
-from calibrate.diagnosis.tempering import LEARNED, ODD, fitted_power, tempered
+from calibrate.diagnosis.opinion import NONE
+from calibrate.diagnosis.tempering import LEARNED, ODD, Tempering, fitted_tempering
 from calibrate.output import write_text
 from calibrate.withheld.scores import expected_error
 
@@ -34,39 +36,40 @@ def cases() -> tuple[list[dict], list[str]]:
         files = [m for m in archive.getmembers() if m.name.endswith(".json")]
         said = [json.load(archive.extractfile(m)) for m in files]  # pyright: ignore
     said = [verdict for verdict in said if "by_class" in verdict]
-    if any("power" in verdict for verdict in said):
-        raise SystemExit(f"{VERDICTS.name}: these verdicts were tempered already")
-    return [v["by_class"] for v in said], [truth[v["case"]] for v in said]
+    stated = [v.get("before_tempering", v["by_class"]) for v in said]
+    return stated, [truth[v["case"]] for v in said]
 
 
-def quality(stated: list[dict], truths: list[str], powers: list[float]) -> dict:
+def quality(stated: list[dict], truths: list[str], by: list[Tempering]) -> dict:
     """Calibration error of the likeliest class and mean logarithmic score."""
-    bent = [tempered(s, b) for s, b in zip(stated, powers, strict=True)]
+    bent = [b.of(s) for s, b in zip(stated, by, strict=True)]
     best = [max(p, key=lambda name: p[name]) for p in bent]
     sure = np.array([p[name] for p, name in zip(bent, best, strict=True)])
     right = np.array([name == truth for name, truth in zip(best, truths, strict=True)], float)
     score = np.mean([np.log(max(p.get(t, 0.0), ODD)) for p, t in zip(bent, truths, strict=True)])
-    return {"calibration_error": expected_error(sure, right), "log_score": float(score)}
+    nothing = [name for name, truth in zip(best, truths, strict=True) if truth == NONE]
+    return {"right": float(right.mean()), "false_alarm": float(np.mean([n != NONE for n in nothing])),
+            "calibration_error": expected_error(sure, right), "log_score": float(score)}  # fmt: skip
 
 
-def left_out(stated: list[dict], truths: list[str]) -> list[float]:
-    """For each case the power that the other folds' cases gave."""
+def left_out(stated: list[dict], truths: list[str]) -> list[Tempering]:
+    """For each case the tempering that the other folds' cases gave."""
     fold = np.random.default_rng(0).permutation(len(truths)) % FOLDS
     of = []
     for k in range(FOLDS):
         kept = np.flatnonzero(fold != k)
-        of.append(fitted_power([stated[i] for i in kept], [truths[i] for i in kept]))
+        of.append(fitted_tempering([stated[i] for i in kept], [truths[i] for i in kept]))
     return [of[k] for k in fold]
 
 
 def main() -> None:
     stated, truths = cases()
-    found = fitted_power(stated, truths)
+    found = fitted_tempering(stated, truths)
     count = len(truths)
     content = {
-        "power": found,
+        "tempering": asdict(found),
         "cases": count,
-        "as stated": quality(stated, truths, [1.0] * count),
+        "as stated": quality(stated, truths, [Tempering()] * count),
         "tempered": quality(stated, truths, [found] * count),
         "tempered by the other folds": quality(stated, truths, left_out(stated, truths)),
         "command": reporting.provenance()["command"],

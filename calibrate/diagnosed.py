@@ -26,6 +26,7 @@ from calibrate.diagnosis.opinion import NONE, Opinion
 from calibrate.diagnosis.outliers import robust, scatter_of
 from calibrate.diagnosis.rehearsal import rehearsed
 from calibrate.diagnosis.repeats import Measured
+from calibrate.diagnosis.tempering import Tempering
 from calibrate.diagnosis.verdict import as_json
 from calibrate.diagnosis.where import Where, where
 from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose, prepare
@@ -46,7 +47,7 @@ class Manner:
     opinion: Opinion
     smallest: float
     nulls: dict[tuple[int, ...], NullTable]
-    power: float = 1.0
+    tempering: Tempering = Tempering()
 
     @staticmethod
     def neutral() -> "Manner":
@@ -56,7 +57,7 @@ class Manner:
     @staticmethod
     def of(prepared: Prepared, nulls: dict[tuple[int, ...], NullTable]) -> "Manner":
         """That of a rehearsed diagnosis."""
-        return Manner(prepared.opinion, prepared.smallest, nulls, prepared.power)
+        return Manner(prepared.opinion, prepared.smallest, nulls, prepared.tempering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,7 @@ def ready_to_diagnose(
     else:
         manner.nulls.setdefault(plan.shape, prepared.null)
         prepared = replace(
-            prepared, opinion=manner.opinion, smallest=manner.smallest, power=manner.power
+            prepared, opinion=manner.opinion, smallest=manner.smallest, tempering=manner.tempering
         )
     return replace(prepared, world=replace(prepared.world, description=d))
 

@@ -6,6 +6,7 @@ tests use it; a second one is the base model.
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import ClassVar
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import pytest
 from effect_lab import HOLD, NUMERICS, SMALL, SOIL, arrays, assert_same, both_tests, lab_with
 
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
-from jdem.effects.composite import EFFECTS, with_strengths
+from jdem.effects.composite import EFFECTS, Altered, with_strengths
 from jdem.experiments.composite import VirtualLab
 from jdem.observables import Curve, displacement_at
 from jdem.packing import prepare
@@ -31,6 +32,7 @@ def strengths(**values):
 
 
 BASE, ALL = lab_with(), lab_with(*[effect(0.0) for effect in EFFECTS.values()])
+HEIGHT = 0.06  # m, of a bed
 STEP = 0.8  # of the stable time step, the same for all strengths
 
 
@@ -299,22 +301,31 @@ def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
 
 
 def slowness(outcome):
-    """v_c/v at each sample of loading and holding, from the recorded motion of the platen.
+    """v_c/v at each sample of loading and holding: 1 while the machine loads, then fading."""
+    loading, holding = (segment(outcome, name) for name in ("loading", "holding"))
+    nominal = np.diff(holding.time, prepend=loading.time[-1:]) * (8e-3 / 0.06) * (0.05 / 8e-3)
+    return np.concatenate([np.ones(len(loading.time)), 1 + np.cumsum(nominal) / FADING_STRAIN])
 
-    The servo slows down before the hold, so a part of the relaxation has passed when it begins.
-    """
-    parts = [segment(outcome, name) for name in ("loading", "holding")]
-    height, time = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("platen_height", "time")
-    )
-    found = [1.0]
-    for strain, interval in zip(-np.diff(height) / height[:-1], np.diff(time), strict=True):
-        share = abs(strain) / FADING_STRAIN
-        mean = -math.expm1(-share) / share if share > 1e-6 else 1.0
-        nominal = 8e-3 / 0.06 * interval * (0.05 / 8e-3)
-        found.append(found[-1] * math.exp(-share) + nominal / FADING_STRAIN * mean)
-    return np.array(found)
+
+def test_a_servo_that_slows_down_before_its_target_does_not_soften_the_soil():
+    """It would never arrive: forces fall as it slows, so that a quarter of the beds crept here."""
+    timetable = ALL.tests.timetable()
+    reference = 8e-3 / HEIGHT
+    around = Altered(ALL.effects, SOIL, NUMERICS.smoothing, timetable, 8e-3, reference)
+    clock = around.begin(jnp.zeros(()).dtype)
+    before, after = (standing_at(HEIGHT, time) for time in (0.0, 1e-3))
+    for name in ("loading", "holding"):
+        number = ALL.tests.names.index(name)
+        later = around.later(clock, number, before, after)
+        seconds = 1e-3 * float(timetable.time_scale[number])
+        expected = 1.0 if name == "loading" else 1 + reference * seconds / FADING_STRAIN
+        assert float(later.slowness) == pytest.approx(expected, rel=1e-6)
+
+
+def standing_at(height, time):
+    """A state of the machine, as far as the clock of effects reads it."""
+    walls = SimpleNamespace(platen_height=jnp.asarray(height))
+    return SimpleNamespace(time=jnp.asarray(time), walls=walls)
 
 
 def test_capillary_tension_strengthens_without_the_mould(outcome):

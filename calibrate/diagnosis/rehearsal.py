@@ -20,7 +20,7 @@ from calibrate.diagnosis.noise import best_shape
 from calibrate.diagnosis.opinion import NONE, UNKNOWN, Facts, fitted
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.sets import threshold
-from calibrate.diagnosis.tempering import learned_power
+from calibrate.diagnosis.tempering import learned_tempering
 from calibrate.diagnosis.which import Prepared, diagnose, label, right, stated
 
 STRATA = ((0.5, 2.0), (2.0, 6.0), (6.0, 15.0))
@@ -57,13 +57,13 @@ def rehearsed(prepared: Prepared, seed: int, cases: int = 400) -> Prepared:
     order = rng.permutation(cases)
     half = cases // 2
     opinion = fitted(_these(facts, order[:half]), _these(truths, order[:half]))
-    power = learned_power()
+    tempering = learned_tempering()
     said = [
-        stated(facts[i], labels[i][0], opinion, power)[1].get(labels[i][1], 0.0)
+        stated(facts[i], labels[i][0], opinion, tempering)[1].get(labels[i][1], 0.0)
         for i in order[half:]
     ]
     smallest = threshold(np.array(said))
-    return replace(prepared, opinion=opinion, smallest=smallest, power=power)
+    return replace(prepared, opinion=opinion, smallest=smallest, tempering=tempering)
 
 
 def generated_case(prepared: Prepared, rng: np.random.Generator, kind: str) -> Case:

@@ -3,9 +3,9 @@
     noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
-The verdict is "none" unless the gate finds a gap at `ALPHA`; else whatever is likeliest: a class
-of effects, two of them, or "unknown", for which it speaks that something is left after the best
-effect and after the best pair.  `prepare` does what depends on the plan of measurement only.
+The verdict is whatever is likeliest: none, a class of effects, two of them, or "unknown".  The
+gates speak through the probabilities (`opinion`): for "none" that no gap is found at `ALPHA`, for
+"unknown" that something is left after the best effect and after the best pair.  `prepare` does what depends on the plan of measurement only.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,6 @@ from calibrate.diagnosis.lack_of_fit import (
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, packing_covariance
 from calibrate.diagnosis.opinion import (
-    ALPHA,
     NONE,
     Facts,
     Opinion,
@@ -41,15 +40,15 @@ from calibrate.diagnosis.refit import Refit
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import Scores, scores
 from calibrate.diagnosis.sets import explanations
-from calibrate.diagnosis.tempering import LEAST, tempered
+from calibrate.diagnosis.tempering import LEAST, Tempering
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """All that a diagnosis needs beside the data.
 
-    Probabilities are those of the opinion to this `power` (`tempering`); `smallest` is the least
-    of a member of the set of explanations.
+    Probabilities are those of the opinion, tempered; `smallest` is the least of a member of the set
+    of explanations.
     """
 
     world: World
@@ -57,7 +56,7 @@ class Prepared:
     classes: Classes
     opinion: Opinion
     smallest: float
-    power: float = 1.0
+    tempering: Tempering = Tempering()
 
     @property
     def description(self) -> Linearised:
@@ -222,9 +221,9 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
 
 
 def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
-    probability, by_class = stated(facts, prepared.classes, prepared.opinion, prepared.power)
+    probability, by_class = stated(facts, prepared.classes, prepared.opinion, prepared.tempering)
     return Which(
-        verdict=_verdict(facts, by_class),
+        verdict=max(by_class, key=lambda name: by_class[name]),
         probability=probability,
         by_class=by_class,
         likely_set=explanations(by_class, prepared.smallest),
@@ -234,7 +233,7 @@ def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
 
 
 def stated(
-    facts: Facts, classes_: Classes, opinion: Opinion, power: float
+    facts: Facts, classes_: Classes, opinion: Opinion, tempering: Tempering
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Probabilities by explanation and by class."""
     every = hypotheses(facts)
@@ -243,17 +242,9 @@ def stated(
     raw: dict[str, float] = {}
     for name, p in zip(of_class, values, strict=True):
         raw[name] = raw.get(name, 0.0) + p
-    by_class = tempered(raw, power)
+    by_class = tempering.of(raw)
     probability = {
         TOGETHER.join(h): p / max(raw[name], LEAST) * by_class[name]
         for h, name, p in zip(every, of_class, values, strict=True)
     }
     return probability, by_class
-
-
-def _verdict(facts: Facts, by_class: dict[str, float]) -> str:
-    """None unless the gate finds a gap; else what is likeliest, so that it agrees with what is
-    stated (a gap left after the best explanation speaks for unknown through the opinion)."""
-    if facts.p_before > ALPHA:
-        return NONE
-    return max(by_class, key=lambda name: by_class[name])

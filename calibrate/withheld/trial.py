@@ -4,7 +4,7 @@ The verdict holds all that scoring needs, so that scoring can neither change it 
 """
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,8 @@ from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.which import Prepared, Which, diagnose, label
+from calibrate.diagnosis.tempering import Tempering
+from calibrate.diagnosis.which import Prepared, Which, diagnose, label, stated
 from calibrate.errors import InputError
 from calibrate.measurements import load_lab
 from calibrate.output import write_json
@@ -81,7 +82,8 @@ def verdict_of(
         "verdict": which.verdict,
         "stated": which.stated,
         "by_class": which.by_class,
-        "power": prepared.power,
+        "tempering": asdict(prepared.tempering),
+        "before_tempering": _before_tempering(which, prepared),
         "likely_set": which.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
         "p_before": which.facts.p_before,
@@ -91,6 +93,11 @@ def verdict_of(
         **_shrinkage(d, measured, which, seed),
         "rivals": _rivals(d, measured, judge, prepared),
     }
+
+
+def _before_tempering(which: Which, prepared: Prepared) -> dict[str, float]:
+    """What is stated by class without tempering, from which the next tempering can be learned."""
+    return stated(which.facts, prepared.classes, prepared.opinion, Tempering())[1]
 
 
 def _shrinkage(d: Linearised, measured: Measured, which: Which, seed: int) -> dict:

@@ -76,11 +76,13 @@ def as_table(entries: Mapping[str, About]) -> str:
 class Timetable(eqx.Module):
     """What the segments of the tests are to effects; arrays (segments,).
 
-    time_scale is nominal over simulated time (-); loading is 1 in segments in which a test
-    runs and time counts; unconfined and resting as in `Stage`.
+    time_scale is nominal over simulated time (-); platen_speed (m/s, simulated) the machine's,
+    0 where it stands; loading is 1 in segments in which a test runs and time counts; unconfined
+    and resting as in `Stage`.
     """
 
     time_scale: Array
+    platen_speed: Array
     loading: Array
     unconfined: Array
     resting: Array
@@ -135,9 +137,11 @@ class Altered(AbstractSurroundings):
 
     def later(self, memory: Clock, segment: Array, before: BedState, after: BedState) -> Clock:
         time_scale = self.timetable.time_scale[segment]
-        interval = (after.time - before.time) * time_scale
-        height = before.walls.platen_height
-        strain = jnp.abs(after.walls.platen_height - height) / height
+        elapsed = after.time - before.time
+        interval = elapsed * time_scale
+        # At the machine's own speed: a servo that slows down before its target is the simulation's
+        # way to turn, and a soil that softened by it would never let it arrive.
+        strain = self.timetable.platen_speed[segment] * elapsed / before.walls.platen_height
         clock = Clock(
             (memory.time + interval) * self.timetable.loading[segment],
             _slowed(memory.slowness, strain, self.reference_rate * interval),

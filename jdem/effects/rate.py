@@ -5,7 +5,8 @@
 
 v is the nominal axial strain rate that the soil feels, v_c that of the confined test.  Where
 the machine stops, v fades as A/t and forces relax with log t; where it goes on, v has
-followed after a strain A.  Simulated rates do not enter: the base model has none.
+followed after a strain A.  v_machine is constant in a segment: that a simulated platen slows
+down just before its target does not count.  Simulated rates do not enter: the base model has none.
 """
 
 from typing import ClassVar

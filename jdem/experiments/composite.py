@@ -55,11 +55,12 @@ class LabTests(eqx.Module):
     def timetable(self) -> Timetable:
         """What the segments are to effects and to nominal time."""
         scales = [jnp.asarray(s, float) for test in self.apparatus for s in test.time_scales]
+        speed = jnp.asarray(self.programme().platen_speed, float)
         unconfined = [name in self.unconfined.names for name in self.names]
         resting = [name == "resting" for name in self.names]
         loading = [name not in ("opening", "resting") for name in self.names]
         flags = [jnp.asarray(flag, float) for flag in (loading, unconfined, resting)]
-        return Timetable(jnp.stack(scales), *flags)
+        return Timetable(jnp.stack(scales), speed, *flags)
 
 
 class Outcome(eqx.Module):
