@@ -4,10 +4,10 @@
 
 Reads the fourth own set's verdicts (benchmarks/results/withheld_own_verdicts.tar.xz, as they were
 stated before its seal was opened) and what was true (withheld_own.json); writes
-calibrate/diagnosis/tempering.json.  From verdicts that were tempered, what was stated before counts.
+calibrate/diagnosis/tempering.json.  Of verdicts that were tempered, what was stated before counts.
 
-Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic score as stated, tempered, and tempered by what
-four fifths of the cases gave for the other fifth.
+Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic
+score as stated, tempered, and tempered by what four fifths of the cases gave for the other fifth.
 """
 
 import json
@@ -47,9 +47,13 @@ def quality(stated: list[dict], truths: list[str], by: list[Tempering]) -> dict:
     sure = np.array([p[name] for p, name in zip(bent, best, strict=True)])
     right = np.array([name == truth for name, truth in zip(best, truths, strict=True)], float)
     score = np.mean([np.log(max(p.get(t, 0.0), ODD)) for p, t in zip(bent, truths, strict=True)])
-    nothing = [name for name, truth in zip(best, truths, strict=True) if truth == NONE]
-    return {"right": float(right.mean()), "false_alarm": float(np.mean([n != NONE for n in nothing])),
-            "calibration_error": expected_error(sure, right), "log_score": float(score)}  # fmt: skip
+    alarms = [n != NONE for n, truth in zip(best, truths, strict=True) if truth == NONE]
+    return {
+        "right": float(right.mean()),
+        "false_alarm": float(np.mean(alarms)),
+        "calibration_error": expected_error(sure, right),
+        "log_score": float(score),
+    }
 
 
 def left_out(stated: list[dict], truths: list[str]) -> list[Tempering]:

@@ -26,7 +26,7 @@ from calibrate.diagnosis.opinion import NONE, Opinion
 from calibrate.diagnosis.outliers import robust, scatter_of
 from calibrate.diagnosis.rehearsal import rehearsed
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.tempering import Tempering
+from calibrate.diagnosis.tempering import AS_STATED, Tempering
 from calibrate.diagnosis.verdict import as_json
 from calibrate.diagnosis.where import Where, where
 from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose, prepare
@@ -47,7 +47,7 @@ class Manner:
     opinion: Opinion
     smallest: float
     nulls: dict[tuple[int, ...], NullTable]
-    tempering: Tempering = Tempering()
+    tempering: Tempering = AS_STATED
 
     @staticmethod
     def neutral() -> "Manner":

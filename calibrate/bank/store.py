@@ -62,10 +62,7 @@ class Rows:
         runs: Sequence[Run | None],
     ) -> "Rows":  # fmt: skip
         """The rows of runs (None: not simulated), without failed and incomplete ones."""
-        values = np.full((len(base), len(features)), np.nan)
-        for row, run in enumerate(runs):
-            if run is not None and not run.failure:
-                values[row] = vector(features, curves_of(run), run.observables())
+        values = features_of(features, runs)
         good = np.isfinite(values).all(axis=1)
         return Rows(base[good], strengths[good], packing[good], values[good])
 
@@ -192,6 +189,15 @@ def limits(design: Design) -> np.ndarray:
 def curves_of(run: Run) -> Curves:
     """A run's curves as features read them."""
     return {"confined": tuple(run.confined.T), "unconfined": tuple(run.unconfined.T)}
+
+
+def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.ndarray:
+    """Values (n, m) of the features of runs; NaN where one is missing, or the run."""
+    values = np.full((len(runs), len(features)), np.nan)
+    for row, run in enumerate(runs):
+        if run is not None and not run.failure:
+            values[row] = vector(features, curves_of(run), run.observables())
+    return values
 
 
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> Bank:

@@ -50,16 +50,20 @@ class Tempering:
         return {NONE: self.none, UNKNOWN: self.unknown}.get(name, 0.0)
 
 
+AS_STATED = Tempering()  # nothing bent
+
+
 def fitted_tempering(stated: Sequence[Mapping[str, float]], truths: Sequence[str]) -> Tempering:
     """The one with the best logarithmic score: what was stated by class, and the right class, of
     each case."""
 
     def loss(numbers: np.ndarray) -> float:
         bent = _from(numbers)
-        said = [bent.of(p).get(t, 0.0) for p, t in zip(stated, truths, strict=True)]
-        return 0.5 * numbers @ numbers / PULL_SD**2 - float(np.log(ODD + (1 - ODD) * np.array(said)).sum())
+        said = np.array([bent.of(p).get(t, 0.0) for p, t in zip(stated, truths, strict=True)])
+        pull = 0.5 * numbers @ numbers / PULL_SD**2
+        return float(pull - np.log(ODD + (1 - ODD) * said).sum())
 
-    return _from(minimize(loss, np.zeros(len(astuple(Tempering()))), method="BFGS").x)
+    return _from(minimize(loss, np.zeros(len(astuple(AS_STATED))), method="BFGS").x)
 
 
 def _from(numbers: np.ndarray) -> Tempering:

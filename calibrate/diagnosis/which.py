@@ -5,7 +5,8 @@
 
 The verdict is whatever is likeliest: none, a class of effects, two of them, or "unknown".  The
 gates speak through the probabilities (`opinion`): for "none" that no gap is found at `ALPHA`, for
-"unknown" that something is left after the best effect and after the best pair.  `prepare` does what depends on the plan of measurement only.
+"unknown" that something is left after the best effect and after the best pair.  `prepare` does
+what depends on the plan of measurement only.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,6 @@ from calibrate.diagnosis.lack_of_fit import (
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, packing_covariance
 from calibrate.diagnosis.opinion import (
-    NONE,
     Facts,
     Opinion,
     hypotheses,
@@ -40,7 +40,7 @@ from calibrate.diagnosis.refit import Refit
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import Scores, scores
 from calibrate.diagnosis.sets import explanations
-from calibrate.diagnosis.tempering import LEAST, Tempering
+from calibrate.diagnosis.tempering import AS_STATED, LEAST, Tempering
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Prepared:
     classes: Classes
     opinion: Opinion
     smallest: float
-    tempering: Tempering = Tempering()
+    tempering: Tempering = AS_STATED
 
     @property
     def description(self) -> Linearised:

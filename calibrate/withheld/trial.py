@@ -18,7 +18,7 @@ from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.opinion import NONE, UNKNOWN
 from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.tempering import Tempering
+from calibrate.diagnosis.tempering import AS_STATED
 from calibrate.diagnosis.which import Prepared, Which, diagnose, label, stated
 from calibrate.errors import InputError
 from calibrate.measurements import load_lab
@@ -97,7 +97,7 @@ def verdict_of(
 
 def _before_tempering(which: Which, prepared: Prepared) -> dict[str, float]:
     """What is stated by class without tempering, from which the next tempering can be learned."""
-    return stated(which.facts, prepared.classes, prepared.opinion, Tempering())[1]
+    return stated(which.facts, prepared.classes, prepared.opinion, AS_STATED)[1]
 
 
 def _shrinkage(d: Linearised, measured: Measured, which: Which, seed: int) -> dict:
