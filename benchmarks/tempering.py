@@ -2,8 +2,8 @@
 
     python benchmarks/tempering.py                 a few seconds
 
-Reads the fourth own set's verdicts (benchmarks/results/withheld_own_verdicts.tar.xz, as they were
-stated before its seal was opened) and what was true (withheld_own.json); writes
+Reads the fourth own set's verdicts (benchmarks/results/withheld_fourth_verdicts.tar.xz, as they were
+stated before its seal was opened) and what was true (withheld_fourth.json); writes
 calibrate/diagnosis/tempering.json.  Of verdicts that were tempered, what was stated before counts.
 
 Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic
@@ -24,7 +24,7 @@ from calibrate.output import write_text
 from calibrate.withheld.scores import expected_error
 
 RESULTS = Path(__file__).parent / "results"
-VERDICTS, TRUTHS = RESULTS / "withheld_own_verdicts.tar.xz", RESULTS / "withheld_own.json"
+VERDICTS, TRUTHS = RESULTS / "withheld_fourth_verdicts.tar.xz", RESULTS / "withheld_fourth.json"
 TARGET = Path(__file__).parents[1] / "calibrate" / "diagnosis" / LEARNED
 FOLDS = 5
 

@@ -1,6 +1,6 @@
 """Is the signal-to-noise of withheld effects told rightly from four packings?
 
-    mkdir fourth && tar xf benchmarks/results/withheld_own_cases.tar.xz -C fourth
+    mkdir fourth && tar xf benchmarks/results/withheld_fourth_cases.tar.xz -C fourth
     python benchmarks/visibility.py fourth          half an hour on a core; resumes
 
 Of single effects of soil and walls with a signal-to-noise of 2.4 to 8 in an opened set (their
@@ -27,8 +27,8 @@ from calibrate.withheld.laboratory import Laboratory
 from calibrate.withheld.plan import CENTRE, PACKINGS, SPECIMENS, Case, Hidden, Visibility
 from calibrate.withheld.seal import open_seal
 
-MISMATCH = reporting.RESULTS / "withheld_own_mismatch.json"
-SCORED = reporting.RESULTS / "withheld_own.json"
+MISMATCH = reporting.RESULTS / "withheld_fourth_mismatch.json"
+SCORED = reporting.RESULTS / "withheld_fourth.json"
 INSTRUMENTS = ("acquisition_lag", "load_cell_offset", "load_cell_gain", "seating_gap")
 RANGE, CASES = (2.4, 8.0), 12
 HEADER = ["case", "effect", "SNR, four packings", "twelve others", "all sixteen",
