@@ -3,13 +3,13 @@
     noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
-The verdict is whatever is likeliest: none, a class of effects, two of them, or "unknown".  The
-gates speak through the probabilities (`opinion`): for "none" that no gap is found at `ALPHA`, for
-"unknown" that something is left after the best effect and after the best pair.  `prepare` does
-what depends on the plan of measurement only.
+The verdict is whatever is likeliest: none, a class of effects, two of them, or "unknown", for
+which it speaks that something is left after the best effect and after the best pair; where the
+gate finds a gap at `ALPHA`, whatever is likeliest but none.  `prepare` does what depends on the
+plan of measurement only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,8 @@ from calibrate.diagnosis.lack_of_fit import (
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, packing_covariance
 from calibrate.diagnosis.opinion import (
+    ALPHA,
+    NONE,
     Facts,
     Opinion,
     hypotheses,
@@ -223,7 +225,7 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
 def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
     probability, by_class = stated(facts, prepared.classes, prepared.opinion, prepared.tempering)
     return Which(
-        verdict=max(by_class, key=lambda name: by_class[name]),
+        verdict=_verdict(facts.p_before, by_class),
         probability=probability,
         by_class=by_class,
         likely_set=explanations(by_class, prepared.smallest),
@@ -248,3 +250,9 @@ def stated(
         for h, name, p in zip(every, of_class, values, strict=True)
     }
     return probability, by_class
+
+
+def _verdict(p_before: float, by_class: Mapping[str, float]) -> str:
+    """What is likeliest, unless that is none and a gap was found."""
+    open_ = [name for name in by_class if name != NONE or p_before > ALPHA]
+    return max(open_, key=lambda name: by_class[name])
