@@ -3,10 +3,10 @@
     noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
-The verdict is whatever is likeliest: none, a class of effects, two of them, or "unknown", for
-which it speaks that something is left after the best effect and after the best pair; where the
-gate finds a gap at `ALPHA`, whatever is likeliest but none.  `prepare` does what depends on the
-plan of measurement only.
+The verdict is "none" unless the gate finds a gap at `ALPHA`, or one explanation is likelier than
+all others together; else the likeliest explanation: a class of effects, two of them, or
+"unknown", for which it speaks that something is left after the best effect and after the best
+pair.  `prepare` does what depends on the plan of measurement only.
 """
 
 from collections.abc import Mapping, Sequence
@@ -253,6 +253,6 @@ def stated(
 
 
 def _verdict(p_before: float, by_class: Mapping[str, float]) -> str:
-    """What is likeliest, unless that is none and a gap was found."""
-    open_ = [name for name in by_class if name != NONE or p_before > ALPHA]
-    return max(open_, key=lambda name: by_class[name])
+    """The likeliest explanation, if a gap was found or it is likelier than not; else none."""
+    best = max((name for name in by_class if name != NONE), key=lambda name: by_class[name])
+    return best if p_before <= ALPHA or by_class[best] > 0.5 else NONE
