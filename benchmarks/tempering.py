@@ -2,8 +2,8 @@
 
     python benchmarks/tempering.py                 a few seconds
 
-Reads the fourth own set's verdicts (benchmarks/results/withheld_fourth_verdicts.tar.xz, as they were
-stated before its seal was opened) and what was true (withheld_fourth.json); writes
+Reads the fourth own set's verdicts (benchmarks/results/withheld_fourth_verdicts.tar.xz, as they
+were stated before its seal was opened) and what was true (withheld_fourth.json); writes
 calibrate/diagnosis/tempering.json.  Of verdicts that were tempered, what was stated before counts.
 
 Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic
