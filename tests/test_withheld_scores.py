@@ -19,6 +19,7 @@ from calibrate.diagnosis.opinion import NONE
 from calibrate.errors import InputError
 from calibrate.report import kinds
 from calibrate.report import withheld as report
+from calibrate.report.withheld_words import found as told
 from calibrate.report.withheld_words import percent
 from calibrate.withheld import run
 from calibrate.withheld.elsewhere import in_our_words
@@ -412,3 +413,9 @@ def test_scores_of_earlier_versions_still_make_a_page(path):
 def test_the_earliest_scores_are_among_them():
     """Without a file that lacks the newer shares the test above would show nothing."""
     assert any("shrinkage_shown" not in json.loads(path.read_text()) for path in SCORED)
+
+
+@pytest.mark.parametrize(("value", "text"), [(35 / 39, "89.7 %"), (0.9, "90 %"), (0.86, "86 %")])
+def test_a_share_that_misses_its_bound_never_reads_like_it(value, text):
+    target = Target("right", AT_LEAST, 0.9, "share", value, n=39)
+    assert told(target).replace("\N{NO-BREAK SPACE}", " ") == text

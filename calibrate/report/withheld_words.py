@@ -158,7 +158,11 @@ def asked(target: Target) -> str:
 
 
 def found(target: Target) -> str:
-    return _value(target, target.value)
+    """What was found, with a decimal where it would else read as the bound that it is not."""
+    text = _value(target, target.value)
+    if target.unit == "share" and target.value != target.bound and text == asked(target)[2:]:
+        return f"{100 * (target.value or 0.0):.1f}{PERCENT}"
+    return text
 
 
 def _value(target: Target, value: float | None) -> str:
