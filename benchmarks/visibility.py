@@ -13,7 +13,7 @@ standard error over packings.
 
 import argparse
 import json
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,6 @@ import reporting
 
 from calibrate.bank import mismatch, store
 from calibrate.bank.description import Ready
-from calibrate.bank.store import TARGETS, curves_of, declared
-from calibrate.diagnosis.features import vector
 from calibrate.withheld.laboratory import Laboratory
 from calibrate.withheld.plan import CENTRE, PACKINGS, SPECIMENS, Case, Hidden, Visibility
 from calibrate.withheld.seal import open_seal
@@ -54,23 +52,10 @@ def drawn(scored: dict) -> list[dict]:
     return rows[:CASES]
 
 
-def changes(laboratory: Laboratory, case: Case) -> np.ndarray:
-    """What the hidden effect does to the curves' features (n, m) on packings held back."""
-    features = declared(laboratory.lab.confined.force_high)[: -len(TARGETS)]
-    found = []
-    for number in range(SPECIMENS, PACKINGS):
-        runs = [laboratory._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
-        if None not in runs:
-            with_, without = (vector(features, curves_of(run)) for run in runs if run)
-            found.append(with_ - without)
-    values = np.array(found)
-    return values[np.isfinite(values).all(axis=1)]
-
-
 def measured(row: dict, label: dict, laboratory: Laboratory, ready: Ready, known) -> dict:
     """One case's numbers."""
     case, four = case_of(label), np.array(label["changes"])
-    twelve = changes(laboratory, case)
+    twelve = laboratory.changes(case, range(SPECIMENS, PACKINGS))
     visible = Visibility(ready, case.soil, SPECIMENS, known)
     predicted = visible.change({h.name: h.strength for h in case.hidden})
     every = np.vstack([four, twelve])

@@ -107,12 +107,12 @@ class Laboratory:
         whole = numbers.start == 0 and len(numbers) >= SPECIMENS
         return measured if inside or not whole else None
 
-    def changes(self, case: Case) -> np.ndarray:
-        """What the hidden effects do to the features of the curves (n, m), on each of the case's
-        packings where both simulations have all of them."""
+    def changes(self, case: Case, numbers: range = range(SPECIMENS)) -> np.ndarray:
+        """What the hidden effects do to the features of the curves (n, m), on each of these of the
+        case's packings where both simulations have all of them."""
         features = declared(self.lab.confined.force_high)[: -len(TARGETS)]
         found = []
-        for number in range(SPECIMENS):
+        for number in numbers:
             runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
             if None not in runs:
                 with_, without = (vector(features, curves_of(run)) for run in runs if run)
