@@ -12,10 +12,10 @@ import numpy as np
 from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis import baselines
-from calibrate.diagnosis.classes import JOINED
+from calibrate.diagnosis.classes import JOINED, TOGETHER
 from calibrate.diagnosis.how_far import feature_weights, how_far
 from calibrate.diagnosis.linear import Linearised
-from calibrate.diagnosis.opinion import NONE, UNKNOWN
+from calibrate.diagnosis.opinion import NONE, UNKNOWN, hypotheses
 from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.tempering import AS_STATED
@@ -84,6 +84,7 @@ def verdict_of(
         "by_class": which.by_class,
         "tempering": asdict(prepared.tempering),
         "before_tempering": _before_tempering(which, prepared),
+        "ln_evidence": _ln_evidence(which),
         "likely_set": which.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
         "p_before": which.facts.p_before,
@@ -98,6 +99,14 @@ def verdict_of(
 def _before_tempering(which: Which, prepared: Prepared) -> dict[str, float]:
     """What is stated by class without tempering, from which the next tempering can be learned."""
     return stated(which.facts, prepared.classes, prepared.opinion, AS_STATED)[1]
+
+
+def _ln_evidence(which: Which) -> dict[str, float]:
+    """ln evidence of each explanation over that of none, from which an opinion can be learned."""
+    found = which.facts.evidence
+    values = [0.0, *found.singles.tolist(), *found.pairs.tolist(), found.unknown]
+    names = (TOGETHER.join(h) for h in hypotheses(which.facts))
+    return dict(zip(names, values, strict=True))
 
 
 def _shrinkage(d: Linearised, measured: Measured, which: Which, seed: int) -> dict:
