@@ -1,7 +1,7 @@
 """Which number tells best that a soil or a wall hides something: the gate's p-value, or others?
 
     mkdir fifth && tar xf benchmarks/results/withheld_own_cases.tar.xz -C fifth
-    python benchmarks/gates.py fifth --each 25          nine minutes on a core; resumes
+    python benchmarks/gates.py fifth --each 25          ten minutes beside other jobs; resumes
 
 On an opened set: `each` cases with nothing hidden, and as many with one effect of soil or walls at
 a signal-to-noise of 2 to 8.  Of each number: how often a case that hides something has the larger

@@ -1,7 +1,7 @@
 """Is the signal-to-noise of withheld effects told rightly from four packings?
 
     mkdir fourth && tar xf benchmarks/results/withheld_fourth_cases.tar.xz -C fourth
-    python benchmarks/visibility.py fourth          half an hour on a core; resumes
+    python benchmarks/visibility.py fourth          a quarter of an hour of one core; resumes
 
 Of single effects of soil and walls with a signal-to-noise of 2.4 to 8 in an opened set (their
 labels hold what the effect did on the case's four packings) twelve, drawn with seed 0, are

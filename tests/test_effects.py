@@ -308,7 +308,7 @@ def slowness(outcome):
 
 
 def test_a_servo_that_slows_down_before_its_target_does_not_soften_the_soil():
-    """It would never arrive: forces fall as it slows, so that a quarter of the beds crept here."""
+    """It would never arrive: forces fall as it slows; one bed in seven of the bank crept so."""
     timetable = ALL.tests.timetable()
     reference = 8e-3 / HEIGHT
     around = Altered(ALL.effects, SOIL, NUMERICS.smoothing, timetable, 8e-3, reference)
