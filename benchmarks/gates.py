@@ -1,6 +1,6 @@
 """Which number tells best that a soil or a wall hides something: the gate's p-value, or others?
 
-    mkdir fifth && tar xf benchmarks/results/withheld_own_cases.tar.xz -C fifth
+    mkdir fifth && tar xf benchmarks/results/withheld_fifth_cases.tar.xz -C fifth
     python benchmarks/gates.py fifth --each 25          ten minutes beside other jobs; resumes
 
 On an opened set: `each` cases with nothing hidden, and as many with one effect of soil or walls at
@@ -29,8 +29,8 @@ from calibrate.withheld.run import case_folders
 from calibrate.withheld.scores import area
 from calibrate.withheld.trial import DRAWS, typical_case
 
-SCORED = reporting.RESULTS / "withheld_own.json"
-MISMATCH = reporting.RESULTS / "withheld_own_mismatch.json"
+SCORED = reporting.RESULTS / "withheld_fifth.json"
+MISMATCH = reporting.RESULTS / "withheld_fifth_mismatch.json"
 INSTRUMENTS = ("acquisition_lag", "load_cell_offset", "seating_gap")
 RANGE = (2.0, 8.0)
 NUMBERS = {
@@ -106,7 +106,7 @@ def main() -> None:
     ready = Ready.of(store.load(store.bundled_bank()))
     known = mismatch.load(MISMATCH, ready)
     typical = typical_case(case_folders(given.folder)[0], ready, 0, known)
-    manner = Manner.of(typical, {typical.world.plan.shape: typical.null})
+    manner = Manner(nulls={typical.world.plan.shape: typical.null})
     scored, kept = json.loads(SCORED.read_text()), reporting.CACHE / f"gates_{engine_hash()}"
 
     def of(case: str) -> dict:

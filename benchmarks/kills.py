@@ -13,7 +13,7 @@ counts of simulations and times.  A command is one line of `VERBS`.
 By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
 part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
 The bank is the smallest there is, `withheld` has two cases that the bundled bank diagnoses after
-a short rehearsal; its seed, otherwise secret, is given, so that results can be compared.
+few draws; its seed, otherwise secret, is given, so that results can be compared.
 
     python benchmarks/kills.py
     python benchmarks/kills.py --dem --verbs fit
@@ -76,7 +76,7 @@ DIFFERS = ("simulations", "runtime_s", "particle_steps_per_s", "command")
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
 SEED = 1  # of the withheld cases
 CASES = {"none": 1, "above 6": 1}  # 309 in earnest
-REHEARSAL = {"DRAWS": 60, "REHEARSED": 24, "TRAINING": 60}  # 300, 240, 800 in earnest
+FEWER = {"DRAWS": 60, "TRAINING": 60}  # 300, 1200 in earnest
 FOLDER = reporting.CACHE / "kills"
 LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all of the above
 
@@ -127,9 +127,9 @@ def started(verb: str, folder: Path, dem: bool) -> int:
 
 
 def prepare_process(dem: bool) -> None:
-    """Small specimens, few cases, a short rehearsal, a known seed, and formulas unless `dem`."""
+    """Small specimens, few cases and draws, a known seed, and formulas unless `dem`."""
     presets.PRESETS["quick"] = TINY
-    for name, count in REHEARSAL.items():
+    for name, count in FEWER.items():
         setattr(trial, name, count)
     plan.COUNTS = CASES
     run.secrets = SimpleNamespace(randbits=lambda bits: SEED)

@@ -3,12 +3,12 @@
     curves -> features -> description about the best base fit -> null distributions
            -> where, which, how far, next test
 
-What a bank's own statistics need once (how probabilities are to be stated) is rehearsed for the
-plan of measurement at hand and may be shared by labs with the same plan.
+How probabilities are stated was learned once (`diagnosis.opinion`); null distributions depend on
+the plan of measurement and may be shared by labs with the same plan.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,18 +22,15 @@ from calibrate.diagnosis.lack_of_fit import NullTable
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.next_test import Proposal, next_tests
 from calibrate.diagnosis.noise import packing_covariance
-from calibrate.diagnosis.opinion import NONE, Opinion
+from calibrate.diagnosis.opinion import NONE, Opinion, learned
 from calibrate.diagnosis.outliers import robust, scatter_of
-from calibrate.diagnosis.rehearsal import rehearsed
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.tempering import AS_STATED, Tempering
 from calibrate.diagnosis.verdict import as_json
 from calibrate.diagnosis.where import Where, where
 from calibrate.diagnosis.which import Prepared, Which, design_classes, diagnose, prepare
 from calibrate.measurements import Lab
 
 DRAWS = 400  # of null distributions
-REHEARSED = 480  # cases, from which it is learned how to state probabilities
 LEADING = 4  # explanations between which a further test is to decide
 LEAST_LIKELY = 0.01  # probability of such an explanation, but for the likeliest
 Say = Callable[[str], None]
@@ -41,23 +38,16 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Manner:
-    """How probabilities are stated and how large sets are, once rehearsed; null distributions
-    by plan of measurement (specimens, features), to be shared by labs that have the same."""
+    """How probabilities are stated; null distributions by plan of measurement (specimens,
+    features), to be shared by labs that have the same."""
 
-    opinion: Opinion
-    smallest: float
-    nulls: dict[tuple[int, ...], NullTable]
-    tempering: Tempering = AS_STATED
+    opinion: Opinion = field(default_factory=learned)
+    nulls: dict[tuple[int, ...], NullTable] = field(default_factory=dict)
 
     @staticmethod
     def neutral() -> "Manner":
         """Evidences as they are."""
-        return Manner(Opinion(), 0.1, {})
-
-    @staticmethod
-    def of(prepared: Prepared, nulls: dict[tuple[int, ...], NullTable]) -> "Manner":
-        """That of a rehearsed diagnosis."""
-        return Manner(prepared.opinion, prepared.smallest, nulls, prepared.tempering)
+        return Manner(Opinion())
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,20 +91,15 @@ def ready_to_diagnose(
     d: Linearised, measured: Measured, seed: int, manner: Manner | None = None, draws: int = DRAWS
 ) -> Prepared:
     """Null distributions of the linear description; the emulator is put back for refits."""
+    manner = manner or Manner()
     linear, plan = replace(d, emulator=None), plan_of(measured)
-    if manner is not None and plan.shape in manner.nulls:
+    if plan.shape in manner.nulls:
         world = World(linear, plan, packing_covariance(linear))
         null = manner.nulls[plan.shape]
-        prepared = Prepared(world, null, design_classes(world), Opinion(), 0.1)
+        prepared = Prepared(world, null, design_classes(world), manner.opinion)
     else:
-        prepared = prepare(linear, plan, seed, draws)
-    if manner is None:
-        prepared = rehearsed(prepared, seed + 1, REHEARSED)
-    else:
-        manner.nulls.setdefault(plan.shape, prepared.null)
-        prepared = replace(
-            prepared, opinion=manner.opinion, smallest=manner.smallest, tempering=manner.tempering
-        )
+        prepared = prepare(linear, plan, seed, draws, manner.opinion)
+        manner.nulls[plan.shape] = prepared.null
     return replace(prepared, world=replace(prepared.world, description=d))
 
 
@@ -129,7 +114,7 @@ def diagnosed(
     """The whole diagnosis of one lab."""
     say("reading curves, fitting the base model")
     found, d, measured = described(lab, ready, seed, discrepancy)
-    say("simulating null distributions, rehearsing")
+    say("simulating null distributions")
     prepared = ready_to_diagnose(d, measured, seed, manner)
     say("comparing explanations")
     which = diagnose(prepared, measured)

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calibrate.diagnosis.examples import generated_case
 from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare_targets
-from calibrate.diagnosis.fits import fitted_base
+from calibrate.diagnosis.fits import covariance_at, fitted_base
 from calibrate.diagnosis.generated import plan_of
 from calibrate.diagnosis.how_far import (
     distortions,
@@ -27,7 +28,6 @@ from calibrate.diagnosis.how_far import (
 from calibrate.diagnosis.linear import Effect, simple
 from calibrate.diagnosis.next_test import FurtherTest, next_tests
 from calibrate.diagnosis.refit import hollows, refit, start_at
-from calibrate.diagnosis.rehearsal import generated_case, rehearsed
 from calibrate.diagnosis.repeats import from_targets, from_vectors
 from calibrate.diagnosis.verdict import as_json, reports, status
 from calibrate.diagnosis.where import where
@@ -99,12 +99,12 @@ def test_an_effect_left_out_of_the_library_is_not_named():
     assert found.verdict != "none"
 
 
-def test_a_rehearsal_gives_an_opinion_and_a_size_of_sets():
-    trained = rehearsed(prepared(), seed=5, cases=60)
-    assert trained.opinion != prepared().opinion
-    assert 0 <= trained.smallest < 1
-    case = generated_case(trained, np.random.default_rng(1), "pair")
-    assert len(case.truth) == 2
+def test_generated_cases_hold_what_they_say():
+    pair = generated_case(prepared(), np.random.default_rng(1), "pair")
+    assert len(pair.truth) == 2 and not pair.left_out
+    other = [generated_case(prepared(), np.random.default_rng(s), "unknown") for s in range(8)]
+    assert {case.truth for case in other} == {("unknown",)}
+    assert any(case.left_out for case in other)
 
 
 def test_scalar_targets_alone_get_an_honest_answer():
@@ -225,6 +225,8 @@ def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
     shape = np.outer(KNOWN.effect_slopes[:, 2], KNOWN.effect_slopes[:, 2])
     np.testing.assert_allclose(excess / np.trace(excess), shape / np.trace(shape), atol=1e-6)
     assert np.trace(excess) > np.trace(shape)
+    where_it_ends = covariance_at(bent, vague.noise, fit)
+    np.testing.assert_allclose(fit.covariance, where_it_ends, rtol=1e-9)
     assert vague.facts.evidence.singles[2] < known.facts.evidence.singles[2]
 
 

@@ -15,6 +15,7 @@ from calibrate.diagnosis.discrepancy import (
     kernel_factors,
     log_bayes_factor,
     projected,
+    rough,
     spectrum,
 )
 from calibrate.diagnosis.evidence import SCALES, Evidence, bivariate_normal, pairs, singles
@@ -260,6 +261,14 @@ def test_evidence_of_a_smooth_gap_is_that_of_the_normal_distribution():
     assert log_bayes_factor(spectrum([factor], residual)) == pytest.approx(exact, abs=1e-8)
 
 
+def test_a_rough_discrepancy_is_noise_of_another_size():
+    residual = np.random.default_rng(9).standard_normal(12) * 3
+    terms = [stats.norm(0, np.sqrt(1 + a**2)).logpdf(residual).sum() for a in AMPLITUDES]
+    null = stats.norm.logpdf(residual).sum()
+    exact = np.logaddexp.reduce(terms) - np.log(len(terms)) - null
+    assert log_bayes_factor([rough(residual)]) == pytest.approx(exact, abs=1e-8)
+
+
 # ------------------------------------------------------------------ classes, refit, opinion, sets
 
 
@@ -287,9 +296,9 @@ def facts(singles_, unknown=0.0, p_before=0.5) -> Facts:
 
 
 def test_probabilities_sum_to_one_and_follow_evidence():
-    p = np.exp(log_probabilities(facts([4.0, 1.0]), Opinion()))
+    p = np.exp(log_probabilities(facts([1.3, 0.3]), Opinion()))
     assert p.sum() == pytest.approx(1.0)
-    assert p[1] > p[2] and p[1] / p[2] == pytest.approx(np.exp(3.0))
+    assert p[1] > p[2] and p[1] / p[2] == pytest.approx(np.e, rel=0.01)
 
 
 def test_overconfident_evidence_is_tempered():
@@ -302,8 +311,41 @@ def test_overconfident_evidence_is_tempered():
         truth = rng.choice(3, p=odds / odds.sum())
         cases.append(facts(3 * gain, unknown=-60.0))
         truths.append(np.arange(5) == truth)
-    opinion = fitted(cases, truths)
-    assert np.exp(opinion.log_temperature) == pytest.approx(3.0, rel=0.35)
+    assert 1 / fitted(cases, truths).sharpness == pytest.approx(3.0, rel=0.35)
+
+
+def test_an_effect_for_which_evidence_speaks_too_readily_is_found_out():
+    """Two units of ln evidence for "a", whatever is true."""
+    rng = np.random.default_rng(16)
+    cases, truths = [], []
+    for _ in range(400):
+        gain = rng.normal(0, 1.5, 2)
+        odds = np.exp(np.array([0.0, *(gain - np.log(2))]))
+        truth = rng.choice(3, p=odds / odds.sum())
+        cases.append(facts(gain + np.array([2.0, 0.0]), unknown=-60.0))
+        truths.append(np.arange(5) == truth)
+    habits = fitted(cases, truths).habits
+    assert habits["b"] - habits["a"] == pytest.approx(2.0, abs=0.5)
+
+
+def test_one_case_that_nobody_could_foresee_does_not_decide():
+    def learned_from(absurd: int) -> Opinion:
+        right = [(facts([4.0, 0.0]), np.arange(5) == 1), (facts([-1.0, -1.0]), np.arange(5) == 0)]
+        wrong = [(facts([900.0, 0.0]), np.arange(5) == 0)]
+        cases, truths = zip(*(right * 40 + wrong * absurd), strict=True)
+        return fitted(cases, truths)
+
+    assert learned_from(1).sharpness == pytest.approx(learned_from(0).sharpness, rel=0.1)
+
+
+def test_much_evidence_counts_less_than_in_proportion():
+    def odds(first: float, second: float) -> float:
+        p = log_probabilities(facts([first, second]), Opinion())
+        return p[1] - p[2]
+
+    assert odds(1.0, 0.0) == pytest.approx(1.0, rel=0.01)
+    assert odds(1001.0, 1000.0) == pytest.approx(1.0, rel=0.01)
+    assert odds(1000.0, 500.0) < odds(1000.0, 0.0) < 35
 
 
 def test_sets_cover_as_stated():

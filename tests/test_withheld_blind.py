@@ -113,7 +113,7 @@ def judge() -> trial.Judges:
     prepared = prepare(known, world.PLAN, seed=1, draws=16)
     inputs = np.random.default_rng(0).standard_normal((8, 3))
     return trial.Judges(
-        Manner(prepared.opinion, 0.1, {world.PLAN.shape: prepared.null}), ("none of ours",), 3.0,
+        Manner(prepared.opinion, {world.PLAN.shape: prepared.null}), ("none of ours",), 3.0,
         "e1",
         baselines.train(inputs, ["none", "e1"] * 4),
     )  # fmt: skip

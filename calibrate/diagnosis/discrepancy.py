@@ -1,12 +1,15 @@
-"""A smooth gap of no particular cause: what "none of these" means as a hypothesis.
+"""A gap of no particular cause: what "none of these" means as a hypothesis.
 
-    d ~ N(0, c^2 D K D)     K = exp(-(x - x')^2 / 2 l^2) within a test, 0 between tests
+    smooth   d ~ N(0, c^2 D K D)    K = exp(-(x - x')^2 / 2 l^2) within a test, 0 between tests
+    rough    d ~ N(0, c^2 Sigma)    shaped as the noise of measured minus simulated mean is
 
-x is the place along the test, D the scatter of one specimen, c an amplitude in that unit.
+x is the place along the test, D the scatter of one specimen, c an amplitude in that unit.  The
+rough one keeps an effect from being named for a gap so large that no part of it fits.
 It enters in the projected space only, so that it cannot compete with the base parameters
 (Plumlee 2017, Bayesian calibration of inexact computer models).  Kernels over both tests
-and over either alone, with two lengths l, share the weight equally.  A kernel is kept as a
-factor (m, r) with K = F F', which drops what is below a thousandth of its variance.
+and over either alone, with two lengths l, and the rough one share the weight equally.  A
+kernel is kept as a factor (m, r) with K = F F', which drops what is below a thousandth of its
+variance.
 """
 
 from collections.abc import Sequence
@@ -63,11 +66,16 @@ def spectrum(factors: Factors, residual: np.ndarray) -> list[tuple[np.ndarray, n
     return found
 
 
+def rough(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The spectrum of a discrepancy shaped as the noise; residual (m,), projected."""
+    return np.ones(len(residual)), residual**2
+
+
 def log_bayes_factor(
     spectra: list[tuple[np.ndarray, np.ndarray]], noise_scale: float = 1.0
 ) -> float:
-    """ln of the evidence for a smooth discrepancy over that for none, of `spectrum`, with
-    the noise scaled (which leaves the projection nearly as it is)."""
+    """ln of the evidence for a discrepancy over that for none, of spectra that share its weight
+    equally, with the noise scaled (which leaves the projection nearly as it is)."""
     terms = [
         0.5 * (along * gain / (1 + gain) - np.log1p(gain)).sum()
         for values, squared in spectra

@@ -1,9 +1,9 @@
 """How well each explanation predicts the data: evidences under stated priors.
 
-Explanations: no gap, each effect, each pair, a smooth discrepancy ("unknown").  Base
-parameters are integrated out under their prior; an effect's strength has a normal prior, cut
-at zero where the effect is one-sided, of scale 0.3, 1 or 3 typical strengths (equal
-weights).  With A = G'G and b = G'r of the projected effects:
+Explanations: no gap, each effect, each pair, a discrepancy of no particular cause
+("unknown").  Base parameters are integrated out under their prior; an effect's strength has a
+normal prior, cut at zero where the effect is one-sided, of scale 0.3, 1 or 3 typical strengths
+(equal weights).  With A = G'G and b = G'r of the projected effects:
 
     ln B = b' C b/2 - ln|1 + s^2 A|/2 + ln P(e > 0 | data)/P(e > 0 | prior)     C = (A + 1/s^2)^-1
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtr, owens_t
 
-from calibrate.diagnosis.discrepancy import Factors, log_bayes_factor, projected, spectrum
+from calibrate.diagnosis.discrepancy import Factors, log_bayes_factor, projected, rough, spectrum
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise
 from calibrate.diagnosis.projection import Projected, project
@@ -58,7 +58,10 @@ def evidence(
     for scale, log_weight in scales:
         covariance = inflation * scale**2 * noise.mean
         design = project(residual, base_slopes, sd, effect_slopes, covariance)
-        spectra = spectra or spectrum(projected(kernel, design.operator), design.residual)
+        spectra = spectra or [
+            *spectrum(projected(kernel, design.operator), design.residual),
+            rough(design.residual),
+        ]
         smooth = log_bayes_factor(spectra, scale / scales[0][0])
         alone, together = singles(design, one_sided), pairs(design, one_sided, index)
         terms = np.concatenate([[0.0], alone, together, [smooth]])

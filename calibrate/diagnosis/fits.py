@@ -1,7 +1,8 @@
 """Best fits of all explanations: none, each effect, pairs of the leading ones.
 
-Each is made twice: with the noise at the base fit, then with that at its own place, since an
-emulator knows least where an effect is strong.
+Each is made with the noise at the base fit, then with that at its own place, and again where
+that moves it, since an emulator knows least where an effect is strong.  A fit is weighed by the
+noise where it ends, not where it came from.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,7 +15,7 @@ from calibrate.diagnosis.evidence import Evidence
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, estimate
 from calibrate.diagnosis.projection import fitted_shift, project
-from calibrate.diagnosis.refit import Refit, Start, hollows, refit, start_at
+from calibrate.diagnosis.refit import Refit, Start, hollows, refit, start_at, weighed
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import admissible, lengths
 
@@ -22,6 +23,7 @@ REFITTED = 3  # leading effects whose pairs are refitted
 BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
 # the base fit, which may be far off where an effect is strong, and with the prior's
 ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
+MOVES = 2  # of a fit, at most, to where the noise at its place leads
 HOLLOWS = 3  # different fits of one explanation that are weighed by their own noise
 
 Fits = dict[tuple[int, ...], Refit]
@@ -106,17 +108,22 @@ class _Fitter:
 
     def likeliest(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
         """The likeliest of the best fits from some starts, each weighed by the noise at its own
-        place."""
+        place, and moved to where this leads while that is likelier."""
         covariance = self.inflation * self.noise.mean
         found = hollows(self.d, self.measured, covariance, key, starts)[:HOLLOWS]
-        return min((self._at_its_place(fit) for fit in found), key=self._unlikely)
+        best = min((self._weighed(fit) for fit in found), key=self._unlikely)
+        for _ in range(MOVES if self.d.emulator is not None else 0):
+            start, own = (best.delta, best.strengths), self.inflation * best.covariance
+            moved = self._weighed(refit(self.d, self.measured, own, key, start))
+            if self._unlikely(moved) >= self._unlikely(best):
+                break
+            best = moved
+        return best
 
-    def _at_its_place(self, fit: Refit) -> Refit:
-        d, own = self.d, covariance_at(self.d, self.noise, fit)
-        if d.emulator is not None:
-            start = (fit.delta, fit.strengths)
-            fit = refit(d, self.measured, self.inflation * own, fit.chosen, start)
-        return replace(fit, covariance=own)
+    def _weighed(self, fit: Refit) -> Refit:
+        """The same point, weighed by the noise there."""
+        own = covariance_at(self.d, self.noise, fit)
+        return replace(weighed(self.d, self.measured, self.inflation * own, fit), covariance=own)
 
     def _unlikely(self, fit: Refit) -> float:
         """Minus twice the log posterior density, up to a constant."""

@@ -4,7 +4,7 @@ Each draw shifts the base parameters by their prior, adds errors of mean and slo
 scatters packings as simulated ones scatter, times an amplitude from its prior: a smoothed
 bootstrap (Silverman and Young 1987, Biometrika 74) of these, so that rare specimens that slip
 are drawn as often as they are simulated.
-Used for null distributions and to rehearse a diagnosis; data of the same make as the
+Used for null distributions and to train rivals; data of the same make as the
 description flatter it, so this is never a test of the diagnosis.
 """
 

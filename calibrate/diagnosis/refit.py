@@ -103,6 +103,14 @@ def refit(
     return point
 
 
+def weighed(
+    description: Linearised, measured: np.ndarray, covariance: np.ndarray, fit: Refit
+) -> Refit:
+    """The fit where it is, its objective that of another covariance (m, m)."""
+    problem = _Problem(description, measured, covariance, fit.chosen)
+    return problem.at(fit.delta, fit.strengths)
+
+
 def best_strengths(gram: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
     """Minimiser (q,) of e'Ae/2 - b'e with some e >= 0, by trying every active set."""
     best, lowest = np.zeros(len(pull)), 0.0

@@ -1,10 +1,10 @@
 """A set of explanations that holds the right one with a stated probability.
 
 Split conformal prediction (Vovk et al. 2005; least ambiguous sets, Sadinle et al. 2019): on n
-rehearsed cases with a known truth, q is the k-th smallest of 1 - P(truth), and the set is every
-explanation with 1 - P <= q.  k = ceil((n + 1) c) gives coverage c on average over rehearsals;
-with `confidence`, k is raised until this very rehearsal gives at least c that often (its
-coverage is Beta(k, n + 1 - k) distributed).  Valid for cases like the rehearsed ones.
+cases with a known truth, q is the k-th smallest of 1 - P(truth), and the set is every
+explanation with 1 - P <= q.  k = ceil((n + 1) c) gives coverage c on average over such samples;
+with `confidence`, k is raised until this very sample gives at least c that often (its
+coverage is Beta(k, n + 1 - k) distributed).  Valid for cases like these.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ def threshold(
 ) -> float:
     """Smallest probability (0 if cases are too few) that an explanation of the set may have.
 
-    truth_probability (n,): what was said of the truth of each rehearsed case.
+    truth_probability (n,): what was said of the truth of each case.
     """
     scores = np.sort(1 - truth_probability)
     n = len(scores)

@@ -3,10 +3,9 @@
     noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
-The verdict is "none" unless the gate finds a gap at `ALPHA`, or one explanation is likelier than
-all others together; else the likeliest explanation: a class of effects, two of them, or
-"unknown", for which it speaks that something is left after the best effect and after the best
-pair.  `prepare` does what depends on the plan of measurement only.
+The verdict is the likeliest explanation: a class of effects, two of them, or "unknown"; it is
+"none" where that is likeliest, or not unlikely enough to name something (`NAMED_BELOW`).
+`prepare` does what depends on the plan of measurement only.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +29,7 @@ from calibrate.diagnosis.lack_of_fit import (
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.noise import Noise, packing_covariance
 from calibrate.diagnosis.opinion import (
-    ALPHA,
+    NAMED_BELOW,
     NONE,
     Facts,
     Opinion,
@@ -42,23 +41,16 @@ from calibrate.diagnosis.refit import Refit
 from calibrate.diagnosis.repeats import Measured
 from calibrate.diagnosis.score import Scores, scores
 from calibrate.diagnosis.sets import explanations
-from calibrate.diagnosis.tempering import AS_STATED, LEAST, Tempering
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """All that a diagnosis needs beside the data.
-
-    Probabilities are those of the opinion, tempered; `smallest` is the least of a member of the set
-    of explanations.
-    """
+    """All that a diagnosis needs beside the data."""
 
     world: World
     null: NullTable
     classes: Classes
     opinion: Opinion
-    smallest: float
-    tempering: Tempering = AS_STATED
 
     @property
     def description(self) -> Linearised:
@@ -105,12 +97,11 @@ def prepare(
     seed: int,
     draws: int = DRAWS,
     opinion: Opinion | None = None,
-    smallest: float = 0.1,
 ) -> Prepared:
     """Simulates null distributions and forms classes for a plan (s, m) of measurement."""
     world = World(description, plan, packing_covariance(description))
     null = simulate(world, seed, draws)
-    return Prepared(world, null, design_classes(world), opinion or Opinion(), smallest)
+    return Prepared(world, null, design_classes(world), opinion or Opinion())
 
 
 def design_classes(world: World) -> Classes:
@@ -223,36 +214,30 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
 
 
 def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
-    probability, by_class = stated(facts, prepared.classes, prepared.opinion, prepared.tempering)
+    probability, by_class = stated(facts, prepared.classes, prepared.opinion)
     return Which(
-        verdict=_verdict(facts.p_before, by_class),
+        verdict=_verdict(by_class),
         probability=probability,
         by_class=by_class,
-        likely_set=explanations(by_class, prepared.smallest),
+        likely_set=explanations(by_class, prepared.opinion.smallest),
         facts=facts,
         **rest,
     )
 
 
 def stated(
-    facts: Facts, classes_: Classes, opinion: Opinion, tempering: Tempering
+    facts: Facts, classes_: Classes, opinion: Opinion
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Probabilities by explanation and by class."""
-    every = hypotheses(facts)
-    values = np.exp(log_probabilities(facts, opinion)).tolist()
-    of_class = [label(classes_, h) for h in every]
-    raw: dict[str, float] = {}
-    for name, p in zip(of_class, values, strict=True):
-        raw[name] = raw.get(name, 0.0) + p
-    by_class = tempering.of(raw)
-    probability = {
-        TOGETHER.join(h): p / max(raw[name], LEAST) * by_class[name]
-        for h, name, p in zip(every, of_class, values, strict=True)
-    }
-    return probability, by_class
+    every, values = hypotheses(facts), np.exp(log_probabilities(facts, opinion)).tolist()
+    by_class: dict[str, float] = {}
+    for hypothesis, p in zip(every, values, strict=True):
+        name = label(classes_, hypothesis)
+        by_class[name] = by_class.get(name, 0.0) + p
+    return dict(zip(map(TOGETHER.join, every), values, strict=True)), by_class
 
 
-def _verdict(p_before: float, by_class: Mapping[str, float]) -> str:
-    """The likeliest explanation, if a gap was found or it is likelier than not; else none."""
-    best = max((name for name in by_class if name != NONE), key=lambda name: by_class[name])
-    return best if p_before <= ALPHA or by_class[best] > 0.5 else NONE
+def _verdict(by_class: Mapping[str, float]) -> str:
+    """The likeliest explanation, if none is unlikely."""
+    likeliest = max(by_class, key=lambda name: by_class[name])
+    return likeliest if by_class[NONE] < NAMED_BELOW else NONE

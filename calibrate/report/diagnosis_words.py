@@ -94,6 +94,12 @@ def _no_gap(found: DiagnosisRecord) -> str:
             "the model leaves out."
         )
     chance = percent(found.which.p_gap)
+    if found.which.p_gap <= ALPHA:
+        return (
+            "Nothing is named: scatter alone would give a misfit like this in only "
+            f"{chance} of such laboratories, but no explanation is likelier than none (stated "
+            f"probability of no gap {stated}). More repeats would tell."
+        )
     return (
         "No gap was found: the calibrated model fits these curves as well as repeats agree with "
         f"each other (stated probability of no gap {stated}; scatter alone would give a misfit "

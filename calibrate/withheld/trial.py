@@ -13,18 +13,17 @@ from calibrate.bank.description import Discrepancy, Ready
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis import baselines
 from calibrate.diagnosis.classes import JOINED, TOGETHER
+from calibrate.diagnosis.examples import KINDS, generated_case
 from calibrate.diagnosis.how_far import feature_weights, how_far
 from calibrate.diagnosis.linear import Linearised
 from calibrate.diagnosis.opinion import NONE, UNKNOWN, hypotheses
-from calibrate.diagnosis.rehearsal import KINDS, generated_case, rehearsed
 from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.tempering import AS_STATED
-from calibrate.diagnosis.which import Prepared, Which, diagnose, label, stated
+from calibrate.diagnosis.which import Prepared, Which, diagnose, label
 from calibrate.errors import InputError
 from calibrate.measurements import load_lab
 from calibrate.output import write_json
 
-DRAWS, REHEARSED, TRAINING = 300, 480, 1200
+DRAWS, TRAINING = 300, 1200
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +38,11 @@ class Judges:
 
 
 def judges(prepared: Prepared, seed: int) -> Judges:
-    """Everything that is fitted to generated cases, on the description of one typical case."""
+    """The diagnosis' manner, and the rivals fitted to generated cases, on one typical case."""
     linear = replace(prepared.description, emulator=None)
     world = replace(prepared.world, description=linear)
-    ready = rehearsed(replace(prepared, world=world), seed + 1, REHEARSED)  # seed drew the nulls
-    rng = np.random.default_rng(seed + 2)
+    ready = replace(prepared, world=world)
+    rng = np.random.default_rng(seed + 1)  # seed drew the nulls
     inputs, labels, null = [], [], []
     covariance = world.mean_covariance
     for number in range(TRAINING):
@@ -54,7 +53,7 @@ def judges(prepared: Prepared, seed: int) -> Judges:
         if case.truth == (NONE,):
             null.append(baselines.template_scores(linear, case.measured).max())
     return Judges(
-        Manner.of(ready, {prepared.world.plan.shape: prepared.null}),
+        Manner(nulls={prepared.world.plan.shape: prepared.null}),
         tuple(f.name for f in linear.features),
         float(np.quantile(null, 0.95)),
         baselines.majority(labels),
@@ -82,8 +81,7 @@ def verdict_of(
         "verdict": which.verdict,
         "stated": which.stated,
         "by_class": which.by_class,
-        "tempering": asdict(prepared.tempering),
-        "before_tempering": _before_tempering(which, prepared),
+        "opinion": asdict(prepared.opinion),
         "ln_evidence": _ln_evidence(which),
         "likely_set": which.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
@@ -94,11 +92,6 @@ def verdict_of(
         **_shrinkage(d, measured, which, seed),
         "rivals": _rivals(d, measured, judge, prepared),
     }
-
-
-def _before_tempering(which: Which, prepared: Prepared) -> dict[str, float]:
-    """What is stated by class without tempering, from which the next tempering can be learned."""
-    return stated(which.facts, prepared.classes, prepared.opinion, AS_STATED)[1]
 
 
 def _ln_evidence(which: Which) -> dict[str, float]:

@@ -1,0 +1,141 @@
+"""Learns how probabilities are stated, from evidences on a set whose seal has been opened.
+
+    python benchmarks/opinion.py                   half a minute
+
+Reads the verdicts on the fifth own set, judged again for their ln evidences
+(benchmarks/results/withheld_fifth_again_verdicts.tar.xz), and what was true (withheld_fifth.json);
+writes calibrate/diagnosis/opinion.json.
+
+Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic
+score of evidences as they are, with the opinion learned, and with that which four fifths of the
+cases gave for the other fifth; from the last follows the size of sets of explanations.
+"""
+
+import json
+import tarfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import reporting
+
+from calibrate.diagnosis.classes import TOGETHER, Classes
+from calibrate.diagnosis.evidence import Evidence
+from calibrate.diagnosis.opinion import (
+    LEARNED,
+    NAMED_BELOW,
+    NONE,
+    ODD,
+    UNKNOWN,
+    Facts,
+    Opinion,
+    fitted,
+    hypotheses,
+)
+from calibrate.diagnosis.sets import threshold
+from calibrate.diagnosis.which import label, stated
+from calibrate.output import write_text
+from calibrate.withheld.scores import expected_error, truth_of
+
+VERDICTS = reporting.RESULTS / "withheld_fifth_again_verdicts.tar.xz"
+TRUTHS = reporting.RESULTS / "withheld_fifth.json"
+TARGET = Path(__file__).parents[1] / "calibrate" / "diagnosis" / LEARNED
+FOLDS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A case whose seal is open: facts, classes of alike effects, and the class that is right."""
+
+    facts: Facts
+    classes: Classes
+    truth: str
+
+    @property
+    def right(self) -> np.ndarray:
+        """Mask over the hypotheses."""
+        return np.array([label(self.classes, h) == self.truth for h in hypotheses(self.facts)])
+
+    def said(self, opinion: Opinion) -> dict[str, float]:
+        """Probabilities by class."""
+        return stated(self.facts, self.classes, opinion)[1]
+
+
+def cases() -> list[Known]:
+    """All of the set whose diagnosis did not fail."""
+    scored = json.loads(TRUTHS.read_text())
+    kinds = {row["case"]: row["kind"] for row in scored["rows"]}
+    with tarfile.open(VERDICTS) as archive:
+        files = sorted((m for m in archive.getmembers() if m.isfile()), key=lambda m: m.name)
+        said = [json.load(archive.extractfile(m)) for m in files]  # pyright: ignore
+    return [
+        known(v, {"kind": kinds[v["case"]], "hidden": scored["hidden"][v["case"]]})
+        for v in said if "ln_evidence" in v
+    ]  # fmt: skip
+
+
+def known(verdict: dict, told: dict) -> Known:
+    """A verdict's evidences beside what was hidden."""
+    found: dict[str, float] = verdict["ln_evidence"]
+    names = tuple(n for n in found if n not in (NONE, UNKNOWN) and TOGETHER not in n)
+    pairs = [n.split(TOGETHER) for n in found if TOGETHER in n]
+    index = np.array([[names.index(one) for one in pair] for pair in pairs])
+    singles = np.array([found[n] for n in names])
+    together = np.array([found[TOGETHER.join(pair)] for pair in pairs])
+    evidence = Evidence(singles, together, index, found[UNKNOWN])
+    facts = Facts(names, evidence, verdict["p_before"], verdict["p_after"])
+    members = verdict["classes"]
+    classes = Classes(names, tuple(tuple(group) for group in members), ())
+    return Known(facts, classes, truth_of(told, members))
+
+
+def learn(some: list[Known]) -> Opinion:
+    return fitted([case.facts for case in some], [case.right for case in some])
+
+
+def quality(some: list[Known], by: list[Opinion]) -> dict:
+    """Shares, calibration error of the likeliest class and mean logarithmic score."""
+    said = [case.said(opinion) for case, opinion in zip(some, by, strict=True)]
+    best = [max(p, key=lambda name: p[name]) for p in said]
+    sure = np.array([p[name] for p, name in zip(said, best, strict=True)])
+    right = np.array([name == case.truth for name, case in zip(best, some, strict=True)], float)
+    score = [np.log(max(p.get(c.truth, 0.0), ODD)) for p, c in zip(said, some, strict=True)]
+    nothing = [
+        p[NONE] < NAMED_BELOW for p, case in zip(said, some, strict=True) if case.truth == NONE
+    ]
+    return {
+        "right": float(right.mean()),
+        "false_alarm": float(np.mean(nothing)),
+        "wrong_and_sure": float(((sure >= 0.8) & (right == 0)).mean()),
+        "calibration_error": expected_error(sure, right),
+        "log_score": float(np.mean(score)),
+    }
+
+
+def by_other_folds(some: list[Known]) -> list[Opinion]:
+    """For each case the opinion that the other folds' cases gave."""
+    fold = np.random.default_rng(0).permutation(len(some)) % FOLDS
+    of = [learn([some[i] for i in np.flatnonzero(fold != k)]) for k in range(FOLDS)]
+    return [of[k] for k in fold]
+
+
+def main() -> None:
+    some = cases()
+    found, others = learn(some), by_other_folds(some)
+    of_truth = [case.said(o).get(case.truth, 0.0) for case, o in zip(some, others, strict=True)]
+    found = replace(found, smallest=threshold(np.array(of_truth)))
+    count = len(some)
+    content = {
+        "opinion": asdict(found),
+        "cases": count,
+        "evidences as they are": quality(some, [Opinion()] * count),
+        "learned": quality(some, [found] * count),
+        "learned from the other folds": quality(some, others),
+        "command": reporting.provenance()["command"],
+    }
+    write_text(TARGET, json.dumps(content, indent=1) + "\n")
+    print(json.dumps(content, indent=1))
+
+
+if __name__ == "__main__":
+    main()
