@@ -27,6 +27,7 @@ from calibrate.diagnosis.how_far import (
 )
 from calibrate.diagnosis.linear import Effect, simple
 from calibrate.diagnosis.next_test import FurtherTest, next_tests
+from calibrate.diagnosis.opinion import Opinion
 from calibrate.diagnosis.refit import hollows, refit, start_at
 from calibrate.diagnosis.repeats import from_targets, from_vectors
 from calibrate.diagnosis.verdict import as_json, reports, status
@@ -97,6 +98,18 @@ def test_an_effect_left_out_of_the_library_is_not_named():
     found = diagnose(fewer, world.case(3, gap_of(2, 20.0)))
     assert "e2" not in found.probability
     assert found.verdict != "none"
+
+
+def test_the_gap_is_said_to_shrink_by_the_effect_that_is_named():
+    """Not by that with the largest evidence, where the opinion prefers another one."""
+    plain = answered(2, 12.0, 1)
+    names, classes = KNOWN.effect_names, prepared().classes
+    others = [k for (k, *more) in plain.refits if not more and names[k] not in classes.of("e2")]
+    assert plain.best == (2,) and others
+    ready = replace(prepared(), opinion=Opinion(pair=-200.0, habits={names[others[0]]: 90.0}))
+    found = diagnose(ready, world.case(1, gap_of(2, 12.0)))
+    assert found.verdict == label(classes, (names[others[0]],))
+    assert found.best == (others[0],)
 
 
 def test_generated_cases_hold_what_they_say():

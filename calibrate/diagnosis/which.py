@@ -71,7 +71,8 @@ class Which:
     """The answer and what it rests on.
 
     probability by explanation (effects and pairs by name, none, unknown) and by_class; base
-    and refits are fits without and with effects.
+    and refits are fits without and with effects; best is the key of the refit that is named, or
+    of the effect with the largest evidence.
     """
 
     verdict: str
@@ -196,8 +197,7 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
     if not refits:
         return (), 1.0
     d = prepared.description
-    value = dict(zip(map(tuple, found.pair_index.tolist()), found.pairs, strict=True))
-    value |= {(k,): found.singles[k] for k in range(len(found.singles))}
+    value = _by_key(found)
     best = max((key for key in refits if len(key) == 1), key=lambda key: value[key])
     pairs = [key for key in refits if len(key) == 2]
     keys = [best, *([max(pairs, key=lambda key: value[key])] if pairs else [])]
@@ -213,10 +213,23 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
     return best, max(p_values)
 
 
-def _answer(prepared: Prepared, facts: Facts, **rest) -> Which:
+def _by_key(found: Evidence) -> dict[tuple[int, ...], float]:
+    """ln evidence of effects and pairs by their indices."""
+    pairs = zip(map(tuple, found.pair_index.tolist()), found.pairs.tolist(), strict=True)
+    return {(k,): value for k, value in enumerate(found.singles.tolist())} | dict(pairs)
+
+
+def _answer(prepared: Prepared, facts: Facts, refits: dict, best: tuple[int, ...], **rest) -> Which:
     probability, by_class = stated(facts, prepared.classes, prepared.opinion)
+    verdict, value = _verdict(by_class), _by_key(facts.evidence)
+    named = [
+        key for key in refits
+        if label(prepared.classes, tuple(facts.names[k] for k in key)) == verdict
+    ]  # fmt: skip
     return Which(
-        verdict=_verdict(by_class),
+        verdict=verdict,
+        refits=refits,
+        best=max(named, key=lambda key: value[key]) if named else best,
         probability=probability,
         by_class=by_class,
         likely_set=explanations(by_class, prepared.opinion.smallest),
