@@ -111,7 +111,7 @@ def judge(
 ) -> None:  # fmt: skip
     """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
     cases = case_folders(source)
-    progress.say("learning how to state probabilities, training rivals")
+    progress.say("training rivals")
     judge: Judges = judges(typical_case(cases[0], ready, seed, discrepancy), seed)
     diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
     _state(out)
