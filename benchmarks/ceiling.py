@@ -1,14 +1,16 @@
-"""How often could anyone name the effect?  An observer who knows what no diagnosis can know.
+"""How often would an observer name the effect who knows what no diagnosis can know?
 
     mkdir fifth && tar xf benchmarks/results/withheld_fifth_cases.tar.xz -C fifth
     python benchmarks/ceiling.py fifth                  resumes
 
 For every single effect of an opened set, at its own signal-to-noise and about its own curves, data
 are drawn in a linear world, and judged by an observer who knows this world: the scatter of
-specimens exactly, every effect's signature exactly, how often nothing is hidden, and that there are
-no pairs and nothing from outside.  It names the likeliest class; how likely none may be at most is
-set so that it alarms in one of twenty draws with nothing hidden.  A diagnosis that has to learn all
-this from four specimens and a bank cannot be expected to be right more often.
+specimens exactly, every effect's signature exactly, and that there are no pairs and nothing from
+outside.  All effects are equally likely to it, strengths have the prior of `evidence`.  It names
+the likeliest class where its odds against none exceed what they do in one of twenty draws with
+nothing hidden.  No strict bound (who knows how often each effect is drawn may do better), but a
+diagnosis that has to learn all this from four specimens and a bank will hardly come near.  What
+the diagnosis named is that of the day when the set was opened.
 """
 
 import argparse

@@ -99,11 +99,7 @@ def leading_places(
 
 def leading_fits(which: Which) -> list[Refit]:
     """The base fit, then the likeliest refitted effects and the likeliest refitted pair."""
-    evidence = which.facts.evidence
-    value: dict[tuple[int, ...], float]
-    value = {(k,): float(v) for k, v in enumerate(evidence.singles)}
-    pairs = map(tuple, evidence.pair_index.tolist())
-    value |= {key: float(v) for key, v in zip(pairs, evidence.pairs, strict=True)}
+    value = which.facts.evidence.by_key()
     order = sorted(which.refits, key=lambda key: -value[key])
     alone = [key for key in order if len(key) == 1 and which.refits[key].strengths[key[0]]]
     together = [key for key in order if len(key) == 2][:1]

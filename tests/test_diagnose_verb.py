@@ -17,7 +17,7 @@ from calibrate.errors import InputError
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.report import diagnosis as report
-from calibrate.report.diagnosis_words import caution, shrinkage
+from calibrate.report.diagnosis_words import caution, shrinkage, verdict
 from calibrate.report.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 
@@ -203,6 +203,43 @@ def test_an_effect_that_shrinks_nothing_is_not_credited(done):
             update={"shrinkage": removed, "interval": interval, "shown": shown}
         )
         assert said in shrinkage(found.model_copy(update={"how_far": far}))
+
+
+def nothing_named(done: Path, p_gap: float, probability: dict[str, float]) -> str:
+    """What the page says where none is the verdict."""
+    found = read(done / "result.json", DiagnosisRecord)
+    order = sorted(probability, key=lambda name: -probability[name])
+    which = {"verdict": "none", "p_gap": p_gap, "probability_by_class": probability}
+    explanations = [
+        found.explanations[0].model_copy(update={"label": name, "probability": probability[name]})
+        for name in order
+    ]
+    return verdict(found.model_copy(
+        update={"which": found.which.model_copy(update=which), "explanations": explanations}
+    ))  # fmt: skip
+
+
+def test_that_nothing_is_named_has_three_reasons(done):
+    """No gap; a gap that may be scatter; a likeliest cause that is not likely enough."""
+    quiet = nothing_named(done, 0.4, {"none": 0.7, "wall_friction": 0.3})
+    assert quiet.startswith("No gap was found") and "70 %" in quiet
+    odd = nothing_named(done, 0.02, {"none": 0.7, "wall_friction": 0.3})
+    assert "likelier than any explanation" in odd and "2 %" in odd
+    vague = nothing_named(done, 0.02, {"none": 0.3, "unknown": 0.3, "wall_friction": 0.4})
+    assert title("wall_friction") in vague and "40 %" in vague and "30 %" in vague
+    other = nothing_named(done, 0.2, {"none": 0.4, "unknown": 0.6})
+    assert "something that the library does not hold" in other
+
+
+def test_of_a_pair_that_is_named_both_effects_count(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    assert found.how_far is not None
+    far = found.how_far.model_copy(update={"shrinkage": 0.6, "interval": (0.5, 0.7), "shown": True})
+    pair = ["wall_friction", "seating_gap"]
+    which = found.which.model_copy(update={"verdict": "seating_gap + wall_friction"})
+    for best, alone in ((pair, False), (pair[:1], True)):
+        seen = found.model_copy(update={"which": which, "how_far": far, "best": best})
+        assert ("second effect is not counted" in shrinkage(seen)) == alone
 
 
 def test_a_damaged_result_is_refused(done, tmp_path):

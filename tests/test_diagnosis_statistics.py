@@ -338,6 +338,12 @@ def test_one_case_that_nobody_could_foresee_does_not_decide():
     assert learned_from(1).sharpness == pytest.approx(learned_from(0).sharpness, rel=0.1)
 
 
+def test_an_explanation_that_could_not_be_fitted_is_none():
+    p = np.exp(log_probabilities(facts([np.nan, 3.0], unknown=-np.inf), Opinion()))
+    assert p.sum() == pytest.approx(1.0)
+    assert p[1] < 1e-9 and p[2] > 0.9 * p[2:].sum()
+
+
 def test_much_evidence_counts_less_than_in_proportion():
     def odds(first: float, second: float) -> float:
         p = log_probabilities(facts([first, second]), Opinion())

@@ -3,10 +3,11 @@
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from calibrate.diagnosis.opinion import NONE, learned
+from calibrate.diagnosis.classes import JOINED, TOGETHER
+from calibrate.diagnosis.opinion import NAMED_BELOW, NONE, hypotheses, learned
+from calibrate.diagnosis.which import named
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import opinion
@@ -16,7 +17,6 @@ def test_it_follows_from_the_archived_evidences():
     found, again = learned(), opinion.learn(opinion.cases())
     names = tuple(again.habits)
     assert found.numbers(names) == pytest.approx(again.numbers(names), abs=1e-3)
-    assert 0.05 < found.sharpness < 2
     assert 0 < found.smallest < 0.5
 
 
@@ -28,8 +28,27 @@ def test_it_states_better_than_evidences_as_they_are():
     assert others["log_score"] > plain["log_score"]
 
 
+def named_right(case: opinion.Known) -> set[tuple[str, ...]]:
+    every = hypotheses(case.facts)
+    return {h for h, right in zip(every, case.right, strict=True) if right}
+
+
 def test_right_explanations_are_those_of_the_right_class():
-    case = next(c for c in opinion.cases() if c.truth == NONE)
-    assert case.right.tolist() == [True] + [False] * (len(case.right) - 1)
-    said = case.said(learned())
-    assert np.isclose(sum(said.values()), 1.0)
+    cases = opinion.cases()
+    nothing = next(c for c in cases if c.truth == NONE)
+    assert named_right(nothing) == {(NONE,)}
+    joined = next(c for c in cases if JOINED in c.truth and TOGETHER not in c.truth)
+    members = set(joined.truth.split(JOINED))
+    assert {(name,) for name in members} <= named_right(joined)
+    assert all(set(h) <= members for h in named_right(joined))
+    pair = next(c for c in cases if TOGETHER in c.truth and JOINED not in c.truth)
+    assert [set(h) for h in named_right(pair)] == [set(pair.truth.split(TOGETHER))]
+    for case in (nothing, joined, pair):
+        assert sum(case.said(learned()).values()) == pytest.approx(1.0)
+
+
+def test_something_is_named_where_none_is_unlikely_enough():
+    less, more = NAMED_BELOW - 0.01, NAMED_BELOW + 0.01
+    assert named({NONE: less, "wall_friction": 0.7}) == "wall_friction"
+    assert named({NONE: more, "wall_friction": 0.7}) == NONE
+    assert named({NONE: less, "a": 0.2, "b": 0.2, "c": 0.2}) == NONE

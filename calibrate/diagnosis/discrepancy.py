@@ -1,15 +1,16 @@
 """A gap of no particular cause: what "none of these" means as a hypothesis.
 
     smooth   d ~ N(0, c^2 D K D)    K = exp(-(x - x')^2 / 2 l^2) within a test, 0 between tests
-    rough    d ~ N(0, c^2 Sigma)    shaped as the noise of measured minus simulated mean is
+    rough    d ~ N(0, c^2 I)        in the projected space: shaped as the noise, and as what
+                                    the base parameters leave open
 
-x is the place along the test, D the scatter of one specimen, c an amplitude in that unit.  The
-rough one keeps an effect from being named for a gap so large that no part of it fits.
-It enters in the projected space only, so that it cannot compete with the base parameters
-(Plumlee 2017, Bayesian calibration of inexact computer models).  Kernels over both tests
-and over either alone, with two lengths l, and the rough one share the weight equally.  A
-kernel is kept as a factor (m, r) with K = F F', which drops what is below a thousandth of its
-variance.
+x is the place along the test, D the scatter of one specimen, c an amplitude in that unit; for the
+rough one, in that of the smallest scale of the noise that `evidence` integrates over.  It keeps an
+effect from being named for a gap so large that no part of it fits.  Discrepancies enter in the
+projected space only, so that they cannot compete with the base parameters (Plumlee 2017, Bayesian
+calibration of inexact computer models).  Kernels over both tests and over either alone, with two
+lengths l, and the rough one share the weight equally.  A kernel is kept as a factor (m, r) with
+K = F F', which drops what is below a thousandth of its variance.
 """
 
 from collections.abc import Sequence

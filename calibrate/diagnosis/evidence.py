@@ -36,6 +36,11 @@ class Evidence:
     pair_index: np.ndarray
     unknown: float
 
+    def by_key(self) -> dict[tuple[int, ...], float]:
+        """That of effects and pairs by their indices."""
+        pairs = zip(map(tuple, self.pair_index.tolist()), self.pairs.tolist(), strict=True)
+        return {(k,): value for k, value in enumerate(self.singles.tolist())} | dict(pairs)
+
 
 def evidence(
     description: Linearised,
@@ -49,7 +54,7 @@ def evidence(
     """Evidences of all explanations from one linearisation.
 
     residual (m,): measured minus simulated plus B delta; kernel: factors of
-    smooth discrepancies, not projected.
+    smooth discrepancies, not projected (the rough one needs none).
     """
     one_sided = description.one_sided
     index = np.array(np.triu_indices(len(one_sided), 1)).T

@@ -38,6 +38,7 @@ PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0, 1.0)  # of t, the a, l, d, g about thei
 HABIT_SD = 0.7
 SHARPEST, DULLEST = 2.0, 0.05  # t
 NAMED_BELOW = 0.25  # probability of no gap: alarms in 4 % of opened nulls, by the other folds
+HOPELESS = -1e6  # ln evidence of what could not be fitted
 ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
 
@@ -66,8 +67,8 @@ class Opinion:
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What is known of a gap: evidence for the effects `names`, and the p-values of the tests for
-    any gap, before and after the best effect."""
+    """What is known of a gap: evidence for the effects `names`, the p-value of the test for any
+    gap, and the larger of those of the tests after the best effect and after the best pair."""
 
     names: tuple[str, ...]
     evidence: Evidence
@@ -126,6 +127,7 @@ def _table(facts: Facts, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     prior of its kind."""
     found = facts.evidence
     raw = np.concatenate([[0.0], found.singles, found.pairs, [found.unknown]])
+    raw = np.where(np.isfinite(raw), raw, HOPELESS)
     count = (len(found.singles), len(found.pairs))
     kind = np.repeat([0, 1, 2, 3], [1, *count, 1])
     kinds = kind[:, None] == np.array([1, 2, 3])

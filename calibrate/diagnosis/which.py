@@ -1,6 +1,6 @@
 """Which effect is it?  From a sample and a description to probabilities and a verdict.
 
-    noise -> base fit -> gate (is there a gap?) -> scores -> evidences of all explanations ->
+    noise -> base fit -> is there a gap? -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
 
 The verdict is the likeliest explanation: a class of effects, two of them, or "unknown"; it is
@@ -60,10 +60,6 @@ class Prepared:
         """The same with a smaller library; the null distributions stay."""
         world = replace(self.world, description=self.description.without_effects(names))
         return replace(self, world=world, classes=design_classes(world))
-
-    def with_packing(self, packing: np.ndarray) -> "Prepared":
-        """The same with another covariance (m, m) of simulated specimens."""
-        return replace(self, world=replace(self.world, packing=packing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,12 +153,6 @@ def label(classes_: Classes, hypothesis: tuple[str, ...]) -> str:
     return TOGETHER.join(sorted({classes_.label(name) for name in hypothesis}))
 
 
-def right(facts: Facts, classes_: Classes, truth: tuple[str, ...]) -> np.ndarray:
-    """Mask over the hypotheses: those that name the class, or classes, of the truth."""
-    wanted = label(classes_, truth)
-    return np.array([label(classes_, h) == wanted for h in hypotheses(facts)])
-
-
 def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
     """Evidences of the refitted explanations replaced by those at their own best fit."""
     nothing = [replace(f, chosen=()) for f in refits.values() if not f.strengths.any()]
@@ -197,7 +187,7 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
     if not refits:
         return (), 1.0
     d = prepared.description
-    value = _by_key(found)
+    value = found.by_key()
     best = max((key for key in refits if len(key) == 1), key=lambda key: value[key])
     pairs = [key for key in refits if len(key) == 2]
     keys = [best, *([max(pairs, key=lambda key: value[key])] if pairs else [])]
@@ -213,23 +203,18 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
     return best, max(p_values)
 
 
-def _by_key(found: Evidence) -> dict[tuple[int, ...], float]:
-    """ln evidence of effects and pairs by their indices."""
-    pairs = zip(map(tuple, found.pair_index.tolist()), found.pairs.tolist(), strict=True)
-    return {(k,): value for k, value in enumerate(found.singles.tolist())} | dict(pairs)
-
-
 def _answer(prepared: Prepared, facts: Facts, refits: dict, best: tuple[int, ...], **rest) -> Which:
     probability, by_class = stated(facts, prepared.classes, prepared.opinion)
-    verdict, value = _verdict(by_class), _by_key(facts.evidence)
-    named = [
-        key for key in refits
-        if label(prepared.classes, tuple(facts.names[k] for k in key)) == verdict
+    verdict, value = named(by_class), facts.evidence.by_key()
+    size = verdict.count(TOGETHER) + 1
+    of_verdict = [
+        key for key in refits if len(key) == size
+        and label(prepared.classes, tuple(facts.names[k] for k in key)) == verdict
     ]  # fmt: skip
     return Which(
         verdict=verdict,
         refits=refits,
-        best=max(named, key=lambda key: value[key]) if named else best,
+        best=max(of_verdict, key=lambda key: value[key]) if of_verdict else best,
         probability=probability,
         by_class=by_class,
         likely_set=explanations(by_class, prepared.opinion.smallest),
@@ -250,7 +235,7 @@ def stated(
     return dict(zip(map(TOGETHER.join, every), values, strict=True)), by_class
 
 
-def _verdict(by_class: Mapping[str, float]) -> str:
-    """The likeliest explanation, if none is unlikely."""
+def named(by_class: Mapping[str, float]) -> str:
+    """The verdict: the likeliest explanation, if none is unlikely."""
     likeliest = max(by_class, key=lambda name: by_class[name])
     return likeliest if by_class[NONE] < NAMED_BELOW else NONE

@@ -250,14 +250,12 @@ def _features(diagnosis: Diagnosis) -> list[dict]:
 
 def _explanations(diagnosis: Diagnosis) -> list[dict]:
     """Classes and pairs of classes, likeliest first, each with the strengths of the fit of its
-    member (or pair) that fits best, none where nothing was refitted."""
+    member (or pair) with the largest evidence, none where nothing was refitted."""
     which, classes = diagnosis.which, diagnosis.prepared.classes
-    names = diagnosis.prepared.description.effect_names
+    names, value = diagnosis.prepared.description.effect_names, which.facts.evidence.by_key()
     best: dict[str, Refit] = {}
-    for key, fit in which.refits.items():
-        name = label(classes, tuple(names[k] for k in key))
-        if name not in best or fit.objective < best[name].objective:
-            best[name] = fit
+    for key in sorted(which.refits, key=lambda key: -value[key]):
+        best.setdefault(label(classes, tuple(names[k] for k in key)), which.refits[key])
     order = sorted(which.by_class, key=lambda name: -which.by_class[name])
     return [
         {

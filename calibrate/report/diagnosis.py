@@ -105,7 +105,7 @@ def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
         )
     pictures["probability"] = Picture(
         svg(plots.probability_figure(found, title)), "Probabilities of explanations as bars",
-        "How likely each explanation is. The set holds the right one in 90 of 100 withheld cases.",
+        "How likely each explanation is. The set is to hold the right one in 90 of 100 cases.",
     )  # fmt: skip
     pictures["effects"] = Picture(
         svg(plots.effects_figure(found, title)), "Strength of each effect over its error",

@@ -94,16 +94,29 @@ def _no_gap(found: DiagnosisRecord) -> str:
             "the model leaves out."
         )
     chance = percent(found.which.p_gap)
-    if found.which.p_gap <= ALPHA:
-        return (
-            "Nothing is named: scatter alone would give a misfit like this in only "
-            f"{chance} of such laboratories, but no explanation is likelier than none (stated "
-            f"probability of no gap {stated}). More repeats would tell."
-        )
+    first = found.explanations[0].label
+    if first != NONE or found.which.p_gap <= ALPHA:
+        return _not_named(found, first, stated, chance)
     return (
         "No gap was found: the calibrated model fits these curves as well as repeats agree with "
         f"each other (stated probability of no gap {stated}; scatter alone would give a misfit "
         f"like this in {chance} of such laboratories)."
+    )
+
+
+def _not_named(found: DiagnosisRecord, first: str, stated: str, chance: str) -> str:
+    """There may be a gap, but that there is none is not unlikely enough to name its cause."""
+    scatter = f"scatter alone would give a misfit like this in {chance} of such laboratories"
+    if first == NONE:
+        return (
+            f"No cause is named: {scatter}, yet that nothing is left out is likelier than any "
+            f"explanation (stated probability {stated}). More repeats would tell."
+        )
+    likeliest = percent(found.which.probability_by_class.get(first, 0.0))
+    what = "something that the library does not hold" if first == UNKNOWN else f"“{title(first)}”"
+    return (
+        f"No cause is named: {what} would be the likeliest one (stated probability {likeliest}), "
+        f"but the model may as well lack nothing ({stated}; {scatter}). More repeats would tell."
     )
 
 
@@ -149,10 +162,8 @@ def shrinkage(found: DiagnosisRecord) -> str:
         return f"How much of the gap goes with “{name}” the data cannot show ({found_here})."
     share = f"{percent(far.shrinkage)} of the gap ({ends}{_fresh(far)})"
     text = f"Adding “{name}” to the model removes {share}"
-    alone = (
-        "; the second effect is not counted in this." if TOGETHER in found.which.verdict else "."
-    )
-    return text + alone
+    alone = TOGETHER in found.which.verdict and len(found.best) == 1
+    return text + ("; the second effect is not counted in this." if alone else ".")
 
 
 def _why_outside(found: DiagnosisRecord) -> str:
