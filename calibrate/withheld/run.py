@@ -31,7 +31,14 @@ from calibrate.withheld.elsewhere import in_our_words, with_visibility
 from calibrate.withheld.laboratory import Laboratory, Specimen, write_case
 from calibrate.withheld.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner
 from calibrate.withheld.scores import Realised, Row, claims_shrinkage, row, scored
-from calibrate.withheld.trial import Judges, diagnose_all, judges, read_verdicts, typical_case
+from calibrate.withheld.trial import (
+    Judges,
+    diagnose_all,
+    judges,
+    read_verdicts,
+    typical,
+    typical_case,
+)
 
 PLAN = "sealed/plan.json"
 VERDICTS = "verdicts"
@@ -112,7 +119,7 @@ def judge(
     """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
     cases = case_folders(source)
     progress.say("training rivals")
-    judge: Judges = judges(typical_case(cases[0], ready, seed, discrepancy), seed)
+    judge: Judges = judges(typical_case(typical(cases, ready), ready, seed, discrepancy), seed)
     diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
     _state(out)
 

@@ -4,12 +4,15 @@ The verdict holds all that scoring needs, so that scoring can neither change it 
 """
 
 import json
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
+from calibrate.bank.lab import read
 from calibrate.diagnosed import Manner, described, ready_to_diagnose
 from calibrate.diagnosis import baselines
 from calibrate.diagnosis.classes import JOINED, TOGETHER
@@ -24,6 +27,7 @@ from calibrate.measurements import load_lab
 from calibrate.output import write_json
 
 DRAWS, TRAINING = 300, 1200
+SAMPLED = 9  # cases among which a typical one is sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,22 @@ def judges(prepared: Prepared, seed: int) -> Judges:
         baselines.majority(labels),
         baselines.train(np.array(inputs), labels),
     )
+
+
+def typical(cases: Sequence[Path], ready: Ready) -> Path:
+    """The first of a few cases whose curves show what most of these show: rivals that are trained
+    about a case with a feature less could judge hardly any other."""
+    seen = {case: _shown(case, ready) for case in cases[:SAMPLED]}
+    often = Counter(shown for shown in seen.values() if shown).most_common(1)
+    return next(case for case, shown in seen.items() if not often or shown == often[0][0])
+
+
+def _shown(case: Path, ready: Ready) -> tuple[int, ...]:
+    """The bank's features that a case shows; none where it cannot be read."""
+    try:
+        return tuple(read(load_lab(case / "lab.toml"), ready.bank).chosen.tolist())
+    except InputError:
+        return ()
 
 
 def typical_case(
