@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import reporting
+from gates import INSTRUMENTS
 
 from calibrate.bank import mismatch, store
 from calibrate.bank.description import Ready
@@ -37,7 +38,6 @@ from calibrate.withheld.plan import COUNTS, STRATA
 
 SCORED = reporting.RESULTS / "withheld_fifth.json"
 MISMATCH = reporting.RESULTS / "withheld_fifth_mismatch.json"
-INSTRUMENTS = ("acquisition_lag", "load_cell_offset", "seating_gap")
 DRAWS = 200  # of each case, with its effect and without
 ALARMS = 0.05
 NAMED = sum(COUNTS[stratum] for stratum in STRATA)  # cases with one effect, in a set
