@@ -1,16 +1,16 @@
 """How often would an observer name the effect who knows what no diagnosis can know?
 
-    mkdir fifth && tar xf benchmarks/results/withheld_fifth_cases.tar.xz -C fifth
-    python benchmarks/ceiling.py fifth                  resumes
+    mkdir sixth && tar xf benchmarks/results/withheld_sixth_cases.tar.xz -C sixth
+    python benchmarks/ceiling.py sixth                  resumes
 
-For every single effect of an opened set, at its own signal-to-noise and about its own curves, data
-are drawn in a linear world, and judged by an observer who knows this world: the scatter of
-specimens exactly, every effect's signature exactly, and that there are no pairs and nothing from
-outside.  All effects are equally likely to it, strengths have the prior of `evidence`.  It names
-the likeliest class where its odds against none exceed what they do in one of twenty draws with
-nothing hidden.  No strict bound (who knows how often each effect is drawn may do better), but a
-diagnosis that has to learn all this from four specimens and a bank will hardly come near.  What
-the diagnosis named is that of the day when the set was opened.
+For every single effect of an opened set, at its own signal-to-noise (`retold.py`) and about its own
+curves, data are drawn in a linear world, and judged by an observer who knows this world: the
+scatter of specimens exactly, every effect's signature exactly, and that there are no pairs and
+nothing from outside.  All effects are equally likely to it, strengths have the prior of
+`evidence`.  It names the likeliest class where its odds against none exceed what they do in one of
+twenty draws with nothing hidden.  No strict bound (who knows how often each effect is drawn may do
+better), but a diagnosis that has to learn all this from four specimens and a bank will hardly come
+near.  What the diagnosis named is that of the day when the set was opened.
 """
 
 import argparse
@@ -18,11 +18,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import opinion
 import reporting
-from gates import INSTRUMENTS
 
 from calibrate.bank import mismatch, store
-from calibrate.bank.description import Ready
+from calibrate.bank.description import MEASURING, Ready
 from calibrate.campaign import engine_hash
 from calibrate.diagnosed import described
 from calibrate.diagnosis.evidence import singles
@@ -36,8 +36,6 @@ from calibrate.measurements import load_lab
 from calibrate.output import write_json
 from calibrate.withheld.plan import COUNTS, STRATA
 
-SCORED = reporting.RESULTS / "withheld_fifth.json"
-MISMATCH = reporting.RESULTS / "withheld_fifth_mismatch.json"
 DRAWS = 200  # of each case, with its effect and without
 ALARMS = 0.05
 NAMED = sum(COUNTS[stratum] for stratum in STRATA)  # cases with one effect, in a set
@@ -90,8 +88,8 @@ def shares(cases: list[dict], limit: float) -> dict:
 
 def groups(cases: list[dict]) -> dict[str, list[dict]]:
     """The strata of the targets, whole and by what is hidden."""
-    machine = [case for case in cases if case["hidden"] in INSTRUMENTS]
-    soil = [case for case in cases if case["hidden"] not in INSTRUMENTS]
+    machine = [case for case in cases if case["hidden"] in MEASURING]
+    soil = [case for case in cases if case["hidden"] not in MEASURING]
     return {
         f"{name}, {kind}": [case for case in some if low <= case["snr"] < high]
         for name, low, high in (("2 to 6", 2, 6), ("above 6", 6, np.inf))
@@ -99,7 +97,7 @@ def groups(cases: list[dict]) -> dict[str, list[dict]]:
     }
 
 
-def markdown(found: dict[str, dict], origin: dict) -> str:
+def markdown(found: dict[str, dict], which: str, origin: dict) -> str:
     head = ["signal-to-noise", "cases", "noticed", "right class named", "the diagnosis named"]
     lines = [
         [name, str(s["cases"]), *(f"{100 * s[k]:.0f} %" for k in ("noticed", "named", "diagnosis"))]
@@ -107,7 +105,7 @@ def markdown(found: dict[str, dict], origin: dict) -> str:
     ]
     text = (
         "# What an observer who knows the noise and every signature would name\n\n"
-        "Single effects of the fifth own set, at their own signal-to-noise, in a linear world; "
+        f"Single effects of the {which} own set, at their own signal-to-noise, in a linear world; "
         f"one alarm in twenty where nothing is hidden; {DRAWS} draws a case.\n\n"
     )
     return text + reporting.table(head, lines) + reporting.footer(origin)
@@ -115,15 +113,17 @@ def markdown(found: dict[str, dict], origin: dict) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="the fifth own set, opened")
+    parser.add_argument("folder", type=Path, help="an opened set, named as in results")
     given = parser.parse_args()
     reporting.configure()
     ready = Ready.of(store.load(store.bundled_bank()))
-    known = mismatch.load(MISMATCH, ready)
-    scored, kept = json.loads(SCORED.read_text()), reporting.CACHE / f"ceiling_{engine_hash()}"
+    which = f"withheld_{given.folder.name}"
+    known = mismatch.load(reporting.RESULTS / f"{which}_mismatch.json", ready)
+    true = opinion.truths(f"{which}.json")
+    kept = reporting.CACHE / f"ceiling_{given.folder.name}_{engine_hash()}"
 
-    def of(row: dict) -> dict:
-        path, hidden = kept / f"{row['case']}.json", scored["hidden"][row["case"]][0]
+    def of(row: dict, hidden: dict) -> dict:
+        path = kept / f"{row['case']}.json"
         if not path.exists():
             kept.mkdir(parents=True, exist_ok=True)
             folder = given.folder / "cases" / row["case"]
@@ -132,13 +132,13 @@ def main() -> None:
         more = {"snr": row["snr"], "hidden": hidden["name"], "diagnosed": diagnosed}
         return {**json.loads(path.read_text()), **more}
 
-    chosen = [row for row in scored["rows"] if row["kind"] == "single" and row["snr"] >= 2]
-    cases = [of(row) for row in chosen]
+    single = [(row, hidden[0]) for row, hidden in true.values() if row["kind"] == "single"]
+    cases = [of(row, hidden) for row, hidden in single if row["snr"] >= 2]
     limit = float(np.quantile(np.concatenate([case["nothing"] for case in cases]), 1 - ALARMS))
     found = {name: shares(some, limit) for name, some in groups(cases).items() if some}
     origin = reporting.provenance()
     content = {**origin, "limit": limit, "draws": DRAWS, "shares": found}
-    reporting.write("ceiling", content, markdown(found, origin))
+    reporting.write("ceiling", content, markdown(found, given.folder.name, origin))
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
-"""Learns how probabilities are stated, from evidences on a set whose seal has been opened.
+"""Learns how probabilities are stated, from evidences on sets whose seals have been opened.
 
     python benchmarks/opinion.py                   half a minute
 
-Reads the verdicts on the fifth own set, judged again for their ln evidences
-(benchmarks/results/withheld_fifth_again_verdicts.tar.xz; in 64 of the 309 with fits of commits
-before 9f3d01c, as `fits` says there), and what was true (withheld_fifth.json); writes
-calibrate/diagnosis/opinion.json.
+Reads the verdicts that hold ln evidences (`SETS`, in benchmarks/results): those on the fifth own
+set, judged again (in 64 of its 309 with fits of commits before 9f3d01c, as `fits` says there), on
+the sixth own set as they were stated, and on LIGGGHTS' fourth, judged again; and what was true;
+writes calibrate/diagnosis/opinion.json.
 
 Printed: share right, false alarms where nothing was hidden, calibration error, mean logarithmic
 score of evidences as they are, with the opinion learned, and with that which four fifths of the
 cases gave for the other fifth; from the last follows the size of sets of explanations.  What an
-opinion is made of (its terms, c, the pulls, NAMED_BELOW) was chosen on this set too, so the last
-are no blind numbers.
+opinion is made of (its terms, c, the pulls, NAMED_BELOW) was chosen on these sets too, so the last
+are no blind numbers.  Signal-to-noise is that of `retold.py`, for own cases.
 """
 
 import json
@@ -28,7 +28,6 @@ from calibrate.diagnosis.evidence import Evidence
 from calibrate.diagnosis.opinion import (
     LEARNED,
     NONE,
-    ODD,
     UNKNOWN,
     Facts,
     Opinion,
@@ -40,8 +39,13 @@ from calibrate.diagnosis.which import label, named, stated
 from calibrate.output import write_text
 from calibrate.withheld.scores import expected_error, truth_of
 
-VERDICTS = reporting.RESULTS / "withheld_fifth_again_verdicts.tar.xz"
-TRUTHS = reporting.RESULTS / "withheld_fifth.json"
+SETS = {  # archive of verdicts: what was true
+    "withheld_fifth_again_verdicts.tar.xz": "withheld_fifth.json",
+    "withheld_sixth_verdicts.tar.xz": "withheld_sixth.json",
+    "withheld_liggghts_fourth_learned_verdicts.tar.xz": "withheld_liggghts_fourth_learned.json",
+}
+RETOLD = "retold.json"
+LEAST = 0.01  # probability below which a logarithmic score falls no further
 TARGET = Path(__file__).parents[1] / "calibrate" / "diagnosis" / LEARNED
 FOLDS = 5
 EDGES, STRATA = (2.0, 6.0), ("single below 2", "single 2 to 6", "single above 6")
@@ -67,21 +71,35 @@ class Known:
         return stated(self.facts, self.classes, opinion)[1]
 
 
-def verdicts() -> list[dict]:
-    """Those archived, in the order of the cases' names."""
-    with tarfile.open(VERDICTS) as archive:
-        files = sorted((m for m in archive.getmembers() if m.isfile()), key=lambda m: m.name)
-        return [json.load(archive.extractfile(m)) for m in files]  # pyright: ignore
+def verdicts(archive: str) -> list[dict]:
+    """Those of an archive that hold evidences, in the order of the cases' names."""
+    with tarfile.open(reporting.RESULTS / archive) as opened:
+        files = sorted((m for m in opened.getmembers() if m.isfile()), key=lambda m: m.name)
+        every = [json.load(opened.extractfile(m)) for m in files]  # pyright: ignore
+    return [verdict for verdict in every if "ln_evidence" in verdict]
+
+
+def truths(scored: str) -> dict[str, tuple[dict, list[dict]]]:
+    """Of each case its row of the scores, with its signal-to-noise as told today, and what was
+    hidden."""
+    found = json.loads((reporting.RESULTS / scored).read_text())
+    retold = json.loads((reporting.RESULTS / RETOLD).read_text())["snr"].get(scored, {})
+    return {
+        row["case"]: (
+            {**row, "snr": retold.get(row["case"], row["snr"])}, found["hidden"][row["case"]]
+        )
+        for row in found["rows"]
+    }  # fmt: skip
 
 
 def cases() -> list[Known]:
-    """All of the set whose diagnosis did not fail."""
-    scored = json.loads(TRUTHS.read_text())
-    rows = {row["case"]: row for row in scored["rows"]}
-    return [
-        known(v, rows[v["case"]], scored["hidden"][v["case"]])
-        for v in verdicts() if "ln_evidence" in v
-    ]  # fmt: skip
+    """All of the sets whose diagnosis did not fail."""
+    return [one for archive in SETS for one in cases_of(archive)]
+
+
+def cases_of(archive: str) -> list[Known]:
+    true = truths(SETS[archive])
+    return [known(verdict, *true[verdict["case"]]) for verdict in verdicts(archive)]
 
 
 def known(verdict: dict, row: dict, hidden: list[dict]) -> Known:
@@ -113,7 +131,7 @@ def quality(some: list[Known], by: list[Opinion]) -> dict:
     best = [named(p) for p in said]
     sure = np.array([p[name] for p, name in zip(said, best, strict=True)])
     right = np.array([name == case.truth for name, case in zip(best, some, strict=True)], float)
-    score = [np.log(max(p.get(c.truth, 0.0), ODD)) for p, c in zip(said, some, strict=True)]
+    score = [np.log(max(p.get(c.truth, 0.0), LEAST)) for p, c in zip(said, some, strict=True)]
     alarms = [name != NONE for name, case in zip(best, some, strict=True) if case.truth == NONE]
     return {
         "right": float(right.mean()),

@@ -28,7 +28,7 @@ from calibrate.withheld.canary import canary
 from calibrate.withheld.elsewhere import with_visibility
 from calibrate.withheld.laboratory import READINGS, recorded, write_case
 from calibrate.withheld.outside import ATMOSPHERE, PORES, air_force
-from calibrate.withheld.plan import Case, Hidden, Visibility
+from calibrate.withheld.plan import Case, Hidden, Visibility, share_of
 from calibrate.withheld.seal import HASHES, LABELS, digest, open_seal, write_seal
 
 # ---------------------------------------------------------------- recording
@@ -241,7 +241,9 @@ def test_the_canary_finds_a_planted_leak_and_no_other(tmp_path):
 def nothing_absorbed() -> Any:
     """A soil at which calibration absorbs nothing, features in units of scatter."""
     world = SimpleNamespace(projected=lambda changes: changes)
-    return SimpleNamespace(world=world, left=np.linalg.norm)
+    plain: Any = SimpleNamespace(world=world, left=np.linalg.norm)
+    plain.scatter = lambda changes: Visibility.scatter(plain, changes)
+    return plain
 
 
 def test_calibration_leaves_less_of_a_change_that_another_soil_makes():
@@ -271,18 +273,32 @@ def test_a_realised_signal_is_free_of_what_packings_differ_by():
     assert np.mean(squares) == pytest.approx(25, abs=4)
 
 
-def test_a_realised_signal_is_shrunk_towards_the_predicted_one_where_packings_differ():
-    """Off by 3 in 40 directions: a right prediction of length 5 is kept, one that points
-    elsewhere by far more than the scatter explains (15) is not."""
-    random, truth, wrong = np.random.default_rng(3), np.zeros(40), np.zeros(40)
-    truth[:2], wrong[5] = (3.0, 4.0), 40.0
+def test_a_told_signal_lies_between_the_predicted_and_the_true_one_whatever_packings_do():
+    """Predicted is a length of 5, the truth differs by 6 across it, and the mean of four packings
+    by 30 more.  All cases together tell that share, and what chance has added is taken off."""
+    random, truth, predicted = np.random.default_rng(3), np.zeros(40), np.zeros(40)
+    predicted[:2], truth[:3] = (3.0, 4.0), (3.0, 4.0, 6.0)
     plain = nothing_absorbed()
-    draws = [truth + 3 * random.standard_normal((4, 40)) for _ in range(200)]
-    right = [Visibility.realised(plain, changes, truth) for changes in draws]
-    assert np.median(right) == pytest.approx(5, abs=0.5)
-    assert np.mean(np.square(right)) < 0.5 * np.mean([(c.mean(axis=0) ** 2).sum() for c in draws])
-    off = [Visibility.realised(plain, changes, wrong) for changes in draws]
-    assert np.mean(off) < 0.5 * 40
+    draws = [truth + 10 * random.standard_normal((4, 40)) for _ in range(400)]
+    away = [Visibility.away(plain, changes, predicted) for changes in draws]
+    scatter = [Visibility.scatter(plain, changes) for changes in draws]
+    share = share_of(scatter, away)
+    assert np.mean(scatter) == pytest.approx(10**2 * 40 / 4, rel=0.03)
+    assert share == pytest.approx(36 / 1036, abs=0.02)
+    told = [Visibility.told(plain, changes, predicted, share) ** 2 for changes in draws]
+    assert np.mean(told) == pytest.approx(25 + (share * 6) ** 2, abs=1)
+    alone = [Visibility.told(plain, c, predicted, share_of([v], [a])) ** 2
+             for c, v, a in zip(draws, scatter, away, strict=True)]  # fmt: skip
+    assert np.mean(alone) > 1.25 * np.mean(told)  # each case's own share takes chance for signal
+
+
+def test_without_packings_scatter_the_simulated_change_is_told():
+    predicted, simulated = np.array([3.0, 4.0]), np.array([[6.0, 8.0]] * 3)
+    plain = nothing_absorbed()
+    apart = Visibility.scatter(plain, simulated), Visibility.away(plain, simulated, predicted)
+    assert apart == (0.0, 25.0) and share_of([0.0], [25.0]) == 1.0
+    assert Visibility.told(plain, simulated, predicted, 1.0) == pytest.approx(10.0)
+    assert share_of([9.0], [4.0]) == 0.0
 
 
 def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monkeypatch):

@@ -29,7 +29,6 @@ BEYOND = 2.5  # largest forces up to which a curve goes on
 LAST = 5  # features of loading that make the slope by which it does
 AFTER = 6.0  # lengths for which the reading is followed after unloading
 SHORT, LONG = 10 * STEP, 200.0  # mm; ways that a platen may go
-SHORTEST = 1e-3  # mm; no lag at all
 SMALL = 0.01  # s; step of the lag by which slopes are told
 
 
@@ -92,7 +91,7 @@ class Late:
         way, _, _, back, _ = branches
         if not (SHORT < way[-1] - way[0] < LONG and back[-1] < LONG and length < LONG):
             return np.zeros(len(self._branches))
-        return self._filtered(*branches, length) - self._filtered(*branches, SHORTEST)
+        return self._filtered(*branches, length) - self._filtered(*branches, 0.0)
 
     def _branch(self, values: np.ndarray):
         """Displacement and force of loading from no force to beyond the largest one, where the
@@ -138,6 +137,8 @@ def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
 def _late(force: np.ndarray, length: float, first: float) -> np.ndarray:
     """Readings (n,) of forces every `STEP` of path, beginning at `first`; exact where force is
     straight between them (`instruments._filtered` does the same for points at any distance)."""
+    if not length:
+        return force
     kept = np.exp(-STEP / length)
     share = length / STEP * (1 - kept)
     new, old = 1 - share, share - kept

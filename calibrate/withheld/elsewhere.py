@@ -8,17 +8,19 @@ the right answer; beside an effect it is left out.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
-from calibrate.withheld.plan import SPECIMENS, Visibility
+from calibrate.withheld.plan import SPECIMENS, Visibility, share_of
 from calibrate.withheld.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
 THEIRS = 3  # specimens of those cases
 FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
+FEWEST_POOLED = 5  # cases with an effect that tell its share
 
 # their name -> our name, and their strength in our unit
 OURS: dict[str, tuple[str, Callable[[float], float]]] = {
@@ -55,26 +57,73 @@ def with_visibility(
 ) -> dict[str, dict]:
     """The labels with a signal-to-noise where they lack one, with the mismatch known as it is to
     the diagnosis."""
+    seen = {
+        name: _Seen.of(label, ready, discrepancy)
+        for name, label in labels.items() if "snr" not in label and label["hidden"]
+    }  # fmt: skip
+    shares = _shares([one for one in seen.values() if one.pooled])
+    told = {name: one.snr(shares) for name, one in seen.items()}
     return {
-        name: label if "snr" in label else {**label, "snr": _snr(label, ready, discrepancy)}
+        name: label if "snr" in label else {**label, "snr": told.get(name, 0.0)}
         for name, label in labels.items()
     }
 
 
-def _snr(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> float:
-    hidden = {h["name"]: h["strength"] for h in label["hidden"]}
-    if not hidden:
-        return 0.0
-    ours = {n: s for n, s in hidden.items() if n in ready.bank.design.effect_names}
-    soil = {n: v for n, v in label.get("soil", {}).items() if n in ready.bank.design.soil_names}
-    if "changes" not in label:
-        soil.pop("rolling_friction", None)  # another law's
-        everywhere = {**ready.bank.design.centre, **soil}
-        visible = Visibility(ready, everywhere, THEIRS, discrepancy)
-        return visible.left(visible.change(ours)) if ours else 0.0
-    changes = np.array(label["changes"])
-    if len(changes) < FEWEST_CHANGES:
-        return label["planned_snr"]
-    visible = Visibility(ready, soil, SPECIMENS, discrepancy)
-    predicted = visible.change(ours) if len(ours) == len(hidden) else None
-    return visible.realised(changes, predicted)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a label says of its effects' change: simulated with and without (n, m), as the bank
+    predicts it (m,) if it knows them all, and as it was planned."""
+
+    names: tuple[str, ...]
+    visible: Visibility
+    changes: np.ndarray
+    predicted: np.ndarray | None
+    planned: float
+
+    @staticmethod
+    def of(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> "_Seen":
+        strengths = {h["name"]: h["strength"] for h in label["hidden"]}
+        design = ready.bank.design
+        soil = {n: v for n, v in label.get("soil", {}).items() if n in design.soil_names}
+        if "changes" not in label:
+            soil.pop("rolling_friction", None)  # another law's
+            strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
+        specimens = SPECIMENS if "changes" in label else THEIRS
+        visible = Visibility(ready, {**design.centre, **soil}, specimens, discrepancy)
+        known = bool(strengths) and set(strengths) <= set(design.effect_names)
+        predicted = visible.change(strengths) if known else None
+        changes = np.array(label.get("changes", []))
+        return _Seen(tuple(sorted(strengths)), visible, changes, predicted,
+                     label.get("planned_snr", 0.0))  # fmt: skip
+
+    @property
+    def pooled(self) -> bool:
+        """Whether its simulated change helps to tell a share."""
+        return self.predicted is not None and len(self.changes) >= FEWEST_CHANGES
+
+    @property
+    def effects(self) -> str:
+        """With what cases it is pooled: the effect, or that there are two."""
+        return self.names[0] if len(self.names) == 1 else "two"
+
+    def snr(self, shares: dict[str, float]) -> float:
+        if self.predicted is None:
+            enough = len(self.changes) >= FEWEST_CHANGES
+            return self.visible.realised(self.changes) if enough else self.planned
+        if self.pooled:
+            return self.visible.told(self.changes, self.predicted, shares[self.effects])
+        return self.planned if len(self.changes) else self.visible.left(self.predicted)
+
+
+def _shares(pooled: Sequence[_Seen]) -> dict[str, float]:
+    """`share_of` by effects; that of all where few cases have them."""
+    sums = [
+        (one.effects, one.visible.scatter(one.changes), one.visible.away(one.changes, change))
+        for one in pooled if (change := one.predicted) is not None
+    ]  # fmt: skip
+    found = {}
+    for name in {name for name, _, _ in sums}:
+        mine = [row for row in sums if row[0] == name]
+        _, scatter, away = zip(*(mine if len(mine) >= FEWEST_POOLED else sums), strict=True)
+        found[name] = share_of(scatter, away)
+    return found

@@ -6,7 +6,7 @@ reach its stratum within the strengths that the bank holds gives way to another 
 stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
 signatures that the bank predicts, and prefers those that it takes for too large; what counts in
 the end is the change that the laboratory itself sees with and without the effect, shrunk towards
-the predicted one as far as packings differ by more (`realised`).
+the predicted one as far as packings explain what all cases with this effect differ by (`told`).
 """
 
 from collections.abc import Sequence
@@ -158,6 +158,13 @@ class Planner:
         return tuple(found), visible.snr({h.name: h.strength for h in found})
 
 
+def share_of(scatter: Sequence[float], away: Sequence[float]) -> float:
+    """The share of what mean changes are away from predicted ones by (both sums of squares, one for
+    each case with the same effects) that packings do not explain: empirical Bayes (Efron and
+    Morris 1973).  One case's own share is mostly chance: of four packings, one slips."""
+    return max(1 - sum(scatter) / max(sum(away), 1e-300), 0.0)
+
+
 class Visibility:
     """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
 
@@ -184,24 +191,34 @@ class Visibility:
         zero = np.zeros(len(d.prior_sd))
         return d.at(zero, given)[0] - d.at(zero, np.zeros(len(given)))[0]
 
-    def realised(self, changes: np.ndarray, predicted: np.ndarray | None = None) -> float:
+    def realised(self, changes: np.ndarray) -> float:
         """Signal-to-noise of the change that changes (n, m) of the curves' features, one for each
-        of n packings, speak for.
+        of n packings, speak for: what calibration leaves of their mean, less what packings differ
+        by."""
+        square = self.left(changes.mean(axis=0)) ** 2 - self.scatter(changes)
+        return float(np.sqrt(max(square, 0.0)))
 
-        With a predicted change (m,), what calibration leaves of their mean shrunk towards it (James
-        and Stein 1961):
+    def told(self, changes: np.ndarray, predicted: np.ndarray, share: float) -> float:
+        """The same where a change (m,) is predicted, of which simulated ones of the same effects
+        differ by a share (`share_of`) for more than packings do:
 
-            p + <1 - V/|c - p|^2> (c - p)       V = sum_i |c_i - c|^2/(n (n - 1)), all projected
-
-        without one, what it leaves of their mean c, less V.
+            |p + s (c - p)|^2 - s^2 V       c: mean change; V: `scatter`; |.|: `left`
         """
-        mean, count = changes.mean(axis=0), len(changes)
-        scatter = (self.world.projected((changes - mean).T) ** 2).sum() / (count * (count - 1))
-        if predicted is None:
-            return float(np.sqrt(max(self.left(mean) ** 2 - scatter, 0.0)))
-        away = (self.world.projected((mean - predicted)[:, None]) ** 2).sum()
-        share = max(1 - scatter / max(away, 1e-300), 0.0)
-        return self.left(predicted + share * (mean - predicted))
+        mean = predicted + share * (changes.mean(axis=0) - predicted)
+        square = self.left(mean) ** 2 - share**2 * self.scatter(changes)
+        return float(np.sqrt(max(square, 0.0)))
+
+    def scatter(self, changes: np.ndarray) -> float:
+        """Sum of squares by which the mean of changes (n, m) is off as packings differ: V =
+        sum_i |c_i - c|^2/(n (n - 1)), projected."""
+        count = len(changes)
+        off = self.world.projected((changes - changes.mean(axis=0)).T)
+        return float((off**2).sum() / (count * (count - 1)))
+
+    def away(self, changes: np.ndarray, predicted: np.ndarray) -> float:
+        """Sum of squares of the mean of changes (n, m) less a predicted one (m,), projected."""
+        off = (changes.mean(axis=0) - predicted)[:, None]
+        return float((self.world.projected(off) ** 2).sum())
 
     def left(self, change: np.ndarray) -> float:
         """What calibration leaves of a change (m,) of the features, in units of scatter: not as
