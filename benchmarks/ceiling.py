@@ -123,7 +123,7 @@ def main() -> None:
     kept = reporting.CACHE / f"ceiling_{given.folder.name}_{engine_hash()}"
 
     def of(row: dict, hidden: dict) -> dict:
-        path = kept / f"{row['case']}.json"
+        path = kept / f"{row['case']}_{row['snr']:.3f}.json"
         if not path.exists():
             kept.mkdir(parents=True, exist_ok=True)
             folder = given.folder / "cases" / row["case"]

@@ -4,11 +4,11 @@
     mkdir sixth && tar xf benchmarks/results/withheld_sixth_cases.tar.xz -C sixth
     python benchmarks/retold.py fifth sixth          three minutes
 
-Until the sixth set each case's simulated change was shrunk towards the predicted one by a share of
-its own (`Visibility.told` has the formula), and what packings had added was not taken off.  Of four
-packings that share is mostly chance, so the largest signals were those with the luckiest packings
-(`visibility.py`).  Here the signals are told as they are today, and verdicts, which no
-signal-to-noise has a part in, are counted again.
+In the fourth to the sixth set each case's simulated change c was drawn towards the predicted one p
+by a share 1 - V/|c - p|^2 of its own, where V is what packings scatter c by.  Of four packings that
+share is mostly chance, so the largest signals were those with the luckiest packings
+(`visibility.py`).  Here the signals are told as they are today (`Visibility.told`), and verdicts,
+which do not depend on them, are counted again.
 """
 
 import argparse
@@ -28,11 +28,11 @@ HEADER = ["set", "what is hidden", "signal-to-noise", "right, as scored", "right
 
 
 def told(folder: Path, ready: Ready) -> dict[str, float]:
-    """Signal-to-noise of each case of a set with one effect or two of the library."""
+    """Signal-to-noise of each case of a set that hides something."""
     known = mismatch.load(reporting.RESULTS / f"withheld_{folder.name}_mismatch.json", ready)
     labels = {name: in_our_words(label) for name, label in open_seal(folder).items()}
-    kept = {n: label for n, label in labels.items() if label["kind"] in ("single", "two")}
-    return {n: label["snr"] for n, label in with_visibility(kept, ready, known).items()}
+    told = with_visibility(labels, ready, known)
+    return {name: label["snr"] for name, label in told.items() if label["hidden"]}
 
 
 def counted(scored: dict, snr: dict[str, float], machine: bool) -> dict[str, list[int]]:
@@ -64,7 +64,11 @@ def main() -> None:
             for stratum, (was, all_, now, every) in counted(scored, snr[name], machine).items():
                 lines.append([folder.name, words, stratum, f"{was} of {all_}", f"{now} of {every}"])
     origin = reporting.provenance()
-    text = "# Signal-to-noise of opened sets, told anew\n\n" + reporting.table(HEADER, lines)
+    text = (
+        "# Signal-to-noise of opened sets, told anew\n\n"
+        "Single effects. As scored: each case by the share that its own four packings told; anew: "
+        "by how wrong predictions of the same effect are in all cases.\n\n"
+    ) + reporting.table(HEADER, lines)
     reporting.write("retold", {**origin, "snr": snr}, text + reporting.footer(origin))
 
 

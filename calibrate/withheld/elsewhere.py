@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.bank.description import Discrepancy, Ready
-from calibrate.withheld.plan import SPECIMENS, Visibility, share_of
+from calibrate.withheld.plan import SPECIMENS, Visibility, relative_error
 from calibrate.withheld.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
 THEIRS = 3  # specimens of those cases
 FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
-FEWEST_POOLED = 5  # cases with an effect that tell its share
+FEWEST_POOLED = 5  # cases with an effect that tell how wrong predictions of it are
 
 # their name -> our name, and their strength in our unit
 OURS: dict[str, tuple[str, Callable[[float], float]]] = {
@@ -33,6 +33,7 @@ OURS: dict[str, tuple[str, Callable[[float], float]]] = {
     "second_test_strength": ("second_test_factor", math.expm1),
 }
 KINDS = {"library": "single"}
+PAIR = "two"  # of cases with two effects, pooled whatever these are
 
 
 def in_our_words(label: dict) -> dict:
@@ -61,8 +62,8 @@ def with_visibility(
         name: _Seen.of(label, ready, discrepancy)
         for name, label in labels.items() if "snr" not in label and label["hidden"]
     }  # fmt: skip
-    shares = _shares([one for one in seen.values() if one.pooled])
-    told = {name: one.snr(shares) for name, one in seen.items()}
+    errors = _errors([one for one in seen.values() if one.both])
+    told = {name: one.snr(errors) for name, one in seen.items()}
     return {
         name: label if "snr" in label else {**label, "snr": told.get(name, 0.0)}
         for name, label in labels.items()
@@ -71,59 +72,63 @@ def with_visibility(
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a label says of its effects' change: simulated with and without (n, m), as the bank
-    predicts it (m,) if it knows them all, and as it was planned."""
+    """What a label says of its effects' change: simulated with and without (n, m), and as the bank
+    predicts it (m,) if it knows them all; planned: signal-to-noise, none in labels of another
+    code."""
 
-    names: tuple[str, ...]
+    effects: str
     visible: Visibility
     changes: np.ndarray
     predicted: np.ndarray | None
-    planned: float
+    planned: float | None
 
     @staticmethod
     def of(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> "_Seen":
-        strengths = {h["name"]: h["strength"] for h in label["hidden"]}
-        design = ready.bank.design
-        soil = {n: v for n, v in label.get("soil", {}).items() if n in design.soil_names}
-        if "changes" not in label:
-            soil.pop("rolling_friction", None)  # another law's
+        strengths, own = {h["name"]: h["strength"] for h in label["hidden"]}, "changes" in label
+        design, soil = ready.bank.design, label.get("soil", {})
+        if not own:  # another code's: its rolling friction is another law's
+            known = [n for n in design.soil_names if n in soil and n != "rolling_friction"]
+            soil = {**design.centre, **{n: soil[n] for n in known}}
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
-        specimens = SPECIMENS if "changes" in label else THEIRS
-        visible = Visibility(ready, {**design.centre, **soil}, specimens, discrepancy)
+        soil = {n: soil[n] for n in design.soil_names}
+        visible = Visibility(ready, soil, SPECIMENS if own else THEIRS, discrepancy)
         known = bool(strengths) and set(strengths) <= set(design.effect_names)
-        predicted = visible.change(strengths) if known else None
-        changes = np.array(label.get("changes", []))
-        return _Seen(tuple(sorted(strengths)), visible, changes, predicted,
-                     label.get("planned_snr", 0.0))  # fmt: skip
+        return _Seen(
+            PAIR if len(strengths) > 1 else "".join(strengths), visible,
+            np.array(label.get("changes", [])), visible.change(strengths) if known else None,
+            label.get("planned_snr"),
+        )  # fmt: skip
 
     @property
-    def pooled(self) -> bool:
-        """Whether its simulated change helps to tell a share."""
+    def both(self) -> bool:
+        """Whether it can be seen how wrong the prediction is."""
         return self.predicted is not None and len(self.changes) >= FEWEST_CHANGES
 
-    @property
-    def effects(self) -> str:
-        """With what cases it is pooled: the effect, or that there are two."""
-        return self.names[0] if len(self.names) == 1 else "two"
+    def parts(self) -> tuple[float, float, float]:
+        """Squared lengths of the predicted change, of what packings scatter its mean by, and of the
+        mean less the prediction."""
+        predicted = np.asarray(self.predicted)
+        away = self.visible.length(self.changes.mean(axis=0) - predicted)
+        return self.visible.length(predicted), self.visible.scatter(self.changes), away
 
-    def snr(self, shares: dict[str, float]) -> float:
-        if self.predicted is None:
-            enough = len(self.changes) >= FEWEST_CHANGES
-            return self.visible.realised(self.changes) if enough else self.planned
-        if self.pooled:
-            return self.visible.told(self.changes, self.predicted, shares[self.effects])
-        return self.planned if len(self.changes) else self.visible.left(self.predicted)
+    def snr(self, errors: dict[str, float]) -> float:
+        """Signal-to-noise; where simulations do not tell it, as planned, else as predicted."""
+        if len(self.changes) >= FEWEST_CHANGES:
+            if self.predicted is None:
+                return self.visible.realised(self.changes)
+            return self.visible.told(self.changes, self.predicted, errors[self.effects])
+        if self.planned is not None:
+            return self.planned
+        return 0.0 if self.predicted is None else self.visible.left(self.predicted)
 
 
-def _shares(pooled: Sequence[_Seen]) -> dict[str, float]:
-    """`share_of` by effects; that of all where few cases have them."""
-    sums = [
-        (one.effects, one.visible.scatter(one.changes), one.visible.away(one.changes, change))
-        for one in pooled if (change := one.predicted) is not None
-    ]  # fmt: skip
+def _errors(seen: Sequence[_Seen]) -> dict[str, float]:
+    """`relative_error` by effect; that of all where few cases have it, none where these are few."""
+    parts = [(one.effects, one.parts()) for one in seen]
     found = {}
-    for name in {name for name, _, _ in sums}:
-        mine = [row for row in sums if row[0] == name]
-        _, scatter, away = zip(*(mine if len(mine) >= FEWEST_POOLED else sums), strict=True)
-        found[name] = share_of(scatter, away)
+    for name in {name for name, _ in parts}:
+        mine = [part for other, part in parts if other == name]
+        some = mine if len(mine) >= FEWEST_POOLED else [part for _, part in parts]
+        enough = len(some) >= FEWEST_POOLED
+        found[name] = relative_error(*zip(*some, strict=True)) if enough else 0.0
     return found

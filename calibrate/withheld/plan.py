@@ -6,7 +6,7 @@ reach its stratum within the strengths that the bank holds gives way to another 
 stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
 signatures that the bank predicts, and prefers those that it takes for too large; what counts in
 the end is the change that the laboratory itself sees with and without the effect, shrunk towards
-the predicted one as far as packings explain what all cases with this effect differ by (`told`).
+the predicted one the more, the more packings differ (`told`).
 """
 
 from collections.abc import Sequence
@@ -158,11 +158,18 @@ class Planner:
         return tuple(found), visible.snr({h.name: h.strength for h in found})
 
 
-def share_of(scatter: Sequence[float], away: Sequence[float]) -> float:
-    """The share of what mean changes are away from predicted ones by (both sums of squares, one for
-    each case with the same effects) that packings do not explain: empirical Bayes (Efron and
-    Morris 1973).  One case's own share is mostly chance: of four packings, one slips."""
-    return max(1 - sum(scatter) / max(sum(away), 1e-300), 0.0)
+def relative_error(predicted: Sequence[float], scatter: Sequence[float], away: Sequence[float]):
+    """How wrong predicted changes are, as a share r^2 of their squared lengths |p_i|^2:
+
+        |c_i - p_i|^2 = r^2 |p_i|^2 + V_i         least squares, weights 1/(|p_i|^2 + V_i)^2
+
+    over cases with the same effects, c_i being mean changes that packings scatter by V_i
+    (empirical Bayes, Efron and Morris 1973: one case's own error is mostly chance, since often
+    one of four packings slips)."""
+    length, chance, apart = (np.array(each) for each in (predicted, scatter, away))
+    weight = (length + chance) ** -2.0
+    r2 = weight @ (length * (apart - chance)) / (weight @ length**2)
+    return max(float(r2), 0.0)
 
 
 class Visibility:
@@ -194,19 +201,25 @@ class Visibility:
     def realised(self, changes: np.ndarray) -> float:
         """Signal-to-noise of the change that changes (n, m) of the curves' features, one for each
         of n packings, speak for: what calibration leaves of their mean, less what packings differ
-        by."""
-        square = self.left(changes.mean(axis=0)) ** 2 - self.scatter(changes)
-        return float(np.sqrt(max(square, 0.0)))
+        by (jackknife)."""
+        count, whole = len(changes), self.left(changes.mean(axis=0)) ** 2
+        without = [self.left(np.delete(changes, i, axis=0).mean(axis=0)) ** 2 for i in range(count)]
+        return float(np.sqrt(max(whole - (count - 1) * (np.mean(without) - whole), 0.0)))
 
-    def told(self, changes: np.ndarray, predicted: np.ndarray, share: float) -> float:
-        """The same where a change (m,) is predicted, of which simulated ones of the same effects
-        differ by a share (`share_of`) for more than packings do:
+    def told(self, changes: np.ndarray, predicted: np.ndarray, error: float) -> float:
+        """The same where a change p (m,) is predicted that may be wrong by a share r^2 = error of
+        its squared length (`relative_error`): what calibration leaves of the change to be expected
+        once the mean c of the simulated ones is known,
 
-            |p + s (c - p)|^2 - s^2 V       c: mean change; V: `scatter`; |.|: `left`
+            p + T/(T + V) (c - p)       T = r^2 |p|^2       V: `scatter`
         """
-        mean = predicted + share * (changes.mean(axis=0) - predicted)
-        square = self.left(mean) ** 2 - share**2 * self.scatter(changes)
-        return float(np.sqrt(max(square, 0.0)))
+        wrong = error * self.length(predicted)
+        share = wrong / max(wrong + self.scatter(changes), 1e-300)
+        return self.left(predicted + share * (changes.mean(axis=0) - predicted))
+
+    def length(self, change: np.ndarray) -> float:
+        """Squared length of a change (m,), projected."""
+        return float((self.world.projected(change[:, None]) ** 2).sum())
 
     def scatter(self, changes: np.ndarray) -> float:
         """Sum of squares by which the mean of changes (n, m) is off as packings differ: V =
@@ -214,11 +227,6 @@ class Visibility:
         count = len(changes)
         off = self.world.projected((changes - changes.mean(axis=0)).T)
         return float((off**2).sum() / (count * (count - 1)))
-
-    def away(self, changes: np.ndarray, predicted: np.ndarray) -> float:
-        """Sum of squares of the mean of changes (n, m) less a predicted one (m,), projected."""
-        off = (changes.mean(axis=0) - predicted)[:, None]
-        return float((self.world.projected(off) ** 2).sum())
 
     def left(self, change: np.ndarray) -> float:
         """What calibration leaves of a change (m,) of the features, in units of scatter: not as
