@@ -136,7 +136,8 @@ def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
 
 def _late(force: np.ndarray, length: float, first: float) -> np.ndarray:
     """Readings (n,) of forces every `STEP` of path, beginning at `first`; exact where force is
-    straight between them (`instruments._filtered` does the same for points at any distance)."""
+    straight between them (`instruments._filtered` does the same for points at any distance).  The
+    forces themselves where there is no lag."""
     if not length:
         return force
     kept = np.exp(-STEP / length)
