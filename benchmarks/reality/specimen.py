@@ -194,7 +194,7 @@ def _layers(height: float) -> str:
 def _outcome(folder: Path, physics: Physics, mass: float) -> Run:
     """What the two scripts left behind."""
     facts: dict[str, float] = {}
-    for line in (folder / "in.tests.log").read_text().splitlines():
+    for line in (folder / "in.tests.log").read_text(errors="replace").splitlines():
         words = line.split()
         if len(words) == 3 and words[0] == "RESULT":
             facts[words[1]] = float(words[2])
