@@ -4,10 +4,9 @@
 
 On the fifth and the sixth own set, opened, from the verdicts archived for `opinion.py`: all cases
 with nothing hidden, and all with one effect of soil or walls at a signal-to-noise of 2 to 6, as
-`retold.py` tells it.  Of each number:
-how often a case that hides something has the larger one (area under the ROC curve), and how many
-of these exceed what one in twenty of the others does.  ln evidences are those of refitted single
-effects, no opinion applied.
+`retold.py` tells it.  Of each number: how often a case that hides something has the larger one
+(area under the ROC curve), and how many of these exceed what one in twenty of the others does.
+ln evidences are those of refitted single effects, no opinion applied.
 """
 
 import numpy as np
@@ -86,13 +85,13 @@ def _area(found: dict) -> str:
 def main() -> None:
     nothing, soils, named = [], [], 0
     for archive in OWN:
-        true = opinion.truths(opinion.SETS[archive])
         said = {verdict["case"]: numbers(verdict) for verdict in opinion.verdicts(archive)}
+        every = opinion.truths(opinion.SETS[archive])
+        true = {case: every[case] for case in every if case in said}
         without, with_one = chosen(true)
-        nothing += [said[case] for case in without if case in said]
-        soils += [said[case] for case in with_one if case in said]
-        effects = [(case, true[case][1][0]["name"]) for case in with_one if case in said]
-        named += sum(said[case]["best"] == effect for case, effect in effects)
+        nothing += [said[case] for case in without]
+        soils += [said[case] for case in with_one]
+        named += sum(said[case]["best"] == true[case][1][0]["name"] for case in with_one)
     rows, origin = [compared(key, nothing, soils) for key in NUMBERS], reporting.provenance()
     counts = (len(nothing), len(soils))
     content = {**origin, "rows": rows, "named": named, "cases": counts}

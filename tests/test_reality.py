@@ -30,7 +30,7 @@ from physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_for
 from soil import PLATEN, TYPES, Soil, draw_soil  # noqa: E402
 from specimen import run  # noqa: E402
 
-SETS = (FOLDER, *(FOLDER / name for name in ("strong", "third", "fourth")))
+SETS = (FOLDER, *(FOLDER / name for name in ("strong", "third", "fourth", "fifth")))
 CASES_OF = {
     folder: sorted(path.parent for path in folder.glob("cases/*/lab.toml")) for folder in SETS
 }
