@@ -105,7 +105,7 @@ def markdown(found: dict[str, dict], which: str, origin: dict) -> str:
     ]
     text = (
         "# What an observer who knows the noise and every signature would name\n\n"
-        f"Single effects of the {which} own set, at their own signal-to-noise, in a linear world; "
+        f"Single effects of an own set ({which}), at their own signal-to-noise, in a linear world; "
         f"one alarm in twenty where nothing is hidden; {DRAWS} draws a case.\n\n"
     )
     return text + reporting.table(head, lines) + reporting.footer(origin)

@@ -1,14 +1,20 @@
-"""Signal-to-noise of opened sets, told anew.
+"""How far scores by signal-to-noise depend on how the signal is told.
 
-    mkdir fifth && tar xf benchmarks/results/withheld_fifth_cases.tar.xz -C fifth
-    mkdir sixth && tar xf benchmarks/results/withheld_sixth_cases.tar.xz -C sixth
-    python benchmarks/retold.py fifth sixth          three minutes
+    mkdir own && tar xf benchmarks/results/withheld_own_cases.tar.xz -C own    # the others likewise
+    python benchmarks/retold.py fifth sixth own           five minutes
 
-In the fourth to the sixth set each case's simulated change c was drawn towards the predicted one p
-by a share 1 - V/|c - p|^2 of its own, where V is what packings scatter c by.  Of four packings that
-share is mostly chance, so the largest signals were those with the luckiest packings
-(`visibility.py`).  Here the signals are told as they are today (`Visibility.told`), and verdicts,
-which do not depend on them, are counted again.
+Each case's simulated change c is known from four packings, which scatter it by V, and p is what the
+bank predicts of it.  Told three ways:
+
+own share      p + s (c - p), s = 1 - V/|c - p|^2: each case for itself, as in the fourth to the
+               sixth set.  Of four packings that share is mostly chance; the largest signals are
+               those with the luckiest packings (`visibility.py`)
+known          p + T/(T + V) (c - p), T from all cases with the same effects (`Visibility.told`), as
+               since the seventh set: what is known of the change, and no more
+expected       the root of its square plus T V/(T + V): with what may be besides, in all of which
+               calibration is taken to absorb nothing
+
+Verdicts, which do not depend on any of these, are counted by each.
 """
 
 import argparse
@@ -20,34 +26,50 @@ import reporting
 
 from calibrate.bank import mismatch, store
 from calibrate.bank.description import MEASURING, Ready
-from calibrate.withheld.elsewhere import in_our_words, with_visibility
+from calibrate.withheld.elsewhere import Seen, errors_of, in_our_words
 from calibrate.withheld.seal import open_seal
 
 STRATA = {"below 2": (0.0, 2.0), "2 to 6": (2.0, 6.0), "above 6": (6.0, np.inf)}
-HEADER = ["set", "what is hidden", "signal-to-noise", "right, as scored", "right, told anew"]
+WAYS = ("own share", "known", "expected")
+TODAY = "known"
+HEADER = ["set", "what is hidden", "signal-to-noise", *(f"right, {way}" for way in WAYS)]
 
 
-def told(folder: Path, ready: Ready) -> dict[str, float]:
-    """Signal-to-noise of each case of a set that hides something."""
+def told(folder: Path, ready: Ready) -> dict[str, dict[str, float]]:
+    """Signal-to-noise of each case of a set that hides something, each way."""
     known = mismatch.load(reporting.RESULTS / f"withheld_{folder.name}_mismatch.json", ready)
     labels = {name: in_our_words(label) for name, label in open_seal(folder).items()}
-    told = with_visibility(labels, ready, known)
-    return {name: label["snr"] for name, label in told.items() if label["hidden"]}
+    seen = {n: Seen.of(label, ready, known) for n, label in labels.items() if label["hidden"]}
+    errors = errors_of([one for one in seen.values() if one.both])
+    return {name: ways(one, errors) for name, one in seen.items()}
 
 
-def counted(scored: dict, snr: dict[str, float], machine: bool) -> dict[str, list[int]]:
-    """By stratum: single effects right and all of them, as scored, then as told anew."""
+def ways(one: Seen, errors: dict[str, float]) -> dict[str, float]:
+    """One case's, each way; all alike where nothing is predicted, or too little simulated."""
+    known = one.snr(errors)
+    if not one.both:
+        return dict.fromkeys(WAYS, known)
+    length, scatter, away = one.parts()
+    wrong = errors[one.effects] * length
+    unknown = wrong * scatter / max(wrong + scatter, 1e-300)
+    share = max(1 - scatter / max(away, 1e-300), 0.0)
+    predicted = np.asarray(one.predicted)
+    own = one.visible.left(predicted + share * (one.changes.mean(axis=0) - predicted))
+    return dict(zip(WAYS, (own, known, float(np.sqrt(known**2 + unknown))), strict=True))
+
+
+def counted(scored: dict, snr: dict[str, dict[str, float]], machine: bool) -> list[list[str]]:
+    """By stratum: single effects right of all of them, each way."""
     rows = [
         row for row in scored["rows"] if row["kind"] == "single"
         and (scored["hidden"][row["case"]][0]["name"] in MEASURING) == machine
     ]  # fmt: skip
-    found = {}
+    lines = []
     for stratum, (low, high) in STRATA.items():
-        found[stratum] = []
-        for of in (lambda row: row["snr"], lambda row: snr[row["case"]]):
-            some = [row for row in rows if low <= of(row) < high]
-            found[stratum] += [sum(r["verdict"] == r["truth"] for r in some), len(some)]
-    return found
+        of = [[row for row in rows if low <= snr[row["case"]][way] < high] for way in WAYS]
+        right = [sum(row["verdict"] == row["truth"] for row in some) for some in of]
+        lines.append([stratum, *(f"{n} of {len(some)}" for n, some in zip(right, of, strict=True))])
+    return lines
 
 
 def main() -> None:
@@ -58,16 +80,15 @@ def main() -> None:
     ready, snr, lines = Ready.of(store.load(store.bundled_bank())), {}, []
     for folder in folders:
         name = f"withheld_{folder.name}.json"
-        scored = json.loads((reporting.RESULTS / name).read_text())
-        snr[name] = told(folder, ready)
+        scored, found = json.loads((reporting.RESULTS / name).read_text()), told(folder, ready)
+        snr[name] = {case: each[TODAY] for case, each in found.items()}
         for words, machine in (("faults of the machine", True), ("soil and walls", False)):
-            for stratum, (was, all_, now, every) in counted(scored, snr[name], machine).items():
-                lines.append([folder.name, words, stratum, f"{was} of {all_}", f"{now} of {every}"])
+            lines += [[folder.name, words, *line] for line in counted(scored, found, machine)]
     origin = reporting.provenance()
     text = (
-        "# Signal-to-noise of opened sets, told anew\n\n"
-        "Single effects. As scored: each case by the share that its own four packings told; anew: "
-        "by how wrong predictions of the same effect are in all cases.\n\n"
+        "# Single effects that were named, by signal-to-noise told three ways\n\n"
+        "Own share: each case for itself, as in the fourth to the sixth set; known: as since the "
+        "seventh; expected: with what may be besides.\n\n"
     ) + reporting.table(HEADER, lines)
     reporting.write("retold", {**origin, "snr": snr}, text + reporting.footer(origin))
 

@@ -59,10 +59,10 @@ def with_visibility(
     """The labels with a signal-to-noise where they lack one, with the mismatch known as it is to
     the diagnosis."""
     seen = {
-        name: _Seen.of(label, ready, discrepancy)
+        name: Seen.of(label, ready, discrepancy)
         for name, label in labels.items() if "snr" not in label and label["hidden"]
     }  # fmt: skip
-    errors = _errors([one for one in seen.values() if one.both])
+    errors = errors_of([one for one in seen.values() if one.both])
     told = {name: one.snr(errors) for name, one in seen.items()}
     return {
         name: label if "snr" in label else {**label, "snr": told.get(name, 0.0)}
@@ -71,7 +71,7 @@ def with_visibility(
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class Seen:
     """What a label says of its effects' change: simulated with and without (n, m), and as the bank
     predicts it (m,) if it knows them all; planned: signal-to-noise, none in labels of another
     code."""
@@ -83,7 +83,7 @@ class _Seen:
     planned: float | None
 
     @staticmethod
-    def of(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> "_Seen":
+    def of(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> "Seen":
         strengths, own = {h["name"]: h["strength"] for h in label["hidden"]}, "changes" in label
         design, soil = ready.bank.design, label.get("soil", {})
         if not own:  # another code's: its rolling friction is another law's
@@ -93,7 +93,7 @@ class _Seen:
         soil = {n: soil[n] for n in design.soil_names}
         visible = Visibility(ready, soil, SPECIMENS if own else THEIRS, discrepancy)
         known = bool(strengths) and set(strengths) <= set(design.effect_names)
-        return _Seen(
+        return Seen(
             PAIR if len(strengths) > 1 else "".join(strengths), visible,
             np.array(label.get("changes", [])), visible.change(strengths) if known else None,
             label.get("planned_snr"),
@@ -122,7 +122,7 @@ class _Seen:
         return 0.0 if self.predicted is None else self.visible.left(self.predicted)
 
 
-def _errors(seen: Sequence[_Seen]) -> dict[str, float]:
+def errors_of(seen: Sequence[Seen]) -> dict[str, float]:
     """`relative_error` by effect; that of all where few cases have it, none where these are few."""
     parts = [(one.effects, one.parts()) for one in seen]
     found = {}

@@ -212,7 +212,9 @@ class Visibility:
         once the mean c of the simulated ones is known,
 
             p + T/(T + V) (c - p)       T = r^2 |p|^2       V: `scatter`
-        """
+
+        What is known of it, and no more: the true change is longer by T V/(T + V) on average, in
+        square and but for calibration."""
         wrong = error * self.length(predicted)
         share = wrong / max(wrong + self.scatter(changes), 1e-300)
         return self.left(predicted + share * (changes.mean(axis=0) - predicted))
