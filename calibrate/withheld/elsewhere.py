@@ -87,8 +87,8 @@ class Seen:
         strengths, own = {h["name"]: h["strength"] for h in label["hidden"]}, "changes" in label
         design, soil = ready.bank.design, label.get("soil", {})
         if not own:  # another code's: its rolling friction is another law's
-            known = [n for n in design.soil_names if n in soil and n != "rolling_friction"]
-            soil = {**design.centre, **{n: soil[n] for n in known}}
+            alike = [n for n in design.soil_names if n in soil and n != "rolling_friction"]
+            soil = {**design.centre, **{n: soil[n] for n in alike}}
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
         soil = {n: soil[n] for n in design.soil_names}
         visible = Visibility(ready, soil, SPECIMENS if own else THEIRS, discrepancy)

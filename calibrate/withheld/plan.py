@@ -158,7 +158,9 @@ class Planner:
         return tuple(found), visible.snr({h.name: h.strength for h in found})
 
 
-def relative_error(predicted: Sequence[float], scatter: Sequence[float], away: Sequence[float]):
+def relative_error(
+    predicted: Sequence[float], scatter: Sequence[float], away: Sequence[float]
+) -> float:
     """How wrong predicted changes are, as a share r^2 of their squared lengths |p_i|^2:
 
         |c_i - p_i|^2 = r^2 |p_i|^2 + V_i         least squares, weights 1/(|p_i|^2 + V_i)^2
