@@ -1,9 +1,9 @@
 """How often would an observer name the effect who knows what no diagnosis can know?
 
-    mkdir sixth && tar xf benchmarks/results/withheld_sixth_cases.tar.xz -C sixth
-    python benchmarks/ceiling.py sixth                  resumes
+    mkdir own && tar xf benchmarks/results/withheld_own_cases.tar.xz -C own
+    python benchmarks/ceiling.py own                  resumes
 
-For every single effect of an opened set, at its own signal-to-noise (`retold.py`) and about its own
+For every single effect of an opened set, at its own signal-to-noise (`retold.py`), about its own
 curves, data are drawn in a linear world, and judged by an observer who knows this world: the
 scatter of specimens exactly, every effect's signature exactly, and that there are no pairs and
 nothing from outside.  All effects are equally likely to it, strengths have the prior of

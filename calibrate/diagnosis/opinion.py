@@ -3,7 +3,7 @@
     none     - t s(b)                                     b = max ln B - ln B
     effect   - t s(b) + a1 + h(effect) - ln k             s(b) = c arsinh(b/c)
     pair     - t s(b) + a2 + h(one) + h(other) - ln q
-    unknown  - t s(b) + a3 - l ln p + d [p < ALPHA] + g ln(1 + <max ln B>)
+    unknown  - t s(b) + a3 + d [p < ALPHA] + g ln(1 + <max ln B>)
 
 Probabilities are their softmax.  p is the p-value of what the best effect and the best pair leave,
 B the evidence of an explanation over that of none (`evidence`), g says that a large gap is oftener
@@ -30,11 +30,10 @@ from calibrate.diagnosis.evidence import Evidence
 
 NONE, UNKNOWN = "none", "unknown"
 ALPHA = 0.05  # of a test for a gap
-LOG_P_FLOOR = -6.0
 LEARNED = "opinion.json"  # beside this file
 MUCH = 3.0  # c: difference of ln evidences, beyond which more of it counts less
 ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them decides alone
-PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0, 1.0)  # of t, the a, l, d, g about their neutral values
+PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about their neutral values
 HABIT_SD = 1.2
 SHARPEST, DULLEST = 2.0, 0.05  # t
 NAMED_BELOW = 0.25  # probability of no gap: alarms in 4 % of opened nulls, by the other folds
@@ -44,25 +43,23 @@ ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
 @dataclass(frozen=True)
 class Opinion:
-    """t, the three a, l, d, g and the habits by effect (0 where not listed); `smallest` is the
+    """t, the three a, d, g and the habits by effect (0 where not listed); `smallest` is the
     least probability of a member of the set of explanations.  Neutral: evidences as they are."""
 
     sharpness: float = 1.0
     single: float = 0.0
     pair: float = -1.5
     unknown: float = -1.0
-    after: float = 0.0
     left_over: float = 0.0
     large: float = 0.0
     habits: Mapping[str, float] = field(default_factory=dict)
     smallest: float = 0.1
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """t, a1, a2, a3, l, d, g and the habits of these effects (7 + k,)."""
+        """t, a1, a2, a3, d, g and the habits of these effects (6 + k,)."""
         kinds = (self.single, self.pair, self.unknown)
-        outside = (self.after, self.left_over, self.large)
         habits = (self.habits.get(name, 0.0) for name in names)
-        return np.array([self.sharpness, *kinds, *outside, *habits])
+        return np.array([self.sharpness, *kinds, self.left_over, self.large, *habits])
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +114,13 @@ def fitted(cases: Sequence[Facts], truths: Sequence[np.ndarray]) -> Opinion:
         return float(value), away / pull - np.einsum("nh,nhj->j", slope, columns)
 
     free, positive = (None, None), (0.0, None)
-    bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 3, *[free] * len(names)]
+    bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 2, *[free] * len(names)]
     found = minimize(loss, neutral, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
-    return Opinion(*found[:7], habits=dict(zip(names, found[7:], strict=True)))
+    return Opinion(*found[:6], habits=dict(zip(names, found[6:], strict=True)))
 
 
 def _table(facts: Facts, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """What each hypothesis' score is linear in, shape (h, 7 + k), and ln of its share (h,) in the
+    """What each hypothesis' score is linear in, shape (h, 6 + k), and ln of its share (h,) in the
     prior of its kind."""
     found = facts.evidence
     raw = np.concatenate([[0.0], found.singles, found.pairs, [found.unknown]])
@@ -131,8 +128,8 @@ def _table(facts: Facts, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     count = (len(found.singles), len(found.pairs))
     kind = np.repeat([0, 1, 2, 3], [1, *count, 1])
     kinds = kind[:, None] == np.array([1, 2, 3])
-    left = min(-np.log(facts.p_after), -LOG_P_FLOOR), float(facts.p_after < ALPHA)
-    outside = (kind == 3)[:, None] * np.array([*left, np.log1p(raw.max())])
+    left = float(facts.p_after < ALPHA)
+    outside = (kind == 3)[:, None] * np.array([left, np.log1p(raw.max())])
     inside = np.array([[name in h for name in names] for h in hypotheses(facts)], float)
     behind = MUCH * np.arcsinh((raw.max() - raw) / MUCH)
     columns = np.column_stack([-behind, kinds, outside, inside.reshape(len(raw), -1)])
