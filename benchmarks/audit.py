@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate import plotting
-from calibrate.audit import OBSERVABLES, Audit, audit, audit_json, judged
-from calibrate.campaign import Campaign
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import FACTORS, space
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from calibrate.progress import for_terminal
+from calibrate import figures as plotting
+from calibrate.core.progress import for_terminal
+from calibrate.inference.audit import OBSERVABLES, Audit, audit, audit_json, judged
+from calibrate.inference.parameters import FACTORS, space
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.records.audit import AuditSlopes
 from calibrate.records.base import record
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 STRATEGIES = {"fit": "As fits take them", "ensemble": "All parameters in groups"}

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.bank import store
-from calibrate.bank.simulate import Points, Simulator, run_points
-from calibrate.campaign import engine_hash
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.progress import for_terminal
-from calibrate.runtime import configure
+from calibrate.core.progress import for_terminal
+from calibrate.core.runtime import configure
+from calibrate.discrepancy.library import store
+from calibrate.discrepancy.library.simulate import Points, Simulator, run_points
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation import engine_hash
 
 EFFECT, FEATURE, ABOVE = "rate_dependence", "travel at the top, confined", 0.3  # mm
 CHECKED = 12

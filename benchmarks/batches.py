@@ -18,11 +18,11 @@ import numpy as np
 import reporting
 from kills import low_lab
 
-from calibrate.campaign import Campaign
-from calibrate.measurements import load_lab
-from calibrate.parameters import base_soil, with_values
-from calibrate.presets import Preset, specimen, virtual_lab
-from jdem.experiments.composite import VirtualLab
+from calibrate.io.lab import load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import Preset, specimen, virtual_lab
+from jdem.laboratory.virtual_lab import VirtualLab
 
 BATCHES = (1, 4)
 

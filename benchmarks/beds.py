@@ -10,12 +10,12 @@ tests/test_beds.py asks for this command.
 
 import shutil
 
-from calibrate.campaign.store import SHIPPED
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.presets import PRESETS
-from calibrate.progress import for_terminal
-from calibrate.runtime import configure
-from calibrate.workflow import Seeds, campaign
+from calibrate.core.progress import for_terminal
+from calibrate.core.runtime import configure
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation.resolution import PRESETS
+from calibrate.simulation.specimens import Seeds, campaign
+from calibrate.simulation.store import SHIPPED
 
 SOILS = ("wheat_after_rice", "trumao")
 

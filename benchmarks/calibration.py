@@ -4,7 +4,7 @@ Four free parameters, both targets of the bundled soil, the mean of three packin
 from the same three starts.  A method is done once depression depth and crushing force both lie
 within the repeat scatter of their targets; its cost is counted in forward runs a packing.
 
-    gradient      calibrate.fit with the strategy that passed the audit
+    gradient      calibrate.inference.fit with the strategy that passed the audit
     Nelder-Mead   scipy, on the sum of squares over the repeat scatter
     surface       central composite design (pyDOE), quadratic least squares (statsmodels), its
                   optimum simulated once; from every start, as the centre of the design
@@ -26,14 +26,14 @@ import statsmodels.api as sm
 from recovery import STARTS
 from scipy.optimize import minimize
 
-from calibrate.campaign import Campaign
-from calibrate.fit import Calibration, descend, packing_scatter
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import Space, space
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from calibrate.problem import Problem, pose
-from calibrate.progress import for_terminal
-from calibrate.workflow import Seeds
+from calibrate.core.progress import for_terminal
+from calibrate.inference.fit import Calibration, descend, packing_scatter
+from calibrate.inference.parameters import Space, space
+from calibrate.inference.problem import Problem, pose
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from calibrate.simulation.specimens import Seeds
 
 FREE = ("shear_modulus", "surface_energy", "plasticity_ratio", "rolling_friction")
 QUICK = PRESETS["quick"]

@@ -21,20 +21,21 @@ import numpy as np
 import opinion
 import reporting
 
-from calibrate.bank import mismatch, store
-from calibrate.bank.description import MEASURING, Ready
-from calibrate.campaign import engine_hash
-from calibrate.diagnosed import described
-from calibrate.diagnosis.evidence import singles
-from calibrate.diagnosis.generated import World, plan_of
-from calibrate.diagnosis.noise import packing_covariance
-from calibrate.diagnosis.opinion import NONE
-from calibrate.diagnosis.projection import project
-from calibrate.diagnosis.score import lengths
-from calibrate.diagnosis.which import design_classes, label
-from calibrate.measurements import load_lab
-from calibrate.output import write_json
-from calibrate.withheld.plan import COUNTS, STRATA
+from calibrate.core.files import write_json
+from calibrate.discrepancy import mismatch
+from calibrate.discrepancy.comparison.compare import design_classes, label
+from calibrate.discrepancy.comparison.evidence import singles
+from calibrate.discrepancy.comparison.generated import World, plan_of
+from calibrate.discrepancy.comparison.noise import packing_covariance
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.discrepancy.comparison.projection import project
+from calibrate.discrepancy.comparison.score import lengths
+from calibrate.discrepancy.diagnosis import described
+from calibrate.discrepancy.library import store
+from calibrate.discrepancy.library.description import MEASURING, Ready
+from calibrate.io.lab import load_lab
+from calibrate.simulation import engine_hash
+from calibrate.validation.plan import COUNTS, STRATA
 
 DRAWS = 200  # of each case, with its effect and without
 ALARMS = 0.05

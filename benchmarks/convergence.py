@@ -24,16 +24,16 @@ import equinox as eqx
 import numpy as np
 import reporting
 
-from calibrate.campaign import Campaign, Run
-from calibrate.measurements import Lab, bundled_lab, load_lab
-from calibrate.parameters import base_soil, with_values
-from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
-from calibrate.progress import for_terminal
-from jdem.bed import Numerics
-from jdem.experiments.base import Damping
-from jdem.experiments.composite import VirtualLab
-from jdem.experiments.confined import ConfinedCompression
-from jdem.smooth import Smoothing
+from calibrate.core.progress import for_terminal
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign, Run
+from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from jdem.apparatus.base import Damping
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.core.smooth import Smoothing
+from jdem.engine.bed import Numerics
+from jdem.laboratory.virtual_lab import VirtualLab
 
 EARLY = "depth_before_servo_mm"
 OBSERVABLES = ("depression_depth_mm", EARLY, "crushing_force_n")

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.campaign import Campaign
-from calibrate.designed import Designed, design
-from calibrate.doe.comparison import Ending, Enhanced, SlopePair
-from calibrate.doe.study import OBSERVABLES, ranked
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from calibrate.progress import for_terminal
-from calibrate.report.study import SHORT, as_json, sentence
+from calibrate.core.progress import for_terminal
+from calibrate.designs.calibration import Designed, design
+from calibrate.designs.comparison import Ending, Enhanced, SlopePair
+from calibrate.designs.study import OBSERVABLES, ranked
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.reports.study import SHORT, as_json, sentence
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
 
 def markdown(found: Designed, origin: dict) -> str:

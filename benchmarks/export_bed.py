@@ -24,13 +24,13 @@ import reporting
 
 from calibrate.export import liggghts
 from calibrate.export.source import Found, find
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import with_values
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from jdem.experiments.composite import LabTests, VirtualLab
-from jdem.experiments.unconfined import UnconfinedCompression
-from jdem.packing import Packing, Specimen, prepare
-from jdem.soil import SoilParameters
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import with_values
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Packing, Specimen, prepare
 
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
 import pressed_bed

@@ -24,17 +24,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import reporting
 
+from calibrate.core.files import write_text
 from calibrate.export import liggghts, yade
 from calibrate.export.notes import PRESSURE, overlap_under
 from calibrate.export.source import Found, find
-from calibrate.measurements import bundled_lab
-from calibrate.output import write_text
-from calibrate.parameters import with_values
-from jdem.contact import ContactHistory
-from jdem.experiments.pair import SpherePair, collide, drive_overlap
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law
-from jdem.vector import Vector
+from calibrate.io.lab import bundled_lab
+from calibrate.io.soil import with_values
+from jdem.apparatus.pair import SpherePair, collide, drive_overlap
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.materials.soil import SoilParameters, particle_law
+from jdem.mechanics.contact import ContactHistory
 
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
 import two_spheres

@@ -31,9 +31,9 @@ import reporting
 from accidents import spoiled_bytes, spoiled_curve, spoiled_lab
 
 from calibrate import cli
-from calibrate.campaign import Campaign
-from calibrate.measurements import bundled_lab
-from calibrate.plotting import lab as preview
+from calibrate.figures import lab as preview
+from calibrate.io.lab import bundled_lab
+from calibrate.simulation import Campaign
 
 EXPORTS = Path(__file__).parents[1] / "tests" / "data" / "machine_exports"
 STRANGE = reporting.CACHE / "fuzz"  # files that were neither read nor refused

@@ -13,10 +13,10 @@ import numpy as np
 import opinion
 import reporting
 
-from calibrate.bank.description import MEASURING, TWO_SIDED
-from calibrate.diagnosis.opinion import NONE
-from calibrate.diagnosis.score import admissible
-from calibrate.withheld.scores import area
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.discrepancy.comparison.score import admissible
+from calibrate.discrepancy.library.description import MEASURING, TWO_SIDED
+from calibrate.validation.scores import area
 from jdem.effects.composite import EFFECTS
 
 OWN = ("withheld_fifth_again_verdicts.tar.xz", "withheld_sixth_verdicts.tar.xz")

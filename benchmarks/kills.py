@@ -40,19 +40,21 @@ import psutil
 import reporting
 import xarray as xr
 
-from calibrate import cli, diagnosed, output, presets
-from calibrate.bank import simulate
-from calibrate.campaign import NETCDF, Campaign
-from calibrate.campaign.places import AbstractPlace
-from calibrate.campaign.store import Store
-from calibrate.measurements import bundled_lab
-from calibrate.presets import Preset
-from calibrate.report import study
-from calibrate.report import withheld as withheld_report
-from calibrate.withheld import plan, run, trial
-from jdem.packing import Packing
-from jdem.particles import Spheres
-from jdem.vector import Vector
+from calibrate import cli
+from calibrate.discrepancy import diagnosis as diagnosed
+from calibrate.discrepancy.library import simulate
+from calibrate.io.lab import bundled_lab
+from calibrate.reports import study
+from calibrate.reports import withheld as withheld_report
+from calibrate.simulation import NETCDF, Campaign, session
+from calibrate.simulation import resolution as presets
+from calibrate.simulation.executors import AbstractPlace
+from calibrate.simulation.resolution import Preset
+from calibrate.simulation.store import Store
+from calibrate.validation import plan, run, trial
+from jdem.bodies.spheres import Spheres
+from jdem.core.vector import Vector
+from jdem.packing.settling import Packing
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def prepare_process(dem: bool) -> None:
     plan.COUNTS = CASES
     run.secrets = SimpleNamespace(randbits=lambda bits: SEED)
     if not dem:
-        output.HERE = FormulaPlace()
+        session.HERE = FormulaPlace()
         simulate.Campaign = partial(Campaign, place=FormulaPlace())
 
 

@@ -19,26 +19,26 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.bank.description import Ready
-from calibrate.bank.mismatch import load as load_mismatch
-from calibrate.bank.store import bundled_bank, load
-from calibrate.diagnosed import described
-from calibrate.diagnosis import noise as noise_model
-from calibrate.diagnosis.discrepancy import kernel_factors, projected
-from calibrate.diagnosis.evidence import log_base, singles
-from calibrate.diagnosis.fits import fitted_base
-from calibrate.diagnosis.generated import World, plan_of
-from calibrate.diagnosis.lack_of_fit import NullTable, simulate, statistics
-from calibrate.diagnosis.linear import Linearised
-from calibrate.diagnosis.noise import estimate, packing_covariance
-from calibrate.diagnosis.opinion import ALPHA
-from calibrate.diagnosis.projection import project
-from calibrate.diagnosis.refit import Refit
-from calibrate.diagnosis.repeats import Measured
-from calibrate.diagnosis.score import lengths
-from calibrate.measurements import load_lab
-from calibrate.progress import for_terminal
-from calibrate.withheld import run
+from calibrate.core.progress import for_terminal
+from calibrate.discrepancy.comparison import noise as noise_model
+from calibrate.discrepancy.comparison.discrepancy import kernel_factors, projected
+from calibrate.discrepancy.comparison.evidence import log_base, singles
+from calibrate.discrepancy.comparison.fits import fitted_base
+from calibrate.discrepancy.comparison.generated import World, plan_of
+from calibrate.discrepancy.comparison.lack_of_fit import NullTable, simulate, statistics
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.noise import estimate, packing_covariance
+from calibrate.discrepancy.comparison.probability_calibration import ALPHA
+from calibrate.discrepancy.comparison.projection import project
+from calibrate.discrepancy.comparison.refit import Refit
+from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.score import lengths
+from calibrate.discrepancy.diagnosis import described
+from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.store import bundled_bank, load
+from calibrate.discrepancy.mismatch import load as load_mismatch
+from calibrate.io.lab import load_lab
+from calibrate.validation import run
 
 CASES = 60
 FIRST_SEED = 1_300_000  # of packings; not those of withheld cases

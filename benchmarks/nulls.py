@@ -9,8 +9,8 @@ name only sets whose seal has been opened for scoring.
 import argparse
 from pathlib import Path
 
-from calibrate.diagnosis.opinion import NONE
-from calibrate.withheld.seal import HASHES, open_seal
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.validation.seal import HASHES, open_seal
 
 
 def lab_files(folder: Path) -> list[Path]:

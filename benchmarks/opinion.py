@@ -23,9 +23,11 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.diagnosis.classes import TOGETHER, Classes
-from calibrate.diagnosis.evidence import Evidence
-from calibrate.diagnosis.opinion import (
+from calibrate.core.files import write_text
+from calibrate.discrepancy.comparison.classes import TOGETHER, Classes
+from calibrate.discrepancy.comparison.compare import label, named, stated
+from calibrate.discrepancy.comparison.evidence import Evidence
+from calibrate.discrepancy.comparison.probability_calibration import (
     LEARNED,
     NONE,
     UNKNOWN,
@@ -34,10 +36,8 @@ from calibrate.diagnosis.opinion import (
     fitted,
     hypotheses,
 )
-from calibrate.diagnosis.sets import threshold
-from calibrate.diagnosis.which import label, named, stated
-from calibrate.output import write_text
-from calibrate.withheld.scores import expected_error, truth_of
+from calibrate.discrepancy.comparison.sets import threshold
+from calibrate.validation.scores import expected_error, truth_of
 
 SETS = {  # archive of verdicts: what was true
     "withheld_fifth_again_verdicts.tar.xz": "withheld_fifth.json",

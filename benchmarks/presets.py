@@ -14,11 +14,11 @@ import time
 
 import reporting
 
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import base_soil
-from calibrate.presets import PRESETS
-from calibrate.progress import PlainLines
-from calibrate.workflow import campaign
+from calibrate.core.progress import PlainLines
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil
+from calibrate.simulation.resolution import PRESETS
+from calibrate.simulation.specimens import campaign
 
 HEADER = (
     "preset",

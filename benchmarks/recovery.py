@@ -27,16 +27,17 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.campaign import Campaign, Run
-from calibrate.fit import Calibration, Fit, Settings, fit, packing_scatter
-from calibrate.measurements import Lab, bundled_lab, load_lab
-from calibrate.output import write_text
-from calibrate.parameters import Space, base_soil, space, with_values
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from calibrate.problem import pose
-from calibrate.progress import for_terminal
-from calibrate.workflow import Seeds, mean_observables, spread_observables
-from jdem.soil import SoilParameters
+from calibrate.core.files import write_text
+from calibrate.core.progress import for_terminal
+from calibrate.inference.fit import Calibration, Fit, Settings, fit, packing_scatter
+from calibrate.inference.parameters import Space, space
+from calibrate.inference.problem import pose
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign, Run
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from calibrate.simulation.specimens import Seeds, mean_observables, spread_observables
+from jdem.materials.soil import SoilParameters
 
 REPEATS = 4
 LABORATORY = 50_000  # added to the seed: the laboratory's packings are never fitted

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import jax
 
-from calibrate.campaign import engine_hash
-from calibrate.output import write_json, write_text
+from calibrate.core.files import write_json, write_text
+from calibrate.simulation import engine_hash
 
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed

@@ -24,10 +24,11 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.bank import mismatch, store
-from calibrate.bank.description import MEASURING, Ready
-from calibrate.withheld.elsewhere import Seen, errors_of, in_our_words
-from calibrate.withheld.seal import open_seal
+from calibrate.discrepancy import mismatch
+from calibrate.discrepancy.library import store
+from calibrate.discrepancy.library.description import MEASURING, Ready
+from calibrate.validation.elsewhere import Seen, errors_of, in_our_words
+from calibrate.validation.seal import open_seal
 
 STRATA = {"below 2": (0.0, 2.0), "2 to 6": (2.0, 6.0), "above 6": (6.0, np.inf)}
 WAYS = ("own share", "known", "expected")

@@ -32,13 +32,14 @@ import reporting
 import speed
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from calibrate.parameters import FACTORS, with_values
-from jdem import kernel
-from jdem.dynamics import Bed, BedState, Command, step
-from jdem.packing import Specimen, prepare
-from jdem.particles import Spheres
-from jdem.quantity import cast
-from jdem.simulate import Record, Segment, run, start
+from calibrate.inference.parameters import FACTORS
+from calibrate.io.soil import with_values
+from jdem.bodies.spheres import Spheres
+from jdem.core import kernel
+from jdem.core.quantity import cast
+from jdem.engine.loop import Record, Segment, run, start
+from jdem.engine.step import Bed, BedState, Command, step
+from jdem.packing.settling import Specimen, prepare
 
 BED, COPIES = 500, (1, 2, 4, 10, 20, 40)
 SAMPLES = 20

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.bank.description import Ready
-from calibrate.bank.design import CENTRE
-from calibrate.bank.store import bundled_bank, load
-from calibrate.withheld.laboratory import Laboratory
-from calibrate.withheld.plan import Case, Planner, Visibility
+from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.design import CENTRE
+from calibrate.discrepancy.library.store import bundled_bank, load
+from calibrate.validation.laboratory import Laboratory
+from calibrate.validation.plan import Case, Planner, Visibility
 
 COUNTS = {"none": 10, "2-6": 8, "above 6": 26}  # of the plan
 FIRST_SEED = 1_500_000  # of packings; not those of withheld cases

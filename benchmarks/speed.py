@@ -31,15 +31,15 @@ import jax.numpy as jnp
 import numpy as np
 import reporting
 
-from calibrate.presets import numerics_for
-from jdem.bed import Numerics, build_bed, plan_grid
-from jdem.dynamics import Bed, BedState
-from jdem.packing import Specimen, prepare
-from jdem.particles import Spheres
-from jdem.quantity import cast
-from jdem.simulate import Record, Segment, run, stack, start
-from jdem.soil import SoilParameters
-from jdem.vector import Vector
+from calibrate.simulation.resolution import numerics_for
+from jdem.bodies.spheres import Spheres
+from jdem.core.quantity import cast
+from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics, build_bed, plan_grid
+from jdem.engine.loop import Record, Segment, run, stack, start
+from jdem.engine.step import Bed, BedState
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Specimen, prepare
 
 PEERS = Path(__file__).parent / "peers"
 MOULD_RADIUS = 0.025  # m, as in benchmarks/peers

@@ -30,20 +30,20 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.campaign import Campaign
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import base_soil, with_values
-from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
-from jdem import smooth
-from jdem.bed import build_bed, steps_per_sample
-from jdem.contact import ContactHistory
-from jdem.damping import dashpot_constant
-from jdem.dynamics import Bed
-from jdem.experiments.composite import VirtualLab
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from jdem.core import smooth
+from jdem.core.smooth import Smoothing
+from jdem.engine.bed import build_bed, steps_per_sample
+from jdem.engine.loop import run, start
+from jdem.engine.step import Bed
+from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.laws.coulomb import CoulombSpring
-from jdem.packing import Packing
-from jdem.simulate import run, start
-from jdem.smooth import Smoothing
+from jdem.mechanics.contact import ContactHistory
+from jdem.mechanics.dashpot import dashpot_constant
+from jdem.packing.settling import Packing
 
 PARAMETER = "shear_modulus"
 SPHERES = 300

@@ -11,9 +11,9 @@ import numpy as np
 import toy_soil as toy
 from scipy.interpolate import CubicSpline
 
-from calibrate.diagnosis.features import CONFINED, UNCONFINED, vector
-from calibrate.diagnosis.linear import Linearised, simple
-from calibrate.diagnosis.sensor import Channel, recording
+from calibrate.discrepancy.comparison.features import CONFINED, UNCONFINED, vector
+from calibrate.discrepancy.comparison.linear import Linearised, simple
+from calibrate.discrepancy.comparison.sensor import Channel, recording
 
 SIMULATED = 60
 SD = np.array(list(toy.BASE.values()))

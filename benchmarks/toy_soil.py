@@ -12,8 +12,8 @@ from functools import cache
 
 import numpy as np
 
-from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare
-from calibrate.diagnosis.linear import Effect
+from calibrate.discrepancy.comparison.features import CONFINED, UNCONFINED, declare
+from calibrate.discrepancy.comparison.linear import Effect
 
 FORCE_HIGH = 400.0  # N
 PEAK_MM, PEAK_N = 6.0, 200.0

@@ -26,13 +26,13 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.audit import OBSERVABLES, POINTS, CurvePoints, judged, traced
-from calibrate.campaign import Campaign, engine_hash
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import FACTORS, Space, space
-from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
-from jdem.experiments.composite import VirtualLab
-from jdem.packing import Packing
+from calibrate.inference.audit import OBSERVABLES, POINTS, CurvePoints, judged, traced
+from calibrate.inference.parameters import FACTORS, Space, space
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation import Campaign, engine_hash
+from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.packing.settling import Packing
 from jdem.sensitivity.base import Sensitivity, averaged
 from jdem.sensitivity.composite import blended
 from jdem.sensitivity.virtual_power import VirtualPower

@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.bank import mismatch, store
-from calibrate.bank.description import MEASURING, Ready
-from calibrate.withheld.laboratory import Laboratory
-from calibrate.withheld.plan import CENTRE, PACKINGS, SPECIMENS, Case, Hidden, Visibility
-from calibrate.withheld.seal import open_seal
+from calibrate.discrepancy import mismatch
+from calibrate.discrepancy.library import store
+from calibrate.discrepancy.library.description import MEASURING, Ready
+from calibrate.validation.laboratory import Laboratory
+from calibrate.validation.plan import CENTRE, PACKINGS, SPECIMENS, Case, Hidden, Visibility
+from calibrate.validation.seal import open_seal
 
 LARGE, SEEN = 6.0, 2.4
 HEADER = [

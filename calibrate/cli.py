@@ -1,4 +1,4 @@
-"""The command line: `calibrate simulate`, `fit`, `contact`, `audit`, `doe` and `reproduce`.
+"""The command line `calibrate`: all verbs, and what becomes of errors.
 
 Exit status 0 done, 2 the input is wrong (one line on standard error that names file,
 field and repair), 1 anything else.
@@ -7,13 +7,12 @@ field and repair), 1 anything else.
 import atexit
 import gc
 import sys
-from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import NoReturn
 
 import typer
 
-from calibrate import verbs
-from calibrate.errors import CalibrationError, InputError, one_line
+from calibrate import commands
+from calibrate.core.errors import CalibrationError, InputError, one_line
 
 app = typer.Typer(
     add_completion=False,
@@ -21,173 +20,7 @@ app = typer.Typer(
     help="Calibrate a virtual soil against laboratory tests, by gradient.",
 )
 
-LabFile = Annotated[
-    Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: the bundled soil.")
-]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")]
-Out = Annotated[Path, typer.Option("--out", help="Folder for results; a second run resumes.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, max=10_000_000, help="Choice of packings.")]
-PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fine.")]
-Preparation = Annotated[
-    bool, typer.Option("--prepare-with-soil", help="Settle beds with the soil under test.")
-]
-Dask = Annotated[
-    str | None, typer.Option("--dask", metavar="ADDRESS", help="Simulate on this Dask cluster.")
-]
-Changes = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
-]
-
-
-@app.command("simulate")
-def simulate_command(
-    lab: LabFile = None,
-    changes: Changes = None,
-    preset: PresetName = "quick",
-    seed: Seed = 0,
-    prepare_with_soil: Preparation = False,
-    out: Out = Path("results/simulate"),
-    dask: Dask = None,
-    json: Json = None,
-) -> None:
-    """Run both virtual tests on several packings: curves, observables, scatter."""
-    from calibrate import output, workflow
-
-    output.check_writable(json)
-    session = output.Session.open(lab, preset, out, dask)
-    values = output.parse_changes(changes or [])
-    work = session.campaign(out, values if prepare_with_soil else None)
-    result, runs = workflow.simulate(session.lab, session.preset, values, seed, work)
-    output.write_simulation(session, result, runs, json)
-
-
-@app.command("fit")
-def fit_command(
-    lab: LabFile = None,
-    free: Annotated[
-        str | None, typer.Option("--free", help="Names, comma-separated; default: chosen by data.")
-    ] = None,
-    changes: Changes = None,
-    preset: PresetName = "quick",
-    seed: Seed = 0,
-    prepare_with_soil: Preparation = False,
-    out: Out = Path("results/fit"),
-    dask: Dask = None,
-    json: Json = None,
-) -> None:
-    """Calibrate the parameters that the data can fix; say which those are."""
-    from calibrate import output, workflow
-
-    output.check_writable(json)
-    session = output.Session.open(lab, preset, out, dask)
-    values = output.parse_changes(changes or [])
-    names = output.parse_free(free)
-    work = session.campaign(out, values if prepare_with_soil else None)
-    done = workflow.calibrate(session.lab, session.preset, names, values, seed, work)
-    output.write_fit(session, done, json)
-
-
-@app.command("contact")
-def contact_command(
-    path_um: Annotated[
-        str, typer.Option("--path-um", help="Turning points of the overlap, micrometres.")
-    ],
-    changes: Changes = None,
-    radius_mm: Annotated[float, typer.Option("--radius-mm", help="Radius of both spheres.")] = 2.5,
-    young_mpa: Annotated[float, typer.Option("--young-mpa", help="Young's modulus.")] = 5.0,
-    poisson: Annotated[float, typer.Option("--poisson", help="Poisson's ratio.")] = 0.3,
-    smooth: Annotated[
-        bool, typer.Option("--smooth/--sharp", help="Default roundings, or the law as printed.")
-    ] = False,
-    out: Out = Path("results/contact"),
-    json: Json = None,
-) -> None:
-    """Drive two equal spheres through overlaps, quasi-statically: force-overlap loop."""
-    from calibrate import output, single_contact
-
-    output.check_writable(json)
-    points = output.parse_path(path_um)
-    values = output.parse_changes(changes or [])
-    pair = output.parse_pair(radius_mm, young_mpa, poisson)
-    result = single_contact.drive(pair, values, points, smooth)
-    output.write_contact(result, out, json)
-
-
-@app.command("audit")
-def audit_command(
-    lab: LabFile = None,
-    strategy: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--strategy",
-            help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
-            "virtual_power, virtual_power_blend; may be given several times.",
-        ),
-    ] = None,
-    changes: Changes = None,
-    spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
-    packings: Annotated[int, typer.Option("--packings", min=2, help="Packings.")] = 8,
-    preset: PresetName = "quick",
-    seed: Seed = 0,
-    out: Out = Path("results/audit"),
-    dask: Dask = None,
-    json: Json = None,
-) -> None:
-    """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
-    from calibrate import output
-
-    output.check_writable(json)
-    session = output.Session.open(lab, preset, out, dask).resized(spheres)
-    values = output.parse_changes(changes or [])
-    names = output.parse_strategies(strategy or ["fit"])
-    output.run_audit(session, names, values, packings, seed, json)
-
-
-@app.command("doe")
-def doe_command(
-    lab: LabFile = None,
-    changes: Changes = None,
-    preset: PresetName = "quick",
-    seed: Seed = 0,
-    out: Out = Path("results/doe"),
-    dask: Dask = None,
-    json: Json = None,
-) -> None:
-    """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
-    from rich.console import Console
-
-    from calibrate import output
-    from calibrate.designed import design
-    from calibrate.report import study as report
-
-    output.check_writable(json)
-    session = output.Session.open(lab, preset, out, dask)
-    values = output.parse_changes(changes or [])
-    work = session.campaign(out, None)
-    done = design(session.lab, session.preset, values, seed, work)
-    report.write(session, done, json)
-    report.show(done, Console())
-    print(f"result.json, {report.PAGE} and run sheets are in {out}")
-
-
-@app.command("reproduce")
-def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -> None:
-    """Put the paper's published figures beside what its own printed tables give."""
-    from rich.console import Console
-
-    from calibrate import output
-    from calibrate.report import reproduction as report
-    from calibrate.reproduction import paper
-
-    output.check_writable(json)
-    output.make_folder(out)
-    result = paper.reproduce()
-    report.write(result, out, json)
-    report.show(result, Console())
-    print(f"page and JSON in {out}")
-
-
-verbs.register(app)
+commands.register(app)
 
 
 def main() -> None:
@@ -227,7 +60,7 @@ def _spare_collections() -> None:
 
 
 def _configure_jax() -> None:
-    from calibrate import runtime
+    from calibrate.core import runtime
 
     runtime.configure()
 

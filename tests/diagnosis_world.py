@@ -9,9 +9,9 @@ from functools import cache
 
 import numpy as np
 
-from calibrate.diagnosis.features import CONFINED, declare, tests_of
-from calibrate.diagnosis.linear import Effect, Linearised, simple
-from calibrate.diagnosis.repeats import Measured, from_vectors
+from calibrate.discrepancy.comparison.features import CONFINED, declare, tests_of
+from calibrate.discrepancy.comparison.linear import Effect, Linearised, simple
+from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 
 FEATURES = declare(400.0, 6.0, 200.0)
 CONFINED_ONES = tests_of(FEATURES) == CONFINED

@@ -4,12 +4,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from calibrate.presets import numerics_for
-from jdem.experiments.composite import LabTests, VirtualLab
-from jdem.experiments.confined import ConfinedCompression
-from jdem.experiments.unconfined import UnconfinedCompression
-from jdem.packing import Specimen
-from jdem.soil import SoilParameters
+from calibrate.simulation.resolution import numerics_for
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Specimen
 
 SMALL = Specimen(count=60, height=0.06)
 NUMERICS = numerics_for(SMALL)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.campaign import Run
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import base_soil
-from calibrate.presets import PRESETS, virtual_lab
-from calibrate.progress import Silent
-from jdem.experiments.composite import VirtualLab
+from calibrate.core.progress import Silent
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil
+from calibrate.simulation import Run
+from calibrate.simulation.resolution import PRESETS, virtual_lab
+from jdem.laboratory.virtual_lab import VirtualLab
 
 LAB = load_lab(bundled_lab())
 BASE = base_soil(LAB)

@@ -1,7 +1,7 @@
 """Beds of one to a few spheres, made by hand, and what advances them.
 
-By `jdem.dynamics.step` or by `jdem.simulate.run`.  Spheres of one material; what a test does not
-need is switched off.
+By `jdem.engine.step.step` or by `jdem.engine.loop.run`.  Spheres of one material; what a test
+does not need is switched off.
 """
 
 import equinox as eqx
@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem.bed import Numerics, build_bed
-from jdem.dynamics import Command, step
-from jdem.neighbors import Grid, rebuild
-from jdem.particles import Motion, Spheres
-from jdem.simulate import FAR, Segment, run, stack, start
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters
-from jdem.vector import Vector
+from jdem.bodies.spheres import Motion, Spheres
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics, build_bed
+from jdem.engine.loop import FAR, Segment, run, stack, start
+from jdem.engine.neighbors import Grid, rebuild
+from jdem.engine.step import Command, step
+from jdem.materials.soil import SoilParameters
 
 RADIUS, DENSITY, GRAVITY = 2.5e-3, 2650.0, 9.81
 WIDE = 40.0  # mean diameters; a skin that a single sphere does not leave

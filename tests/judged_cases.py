@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from calibrate.withheld.laboratory import Specimen, recorded
+from calibrate.validation.laboratory import Specimen, recorded
 
 CLASSES = [["seating_gap", "load_frame_compliance"], ["wall_friction"], ["acquisition_lag"]]
 SEAT = "seating_gap / load_frame_compliance"

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem.contact import ContactHistory
-from jdem.experiments.pair import SpherePair, overlap_path
-from jdem.quantity import cast
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law
-from jdem.vector import Vector
+from jdem.apparatus.pair import SpherePair, overlap_path
+from jdem.core.quantity import cast
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.materials.soil import SoilParameters, particle_law
+from jdem.mechanics.contact import ContactHistory
 
 RADIUS = 2.5e-3
 PAIR = SpherePair(RADIUS)

@@ -6,7 +6,7 @@ Curves are synthetic, in mm and N over s, with the generator that made the commi
 import importlib.util
 from pathlib import Path
 
-from calibrate.machine.convert import read_export
+from calibrate.instrument_import.convert import read_export
 
 EXPORTS = Path(__file__).parent / "data" / "machine_exports"
 _spec = importlib.util.spec_from_file_location("make_exports", EXPORTS / "make_exports.py")

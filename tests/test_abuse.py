@@ -23,15 +23,15 @@ from hypothesis import strategies as st
 from test_fit import BASE, TINY, tiny_campaign, tiny_lab
 from toy_place import Toy
 
-from calibrate import output
-from calibrate.errors import InputError
-from calibrate.labfile import PARAMETER_RANGES
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import with_values
-from calibrate.presets import specimen, virtual_lab
-from jdem.experiments.pair import SpherePair, drive_overlap, overlap_path
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law
+from calibrate.core.errors import InputError
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.labfile import PARAMETER_RANGES
+from calibrate.io.soil import with_values
+from calibrate.simulation import session
+from calibrate.simulation.resolution import specimen, virtual_lab
+from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
+from jdem.core.smooth import Smoothing
+from jdem.materials.soil import SoilParameters, particle_law
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "benchmarks"))
@@ -127,7 +127,7 @@ def simulated(calibrate, monkeypatch, tmp_path):
     """Runs a command line in tmp_path/here on formulas; exit status and standard error."""
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    monkeypatch.setattr(output, "HERE", Toy(tmp_path / "here" / "notes"))
+    monkeypatch.setattr(session, "HERE", Toy(tmp_path / "here" / "notes"))
     return lambda *arguments: calibrate(*arguments)[::2]
 
 

@@ -15,10 +15,46 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("jdem", "calibrate")
-FAMILIES = ("jdem.laws", "jdem.effects", "jdem.experiments", "jdem.sensitivity")
+FAMILIES = ("jdem.laws", "jdem.effects", "jdem.apparatus", "jdem.sensitivity")
+# Folders (and loose modules) of each package from the ground up: imports run downward only.
+ORDER = {
+    "jdem": (
+        "core",
+        "mechanics",
+        "laws",
+        "materials",
+        "bodies",
+        "boundaries",
+        "engine",
+        "packing",
+        "apparatus",
+        "observables",
+        "effects",
+        "laboratory",
+        "sensitivity",
+    ),
+    "calibrate": (
+        "core",
+        "io",
+        "simulation",
+        "inference",
+        "instrument_import",
+        "designs",
+        "discrepancy",
+        "validation",
+        "records",
+        "view",
+        "figures",
+        "export",
+        "reports",
+        "commands",
+        "cli",
+        "__main__",
+    ),
+}
 SHARED_IN_FAMILY = "base"  # every member may import it
 COMPOSES_FAMILY = ("__init__", "composite")  # may import every member
-PLOTTERS = ("calibrate.plotting", "calibrate.report")
+PLOTTERS = ("calibrate.figures", "calibrate.reports")
 MAX_FILE_LINES = 400
 MAX_BODY_LINES = 60
 UNSAFE_MODULES = ("pickle", "cloudpickle", "dill", "marshal", "shelve")
@@ -140,8 +176,33 @@ def siblings_are_strangers(modules: dict[str, Module]) -> list[str]:
     ]
 
 
+def folder_of(name: str) -> str:
+    """The folder or loose module of a package that the module `name` belongs to."""
+    return name.split(".")[1] if "." in name else "__init__"
+
+
+def folders_are_ordered(modules: dict[str, Module]) -> list[str]:
+    """Every folder has its place in ORDER, and imports nothing from a folder above it."""
+    violations = []
+    for module in modules.values():
+        package, folder = module.name.split(".")[0], folder_of(module.name)
+        order = ORDER[package]
+        if folder == "__init__":
+            continue
+        if folder not in order:
+            violations.append(module.at(1, f"{folder} has no place in ORDER"))
+            continue
+        violations += [
+            module.at(item.line, f"{module.name} imports {item.target}, which stands above it")
+            for item in module.imports
+            if is_within(item.target, package)
+            and folder_of(item.target) not in order[: order.index(folder) + 1]
+        ]
+    return violations
+
+
 def only_plotters_plot(modules: dict[str, Module]) -> list[str]:
-    """Only `calibrate/plotting/` and `calibrate/report/` import matplotlib."""
+    """Only `calibrate/figures/` and `calibrate/reports/` import matplotlib."""
     return [
         module.at(item.line, f"{module.name} imports {item.target}")
         for module in modules.values()
@@ -217,6 +278,7 @@ def files_say_what_they_are(modules: dict[str, Module]) -> list[str]:
 
 RULES: tuple[Rule, ...] = (
     simulator_ignores_calibration,
+    folders_are_ordered,
     siblings_are_strangers,
     only_plotters_plot,
     no_import_cycles,
@@ -237,26 +299,34 @@ def test_tree_keeps_rule(rule: Rule):
 
 GOOD_TREE = {
     "jdem/__init__.py": "",
-    "jdem/contact.py": "import numpy as np\n",
+    "jdem/mechanics/contact.py": "import numpy as np\n",
     "jdem/laws/__init__.py": "from jdem.laws import base, eepa\nfrom jdem.laws.coulomb import B\n",
-    "jdem/laws/base.py": "from jdem import contact\n",
-    "jdem/laws/eepa.py": "from jdem.laws.base import AbstractLaw\nfrom .. import contact\n",
+    "jdem/laws/base.py": "from jdem.mechanics import contact\n",
+    "jdem/laws/eepa.py": "from jdem.laws.base import AbstractLaw\nfrom ..mechanics import contact\n",
     "jdem/laws/coulomb.py": "from . import base\n",
     "jdem/laws/composite.py": "from jdem.laws import coulomb, eepa\n",
     "jdem/effects/base.py": "from jdem.laws import eepa\n",
-    "calibrate/plotting/fit.py": "import matplotlib.pyplot as plt\n",
-    "calibrate/report/html.py": "from matplotlib import pyplot\n",
-    "calibrate/cli.py": "from jdem import laws\ndef f():\n    from calibrate import main\n",
-    "calibrate/main.py": "import calibrate.cli\n",
-    "calibrate/long.py": "x = 1\n" * (MAX_FILE_LINES - 1),
-    "calibrate/body.py": "def f():\n" + "    x = 1\n" * MAX_BODY_LINES,
-    "calibrate/shapes.py": "import jax\njax.eval_shape(len, 1)\n",
+    "calibrate/figures/fit.py": "import matplotlib.pyplot as plt\n",
+    "calibrate/reports/html.py": "from matplotlib import pyplot\n",
+    "calibrate/cli.py": "from jdem import laws\ndef f():\n    from calibrate.core import main\n",
+    "calibrate/core/main.py": "import calibrate.core.long\n",
+    "calibrate/core/long.py": "x = 1\n" * (MAX_FILE_LINES - 1),
+    "calibrate/core/body.py": "def f():\n" + "    x = 1\n" * MAX_BODY_LINES,
+    "calibrate/core/shapes.py": "import jax\njax.eval_shape(len, 1)\n",
 }
 
 BAD_FILES = [
-    (simulator_ignores_calibration, "jdem/contact.py", "import calibrate.cli\n"),
-    (simulator_ignores_calibration, "jdem/contact.py", "from calibrate import cli\n"),
-    (simulator_ignores_calibration, "jdem/contact.py", "def f():\n    import calibrate\n"),
+    (folders_are_ordered, "jdem/core/vector.py", "from jdem.laws import eepa\n"),
+    (folders_are_ordered, "jdem/misc.py", "x = 1\n"),
+    (folders_are_ordered, "calibrate/io/lab.py", "def f():\n    from calibrate import cli\n"),
+    (folders_are_ordered, "calibrate/figures/fit.py", "import calibrate.reports.html\n"),
+    (simulator_ignores_calibration, "jdem/mechanics/contact.py", "import calibrate.cli\n"),
+    (simulator_ignores_calibration, "jdem/mechanics/contact.py", "from calibrate import cli\n"),
+    (
+        simulator_ignores_calibration,
+        "jdem/mechanics/contact.py",
+        "def f():\n    import calibrate\n",
+    ),
     (siblings_are_strangers, "jdem/laws/eepa.py", "from jdem.laws.coulomb import B\n"),
     (siblings_are_strangers, "jdem/laws/eepa.py", "from jdem.laws import coulomb\n"),
     (siblings_are_strangers, "jdem/laws/eepa.py", "from jdem.laws import SomeLaw\n"),
@@ -265,25 +335,33 @@ BAD_FILES = [
     (siblings_are_strangers, "jdem/laws/eepa.py", "def f():\n    import jdem.laws.coulomb\n"),
     (siblings_are_strangers, "jdem/laws/base.py", "from jdem.laws import eepa\n"),
     (siblings_are_strangers, "jdem/effects/suction.py", "from jdem.effects import creep\n"),
-    (siblings_are_strangers, "jdem/experiments/confined.py", "from .unconfined import A\n"),
+    (siblings_are_strangers, "jdem/apparatus/confined.py", "from .unconfined import A\n"),
     (siblings_are_strangers, "jdem/sensitivity/blend.py", "from .pathwise import A\n"),
     (only_plotters_plot, "calibrate/cli.py", "import matplotlib.pyplot as plt\n"),
-    (only_plotters_plot, "jdem/contact.py", "def f():\n    from matplotlib import cm\n"),
-    (no_import_cycles, "jdem/contact.py", "from jdem.laws import coulomb\n"),
-    (no_import_cycles, "jdem/contact.py", "if TYPE_CHECKING:\n    from .laws.base import A\n"),
-    (no_import_cycles, "calibrate/main.py", "from . import main\n"),
-    (files_are_short, "jdem/contact.py", "x = 1\n" * (MAX_FILE_LINES + 1)),
-    (bodies_are_short, "jdem/contact.py", "def f():\n" + "    x = 1\n" * (MAX_BODY_LINES + 1)),
+    (only_plotters_plot, "jdem/mechanics/contact.py", "def f():\n    from matplotlib import cm\n"),
+    (no_import_cycles, "jdem/mechanics/contact.py", "from jdem.laws import coulomb\n"),
+    (
+        no_import_cycles,
+        "jdem/mechanics/contact.py",
+        "if TYPE_CHECKING:\n    from ..laws.base import A\n",
+    ),
+    (no_import_cycles, "calibrate/core/main.py", "from . import main\n"),
+    (files_are_short, "jdem/mechanics/contact.py", "x = 1\n" * (MAX_FILE_LINES + 1)),
     (
         bodies_are_short,
-        "jdem/contact.py",
+        "jdem/mechanics/contact.py",
+        "def f():\n" + "    x = 1\n" * (MAX_BODY_LINES + 1),
+    ),
+    (
+        bodies_are_short,
+        "jdem/mechanics/contact.py",
         "class A:\n    async def f(self):\n" + "        x = 1\n" * (MAX_BODY_LINES + 1),
     ),
-    (nothing_runs_foreign_code, "calibrate/main.py", "import pickle\n"),
-    (nothing_runs_foreign_code, "calibrate/main.py", "def f():\n    from dill import load\n"),
-    (nothing_runs_foreign_code, "calibrate/main.py", "x = eval('1')\n"),
-    (nothing_runs_foreign_code, "calibrate/main.py", "exec('x = 1')\n"),
-    (files_say_what_they_are, "calibrate/main.py", None),
+    (nothing_runs_foreign_code, "calibrate/core/main.py", "import pickle\n"),
+    (nothing_runs_foreign_code, "calibrate/core/main.py", "def f():\n    from dill import load\n"),
+    (nothing_runs_foreign_code, "calibrate/core/main.py", "x = eval('1')\n"),
+    (nothing_runs_foreign_code, "calibrate/core/main.py", "exec('x = 1')\n"),
+    (files_say_what_they_are, "calibrate/core/main.py", None),
 ]
 
 
@@ -314,7 +392,7 @@ def test_rule_catches_its_violation(broken: Rule, name: str, text: str | None, t
     bad = "x = 1\n" if text is None else '"""What it is."""\n' + text
     siblings = {
         "jdem/effects/creep.py",
-        "jdem/experiments/unconfined.py",
+        "jdem/apparatus/unconfined.py",
         "jdem/sensitivity/pathwise.py",
     }
     strangers = {sibling: '"""A sibling."""\n' for sibling in siblings}

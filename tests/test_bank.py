@@ -10,14 +10,14 @@ import pytest
 import toy_bank
 from formulas import LAB
 
-from calibrate.bank import store
-from calibrate.bank.description import Ready
-from calibrate.bank.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
-from calibrate.bank.emulator import FeatureEmulator, fit_emulator, principal
-from calibrate.bank.left_out import Missed, Points, by_effects, missed
-from calibrate.bank.store import Bank, Cylinder, declared
-from calibrate.errors import InputError
-from calibrate.measurements import bundled_lab, load_lab
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.library import store
+from calibrate.discrepancy.library.cross_validation import Missed, Points, by_effects, missed
+from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
+from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, principal
+from calibrate.discrepancy.library.store import Bank, Cylinder, declared
+from calibrate.io.lab import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
 

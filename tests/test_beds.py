@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibrate.campaign import Campaign
-from calibrate.campaign.keys import content_hash, packing_content
-from calibrate.campaign.places import Here
-from calibrate.campaign.store import SHIPPED
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.presets import PRESETS, specimen, virtual_lab
-from jdem.packing import prepare
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation import Campaign
+from calibrate.simulation.executors import Here
+from calibrate.simulation.keys import content_hash, packing_content
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from calibrate.simulation.store import SHIPPED
+from jdem.packing.settling import prepare
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import beds  # the maker's own list of soils and seeds

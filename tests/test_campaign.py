@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from toy_place import formula, soils, toy_campaign
 
-from calibrate.campaign import NETCDF, side_by_side, store
-from calibrate.campaign.run import QUALITY
-from calibrate.campaign.seal import LENGTH, sealed, unsealed
-from calibrate.errors import CalibrationError
-from calibrate.progress import PlainLines, Silent, duration
-from calibrate.workflow import simulation_json
+from calibrate.core.errors import CalibrationError
+from calibrate.core.progress import PlainLines, Silent, duration
+from calibrate.simulation import NETCDF, side_by_side, store
+from calibrate.simulation.run import QUALITY
+from calibrate.simulation.seal import LENGTH, sealed, unsealed
+from calibrate.simulation.specimens import simulation_json
 
 SEEDS = (0, 1)
 
@@ -350,7 +350,7 @@ def test_whatever_the_disk_refuses_is_one_sentence(tmp_path, monkeypatch, code):
 
 def test_progress_tells_the_time_left(monkeypatch):
     clock = iter([0.0, 0.0, 30.0, 60.0, 61.0, 90.0])
-    monkeypatch.setattr("calibrate.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("calibrate.core.progress.time.monotonic", lambda: next(clock))
     lines = io.StringIO()
     progress = PlainLines(stream=lines)
     progress.start("simulating", 300)

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 
-from calibrate.measurements import bundled_lab
+from calibrate.io.lab import bundled_lab
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
 CASE = json.loads((REFERENCE / "cases.json").read_text())["c1_paper_opt"]
@@ -232,7 +232,7 @@ def test_an_interrupted_command_says_how_to_go_on(calibrate, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("calibrate.workflow.simulate", interrupted)
+    monkeypatch.setattr("calibrate.inference.calibration.simulate", interrupted)
     status, _, error = calibrate("simulate")
     assert (status, error.count("\n")) == (1, 1)
     assert "goes on from here" in error

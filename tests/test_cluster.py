@@ -14,11 +14,11 @@ from test_fit import BASE, tiny_campaign
 from toy_place import soils, toy_campaign
 
 from calibrate import cli
-from calibrate.campaign import cluster as cluster_module
-from calibrate.campaign.cluster import DaskCluster, on_worker
-from calibrate.campaign.keys import engine_hash
-from calibrate.errors import CalibrationError, InputError
-from calibrate.parameters import with_values
+from calibrate.core.errors import CalibrationError, InputError
+from calibrate.io.soil import with_values
+from calibrate.simulation import cluster as cluster_module
+from calibrate.simulation.cluster import DaskCluster, on_worker
+from calibrate.simulation.keys import engine_hash
 
 SEEDS = (0, 1)
 ENERGIES = (10.0, 12.0, 14.0, 16.0)
@@ -85,7 +85,7 @@ def test_a_run_that_kills_every_worker_is_a_labelled_row(dask, place, tmp_path, 
     prepare = work.place.prepare
     work.place = place
     monkeypatch.setattr(DaskCluster, "prepare", lambda self, *arguments: prepare(*arguments))
-    monkeypatch.setattr("calibrate.campaign.campaign.TRIES", 1)
+    monkeypatch.setattr("calibrate.simulation.campaign.TRIES", 1)
     monkeypatch.setattr(dask.scheduler, "allowed_failures", 0)
     first, second = (work.runs([soil], (0,), "deadly")[0][0] for soil in soils(2))
     assert first.failure.startswith("not simulated, tried 1 times: workers died with it")
@@ -94,7 +94,7 @@ def test_a_run_that_kills_every_worker_is_a_labelled_row(dask, place, tmp_path, 
 
 def deadly(lab, specimen, packing, soil):
     """Kills its worker at once for one soil; labels the other."""
-    from calibrate.campaign.run import not_simulated
+    from calibrate.simulation.run import not_simulated
 
     if float(soil.surface_energy) < 10.5:
         assert get_worker()

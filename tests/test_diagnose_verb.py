@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 import toy_bank
 
-from calibrate import cli, nearby
-from calibrate.errors import InputError
+from calibrate import cli
+from calibrate.core.errors import InputError
+from calibrate.discrepancy import infill as nearby
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
-from calibrate.report import diagnosis as report
-from calibrate.report.diagnosis_words import caution, shrinkage, verdict
-from calibrate.report.effects import PLAIN, plain, strength, title
+from calibrate.reports import diagnosis as report
+from calibrate.reports.diagnosis_words import caution, shrinkage, verdict
+from calibrate.reports.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 
 HOSTILE = "</title><script>alert(1)</script><img src=http://example.org/x> $\\\\frac$ & more"

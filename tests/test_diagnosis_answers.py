@@ -14,25 +14,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibrate.diagnosis.examples import generated_case
-from calibrate.diagnosis.features import CONFINED, UNCONFINED, declare_targets
-from calibrate.diagnosis.fits import covariance_at, fitted_base
-from calibrate.diagnosis.generated import plan_of
-from calibrate.diagnosis.how_far import (
+from calibrate.discrepancy.comparison.compare import Prepared, Which, diagnose, label, prepare
+from calibrate.discrepancy.comparison.examples import generated_case
+from calibrate.discrepancy.comparison.features import CONFINED, UNCONFINED, declare_targets
+from calibrate.discrepancy.comparison.fits import covariance_at, fitted_base
+from calibrate.discrepancy.comparison.generated import plan_of
+from calibrate.discrepancy.comparison.linear import Effect, simple
+from calibrate.discrepancy.comparison.localise import where
+from calibrate.discrepancy.comparison.next_test import FurtherTest, next_tests
+from calibrate.discrepancy.comparison.probability_calibration import Opinion
+from calibrate.discrepancy.comparison.reduction import (
     distortions,
     feature_weights,
     fresh_gap,
     how_far,
     shrinkage,
 )
-from calibrate.diagnosis.linear import Effect, simple
-from calibrate.diagnosis.next_test import FurtherTest, next_tests
-from calibrate.diagnosis.opinion import Opinion
-from calibrate.diagnosis.refit import hollows, refit, start_at
-from calibrate.diagnosis.repeats import from_targets, from_vectors
-from calibrate.diagnosis.verdict import as_json, reports, status
-from calibrate.diagnosis.where import where
-from calibrate.diagnosis.which import Prepared, Which, diagnose, label, prepare
+from calibrate.discrepancy.comparison.refit import hollows, refit, start_at
+from calibrate.discrepancy.comparison.repeats import from_targets, from_vectors
+from calibrate.discrepancy.comparison.verdict import as_json, reports, status
 
 KNOWN = world.description()
 NULLS, STRONG = 60, 24

@@ -6,8 +6,8 @@ import diagnosis_world as world
 import numpy as np
 import pytest
 
-from calibrate.diagnosis import baselines
-from calibrate.diagnosis.repeats import from_vectors
+from calibrate.discrepancy.comparison import baselines
+from calibrate.discrepancy.comparison.repeats import from_vectors
 
 KNOWN = world.description()
 SAMPLE = world.case(61, 4.0 * KNOWN.effect_slopes[:, 3])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibrate.diagnosis.features import (
+from calibrate.discrepancy.comparison.features import (
     CONFINED,
     UNCONFINED,
     declare,
@@ -15,8 +15,13 @@ from calibrate.diagnosis.features import (
     tared_rows,
     vector,
 )
-from calibrate.diagnosis.repeats import from_curves, from_targets, from_vectors, measured_features
-from calibrate.diagnosis.sensor import Channel, recording, recording_shift, through_air
+from calibrate.discrepancy.comparison.repeats import (
+    from_curves,
+    from_targets,
+    from_vectors,
+    measured_features,
+)
+from calibrate.discrepancy.comparison.sensor import Channel, recording, recording_shift, through_air
 
 FEATURES = declare(400.0, 6.0, 200.0)
 PEAK = [f.kind for f in FEATURES].index("peak force")

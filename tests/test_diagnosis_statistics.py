@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from calibrate.diagnosis.classes import classes, separable, separation
-from calibrate.diagnosis.discrepancy import (
+from calibrate.discrepancy.comparison.classes import classes, separable, separation
+from calibrate.discrepancy.comparison.discrepancy import (
     AMPLITUDES,
     kernel_factors,
     log_bayes_factor,
@@ -18,10 +18,16 @@ from calibrate.diagnosis.discrepancy import (
     rough,
     spectrum,
 )
-from calibrate.diagnosis.evidence import SCALES, Evidence, bivariate_normal, pairs, singles
-from calibrate.diagnosis.generated import World
-from calibrate.diagnosis.lack_of_fit import statistics, table
-from calibrate.diagnosis.noise import (
+from calibrate.discrepancy.comparison.evidence import (
+    SCALES,
+    Evidence,
+    bivariate_normal,
+    pairs,
+    singles,
+)
+from calibrate.discrepancy.comparison.generated import World
+from calibrate.discrepancy.comparison.lack_of_fit import statistics, table
+from calibrate.discrepancy.comparison.noise import (
     PRIOR_SD_LN_AMPLITUDE,
     Shape,
     amplitude_of,
@@ -29,12 +35,17 @@ from calibrate.diagnosis.noise import (
     estimate,
     packing_covariance,
 )
-from calibrate.diagnosis.opinion import Facts, Opinion, fitted, log_probabilities
-from calibrate.diagnosis.projection import Projected, fitted_shift, project
-from calibrate.diagnosis.refit import best_strengths
-from calibrate.diagnosis.repeats import Scatter, from_vectors
-from calibrate.diagnosis.score import scores
-from calibrate.diagnosis.sets import explanations, threshold
+from calibrate.discrepancy.comparison.probability_calibration import (
+    Facts,
+    Opinion,
+    fitted,
+    log_probabilities,
+)
+from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project
+from calibrate.discrepancy.comparison.refit import best_strengths
+from calibrate.discrepancy.comparison.repeats import Scatter, from_vectors
+from calibrate.discrepancy.comparison.score import scores
+from calibrate.discrepancy.comparison.sets import explanations, threshold
 
 M = len(world.FEATURES)
 KNOWN = world.description()

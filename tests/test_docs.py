@@ -87,7 +87,7 @@ def examples() -> dict[str, type]:
 
 
 def test_the_law_is_a_rolling_law(examples):
-    from jdem.contact import NormalForce
+    from jdem.mechanics.contact import NormalForce
 
     law = examples["AdhesiveRolling"](0.1)
     normal = NormalForce(jnp.asarray(2.0), jnp.asarray(0.0), jnp.asarray(5.0))
@@ -123,7 +123,7 @@ def test_the_strategy_finds_the_slopes_of_a_plane(examples):
 
 
 def test_the_step_of_the_diagnosis_shares_out_a_residual(examples):
-    from calibrate.diagnosis.projection import Projected
+    from calibrate.discrepancy.comparison.projection import Projected
 
     fields = Projected.__dataclass_fields__
     given = {"residual": np.array([3.0, 4.0]), "effects": np.eye(2)}

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibrate.doe import designs
-from calibrate.doe.aliases import alias_table, aliases
-from calibrate.doe.design import Design
-from calibrate.doe.factors import Factor
-from calibrate.doe.screening import screen
-from calibrate.doe.surface import fit_surface
-from calibrate.doe.terms import quadratic
-from calibrate.errors import BadValue, InputError
+from calibrate.core.errors import BadValue, InputError
+from calibrate.designs import designs
+from calibrate.designs.aliases import alias_table, aliases
+from calibrate.designs.design import Design
+from calibrate.designs.factors import Factor
+from calibrate.designs.screening import screen
+from calibrate.designs.surface import fit_surface
+from calibrate.designs.terms import quadratic
 
 DATA = Path(__file__).parent / "data" / "doe"
 

@@ -10,14 +10,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from calibrate import plotting
-from calibrate.doe import designs, terms
-from calibrate.doe.factors import Factor
-from calibrate.doe.optimum import Region, maximise, minimise, optimise, target
-from calibrate.doe.screening import screen
-from calibrate.doe.surface import Surface, fit_surface
-from calibrate.errors import BadValue
-from calibrate.plotting import doe
+from calibrate import figures as plotting
+from calibrate.core.errors import BadValue
+from calibrate.designs import designs, terms
+from calibrate.designs.factors import Factor
+from calibrate.designs.optimum import Region, maximise, minimise, optimise, target
+from calibrate.designs.screening import screen
+from calibrate.designs.surface import Surface, fit_surface
+from calibrate.figures import doe
 
 FACTORS = (Factor("time", 80, 90, "min"), Factor("temperature", 80, 90), Factor("catalyst", 2, 3))
 CONVERSION = [81.09, 1.0284, 4.043, 6.2037, 2.2150, 11.375, -3.875, -1.8366, 2.9382, -5.1915]

@@ -13,13 +13,13 @@ import statsmodels.api as sm
 import statsmodels.formula.api as smf
 from statsmodels.stats.anova import anova_lm
 
-from calibrate.doe import designs, terms
-from calibrate.doe.anova import Anova, anova, pure_error
-from calibrate.doe.canonical import canonical
-from calibrate.doe.factors import Factor, coded_points
-from calibrate.doe.surface import Surface, fit_surface
-from calibrate.doe.terms import Term
-from calibrate.errors import BadValue
+from calibrate.core.errors import BadValue
+from calibrate.designs import designs, terms
+from calibrate.designs.anova import Anova, anova, pure_error
+from calibrate.designs.canonical import canonical
+from calibrate.designs.factors import Factor, coded_points
+from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.terms import Term
 
 DATA = Path(__file__).parent / "data" / "doe"
 SIX_DIGITS = 5e-7

@@ -9,10 +9,10 @@ import pytest
 import statsmodels.formula.api as smf
 from scipy import stats
 
-from calibrate.doe import designs
-from calibrate.doe.factors import Factor
-from calibrate.doe.screening import screen
-from calibrate.errors import BadValue
+from calibrate.core.errors import BadValue
+from calibrate.designs import designs
+from calibrate.designs.factors import Factor
+from calibrate.designs.screening import screen
 
 
 def filtration() -> tuple[np.ndarray, list[str], np.ndarray]:

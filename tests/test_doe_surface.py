@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from calibrate.doe import designs, terms
-from calibrate.doe.anova import anova
-from calibrate.doe.diagnostics import box_cox, diagnose, transformed, without_profile
-from calibrate.doe.factors import Factor
-from calibrate.doe.gradients import fit_with_gradients
-from calibrate.doe.selection import aicc, select_backward, without
-from calibrate.doe.surface import Surface, fit_surface
-from calibrate.doe.terms import Term
-from calibrate.errors import BadValue
+from calibrate.core.errors import BadValue
+from calibrate.designs import designs, terms
+from calibrate.designs.anova import anova
+from calibrate.designs.diagnostics import box_cox, diagnose, transformed, without_profile
+from calibrate.designs.factors import Factor
+from calibrate.designs.gradients import fit_with_gradients
+from calibrate.designs.selection import aicc, select_backward, without
+from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.terms import Term
 
 
 def noisy_surface(seed: int = 0, sd: float = 0.3) -> Surface:

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from effect_lab import HOLD, NUMERICS, SMALL, SOIL, arrays, assert_same, both_tests, lab_with
 
+from jdem.core.quantity import Real, as_quantity, quantity
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
 from jdem.effects.composite import EFFECTS, Altered, with_strengths
-from jdem.experiments.composite import VirtualLab
+from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.observables import Curve, displacement_at
-from jdem.packing import prepare
-from jdem.quantity import Real, as_quantity, quantity
+from jdem.packing.settling import prepare
 
 NAMES = list(EFFECTS)
 TYPICAL = {name: effect.about.typical[-1] for name, effect in EFFECTS.items()}

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from effect_lab import NUMERICS, SMALL, SOIL, assert_same, both_tests, lab_with
 
-from calibrate.campaign import Campaign
-from calibrate.parameters import FACTORS
-from jdem.contact import ContactHistory
+from calibrate.inference.parameters import FACTORS
+from calibrate.simulation import Campaign
+from jdem.apparatus.pair import SpherePair, drive_overlap
+from jdem.core.smooth import Smoothing
 from jdem.effects.capillary import CUTOFF, DECAY, CapillaryTension
 from jdem.effects.cementation import STRAIN, Bonded
 from jdem.effects.composite import EFFECTS, as_table
-from jdem.effects.numerical import SETTINGS, Trial
-from jdem.experiments.pair import SpherePair, drive_overlap
-from jdem.smooth import Smoothing
-from jdem.soil import particle_law
+from jdem.laboratory.settings import SETTINGS, Trial
+from jdem.materials.soil import particle_law
+from jdem.mechanics.contact import ContactHistory
 
 # ------------------------------------------------------------------ single contacts
 

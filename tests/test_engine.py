@@ -25,15 +25,15 @@ from hand_made_beds import (
     state_of,
 )
 
-from jdem import kernel
-from jdem.dynamics import LOADED, Command, step
-from jdem.fusion import boundaries, once
-from jdem.neighbors import Demand, rebuild
-from jdem.particles import kinetic_energy
-from jdem.simulate import Segment, run, stack
-from jdem.smooth import Smoothing
-from jdem.vector import Vector
-from jdem.walls import BASE
+from jdem.bodies.spheres import kinetic_energy
+from jdem.boundaries.walls import BASE
+from jdem.core import kernel
+from jdem.core.fusion import boundaries, once
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.engine.loop import Segment, run, stack
+from jdem.engine.neighbors import Demand, rebuild
+from jdem.engine.step import LOADED, Command, step
 
 # ------------------------------------------------------------------ action = reaction
 

@@ -18,18 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibrate.errors import InputError
+from calibrate.core.errors import InputError
 from calibrate.export import asjson, edem, liggghts, yade
 from calibrate.export.notes import PRESSURE, overlap_under
 from calibrate.export.source import RESULT, find
-from calibrate.measurements import bundled_lab
-from calibrate.parameters import with_values
-from jdem.experiments.pair import SpherePair, drive_overlap
-from jdem.packing import Packing, save
-from jdem.particles import Spheres
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law
-from jdem.vector import Vector
+from calibrate.io.lab import bundled_lab
+from calibrate.io.soil import with_values
+from jdem.apparatus.pair import SpherePair, drive_overlap
+from jdem.bodies.spheres import Spheres
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.materials.soil import SoilParameters, particle_law
+from jdem.packing.settling import Packing, save
 
 TESTS = Path(__file__).parent
 DATA = TESTS / "data" / "export_contact"

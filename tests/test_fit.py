@@ -19,15 +19,15 @@ import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, specimen
 
-from calibrate.campaign import Campaign
-from calibrate.errors import CalibrationError
-from calibrate.fit import Calibration, Settings, descend, fit, packing_scatter
-from calibrate.measurements import Curve
-from calibrate.parameters import space
-from calibrate.presets import Preset
-from calibrate.problem import Feature, Problem, pose
-from calibrate.progress import Silent
-from calibrate.workflow import campaign
+from calibrate.core.errors import CalibrationError
+from calibrate.core.progress import Silent
+from calibrate.inference.fit import Calibration, Settings, descend, fit, packing_scatter
+from calibrate.inference.parameters import space
+from calibrate.inference.problem import Feature, Problem, pose
+from calibrate.io.lab import Curve
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import Preset
+from calibrate.simulation.specimens import campaign
 
 SEEDS = range(3)
 

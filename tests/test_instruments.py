@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibrate.bank.instruments import LAGS, AsRecorded, Recorded, Tared, late
-from calibrate.bank.lab import LabCurves
-from calibrate.diagnosis.features import declare
-from calibrate.diagnosis.sensor import Channel, recording
+from calibrate.discrepancy.comparison.features import declare
+from calibrate.discrepancy.comparison.sensor import Channel, recording
+from calibrate.discrepancy.library.instruments import LAGS, AsRecorded, Recorded, Tared, late
+from calibrate.discrepancy.library.lab import LabCurves
 
 FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
 

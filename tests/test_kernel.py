@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem import kernel
-from jdem.fusion import boundaries, once
-from jdem.kernel import BLOCK, block_count, entrywise, in_blocks
+from jdem.core import kernel
+from jdem.core.fusion import boundaries, once
+from jdem.core.kernel import BLOCK, block_count, entrywise, in_blocks
 
 LENGTHS = (1, 7, BLOCK, BLOCK + 1, 3 * BLOCK)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from formulas import BASE, specimen
 
-from calibrate.campaign.store import Store
+from calibrate.simulation.store import Store
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import kills
@@ -81,7 +81,7 @@ def test_an_end_that_differs_is_told_from_one_that_does_not(folder):
 
 
 def test_banks_are_compared_by_their_numbers(tmp_path):
-    from calibrate.bank import store
+    from calibrate.discrepancy.library import store
 
     bank = store.load(store.bundled_bank())
     store.save(bank, tmp_path / "bank.nc")

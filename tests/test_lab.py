@@ -13,19 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jdem.packing
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import FACTORS
-from calibrate.presets import PRESETS, numerics_for, specimen, virtual_lab
-from jdem.bed import build_bed, steps_per_sample
-from jdem.dynamics import GRAVITY
-from jdem.experiments.composite import LabTests, VirtualLab
-from jdem.experiments.confined import ConfinedCompression
-from jdem.experiments.unconfined import UnconfinedCompression
+import jdem.packing.settling
+from calibrate.inference.parameters import FACTORS
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.engine.bed import build_bed, steps_per_sample
+from jdem.engine.loop import KEEP, REMOVE, Segment, run, stack, start
+from jdem.engine.step import GRAVITY
+from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
-from jdem.packing import Specimen, load, neutral_soil, prepare, save
-from jdem.simulate import KEEP, REMOVE, Segment, run, stack, start
-from jdem.soil import SoilParameters
+from jdem.packing.settling import Specimen, load, neutral_soil, prepare, save
 
 SMALL = Specimen(count=60, height=0.06)
 NUMERICS = numerics_for(SMALL)
@@ -271,13 +271,13 @@ def test_seeds_give_different_packings(packing, other_packing):
 
 def test_falling_and_levelling_share_one_program(monkeypatch):
     """A bed of 50 falls for less time than levelling may take, by more than capacities round."""
-    capacities, settle = [], jdem.packing._run
+    capacities, settle = [], jdem.packing.settling._run
 
     def noted(*arguments):
         capacities.append(arguments[-1])
         return settle(*arguments)
 
-    monkeypatch.setattr(jdem.packing, "_run", noted)
+    monkeypatch.setattr(jdem.packing.settling, "_run", noted)
     prepare(Specimen(count=50), 0)
     assert len(capacities) == 2 and len(set(capacities)) == 1
 

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibrate.errors import InputError
-from calibrate.measurements import Lab, ParameterChoice, Target, bundled_lab, load_lab
+from calibrate.core.errors import InputError
+from calibrate.io.lab import Lab, ParameterChoice, Target, bundled_lab, load_lab
 
 SILT_LOAM = Path(__file__).parent / "data" / "silt_loam"
 GOOD = (SILT_LOAM / "lab.toml").read_text(encoding="utf-8")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibrate.bank.late import Late
-from calibrate.bank.store import declared
-from calibrate.diagnosis.features import vector
+from calibrate.discrepancy.comparison.features import vector
+from calibrate.discrepancy.library.load_cell_lag import Late
+from calibrate.discrepancy.library.store import declared
 
 SPEED = 8.0  # mm/s
 FEATURES = declared(400.0)

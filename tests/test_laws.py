@@ -32,9 +32,9 @@ from law_cases import (
     stiffness_of,
 )
 
-from jdem.experiments.pair import drive_overlap, overlap_path
-from jdem.quantity import cast
-from jdem.smooth import Smoothing
+from jdem.apparatus.pair import drive_overlap, overlap_path
+from jdem.core.quantity import cast
+from jdem.core.smooth import Smoothing
 
 # ------------------------------------------------------------------ no overlap
 

@@ -19,11 +19,11 @@ from law_cases import (
     stiffness_of,
 )
 
-from jdem.contact import ContactHistory, NormalForce
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
 from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.rolling import ConstantTorque
-from jdem.smooth import Smoothing
-from jdem.vector import Vector
+from jdem.mechanics.contact import ContactHistory, NormalForce
 
 
 @every_exponent

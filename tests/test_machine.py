@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from machine_files import EXPORTS, HEADING, NAMES, columns, curves, only, text_of, written
 
-from calibrate.machine.cells import number
-from calibrate.machine.convert import read_export
-from calibrate.machine.preamble import read_preamble
-from calibrate.machine.textfile import decode
-from calibrate.machine.vocabulary import kind_of, split_unit
-from calibrate.measurements import load_lab
-from calibrate.problem import pose
+from calibrate.inference.problem import pose
+from calibrate.instrument_import.cells import number
+from calibrate.instrument_import.convert import read_export
+from calibrate.instrument_import.preamble import read_preamble
+from calibrate.instrument_import.textfile import decode
+from calibrate.instrument_import.vocabulary import kind_of, split_unit
+from calibrate.io.lab import load_lab
 
 
 def depth(at_400, exponent=2.2):

@@ -12,10 +12,10 @@ import pytest
 from machine_files import EXPORTS, HEADING, NAMES, columns, text_of, written
 from openpyxl import Workbook
 
-from calibrate.errors import InputError
-from calibrate.machine import labtext
-from calibrate.machine.convert import file_stem, read_export
-from calibrate.measurements import load_lab
+from calibrate.core.errors import InputError
+from calibrate.instrument_import import labtext
+from calibrate.instrument_import.convert import file_stem, read_export
+from calibrate.io.lab import load_lab
 
 # ------------------------------------------------------------------ abuse
 

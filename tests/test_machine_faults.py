@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from machine_files import EXPORTS, HEADING, columns, only, text_of, written
 
-from calibrate.errors import InputError
-from calibrate.machine import labtext
-from calibrate.machine.convert import read_export
-from calibrate.machine.recordings import Units
+from calibrate.core.errors import InputError
+from calibrate.instrument_import import labtext
+from calibrate.instrument_import.convert import read_export
+from calibrate.instrument_import.recordings import Units
 
 # ------------------------------------------------------------------ what can be wrong with a curve
 

@@ -7,9 +7,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from calibrate.bank.description import Discrepancy, Ready
-from calibrate.bank.mismatch import Left, load, of_references, save
-from calibrate.errors import InputError
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.library.description import Discrepancy, Ready
+from calibrate.discrepancy.mismatch import Left, load, of_references, save
 
 FEATURES, BASE, REFERENCES = 20, 3, 40
 RNG = np.random.default_rng(7)

@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 import toy_bank
 
-from calibrate import nearby
-from calibrate.bank.description import Ready, point_for
-from calibrate.diagnosed import Manner, described, ready_to_diagnose
-from calibrate.diagnosis.which import diagnose
-from calibrate.errors import InputError
-from calibrate.measurements import load_lab
-from calibrate.nearby import FIRST_SEED, MORE, Nearby, Place, about, leading_fits, place_of, refined
+from calibrate.core.errors import InputError
+from calibrate.discrepancy import infill as nearby
+from calibrate.discrepancy.comparison.compare import diagnose
+from calibrate.discrepancy.diagnosis import Manner, described, ready_to_diagnose
+from calibrate.discrepancy.infill import (
+    FIRST_SEED,
+    MORE,
+    Nearby,
+    Place,
+    about,
+    leading_fits,
+    place_of,
+    refined,
+)
+from calibrate.discrepancy.library.description import Ready, point_for
+from calibrate.io.lab import load_lab
 
 OFFSET = 10.0  # N
 BANK = toy_bank.bank()

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hand_made_beds import RADIUS, spheres_of
 
-from jdem.contact import ContactHistory
-from jdem.neighbors import ContactList, Grid, rebuild
-from jdem.vector import Vector
-from jdem.walls import Walls
+from jdem.boundaries.walls import Walls
+from jdem.core.vector import Vector
+from jdem.engine.neighbors import ContactList, Grid, rebuild
+from jdem.mechanics.contact import ContactHistory
 
 CLOUD = 60
 

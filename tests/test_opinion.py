@@ -5,9 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from calibrate.diagnosis.classes import JOINED, TOGETHER
-from calibrate.diagnosis.opinion import NAMED_BELOW, NONE, hypotheses, learned
-from calibrate.diagnosis.which import named
+from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
+from calibrate.discrepancy.comparison.compare import named
+from calibrate.discrepancy.comparison.probability_calibration import (
+    NAMED_BELOW,
+    NONE,
+    hypotheses,
+    learned,
+)
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import opinion

@@ -4,10 +4,10 @@ import diagnosis_world as world
 import numpy as np
 import pytest
 
-from calibrate.diagnosis.features import declare_before_contact
-from calibrate.diagnosis.noise import amplitude_of
-from calibrate.diagnosis.outliers import FREEDOM, robust, weights
-from calibrate.diagnosis.repeats import from_vectors
+from calibrate.discrepancy.comparison.features import declare_before_contact
+from calibrate.discrepancy.comparison.noise import amplitude_of
+from calibrate.discrepancy.comparison.outliers import FREEDOM, robust, weights
+from calibrate.discrepancy.comparison.repeats import from_vectors
 
 SCATTER = np.diag([1.0, 4.0, 0.25])
 RNG = np.random.default_rng(0)

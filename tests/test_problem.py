@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as some
 from scipy import stats
 
-from calibrate.campaign import Run
-from calibrate.errors import InputError
-from calibrate.identifiability import IDENTIFIED, assess, choose_free
-from calibrate.measurements import Curve, bundled_lab, load_lab
-from calibrate.parameters import RANGES, Space, base_soil, space, with_values
-from calibrate.problem import SEATING, Feature, Problem, pose, shrunk_covariance
-from jdem.soil import SoilParameters
+from calibrate.core.errors import InputError
+from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
+from calibrate.inference.parameters import RANGES, Space, space
+from calibrate.inference.problem import SEATING, Feature, Problem, pose, shrunk_covariance
+from calibrate.io.lab import Curve, bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Run
+from jdem.materials.soil import SoilParameters
 
 LAB = load_lab(bundled_lab())
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibrate.errors import BadValue, InputError, suggestion
-from calibrate.labfile import PARAMETER_RANGES, PARAMETER_UNITS, check_parameter
-from calibrate.quantities import FORCE, LENGTH, quantity, unit_factor
+from calibrate.core.errors import BadValue, InputError, suggestion
+from calibrate.core.units import FORCE, LENGTH, quantity, unit_factor
+from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS, check_parameter
 
 
 def test_parameters_take_numbers_and_quantities():

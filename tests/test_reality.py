@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibrate.errors import InputError
-from calibrate.measurements import load_lab
-from calibrate.withheld.seal import digest, open_seal, write_seal
+from calibrate.core.errors import InputError
+from calibrate.io.lab import load_lab
+from calibrate.validation.seal import digest, open_seal, write_seal
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "reality"
 sys.path.insert(0, str(FOLDER))

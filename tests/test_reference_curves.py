@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem.experiments.pair import SpherePair, collide, drive_overlap, overlap_path
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law
+from jdem.apparatus.pair import SpherePair, collide, drive_overlap, overlap_path
+from jdem.core.smooth import Smoothing
+from jdem.materials.soil import SoilParameters, particle_law
 
 DATA = Path(__file__).parent / "data" / "eepa_single_contact"
 CASES = json.loads((DATA / "cases.json").read_text())

@@ -20,17 +20,18 @@ import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas
 
-from calibrate import output, workflow
-from calibrate.audit import audit, audit_json
-from calibrate.designed import design
-from calibrate.errors import InputError
-from calibrate.measurements import Curve, Target
-from calibrate.output import Session, origin_of
-from calibrate.parameters import FACTORS, space
-from calibrate.presets import PRESETS
-from calibrate.progress import Silent
-from calibrate.report import kinds, study
-from calibrate.workflow import calibrate as fit
+from calibrate.core.errors import InputError
+from calibrate.core.files import write_json
+from calibrate.core.progress import Silent
+from calibrate.designs.calibration import design
+from calibrate.inference.audit import audit, audit_json
+from calibrate.inference.calibration import calibrate as fit
+from calibrate.inference.parameters import FACTORS, space
+from calibrate.io.lab import Curve, Target
+from calibrate.reports import kinds, results, study
+from calibrate.simulation import specimens
+from calibrate.simulation.resolution import PRESETS
+from calibrate.simulation.session import Session, origin_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import browser
@@ -53,16 +54,16 @@ def session(folder: Path, **changes) -> Session:
 
 def written_fit(folder: Path, free=None, **changes) -> Path:
     opened = session(folder, **changes)
-    output.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()), None)
+    results.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()), None)
     return folder
 
 
 def written_audit(folder: Path) -> Path:
     opened, seeds = session(folder), range(4)
     found = audit(space(LAB, (*FACTORS, "shear_modulus")), Formulas(), seeds, ["ensemble"])
-    settings = {"spheres": 300, "seeds": list(seeds), "parameters": workflow.soil_json(BASE)}
+    settings = {"spheres": 300, "seeds": list(seeds), "parameters": specimens.soil_json(BASE)}
     content = {**origin_of(opened), **settings, **audit_json(found)}
-    output.write_json(folder / "audit.json", content)
+    write_json(folder / "audit.json", content)
     return folder
 
 
@@ -155,10 +156,10 @@ def test_a_fit_shows_its_numbers(folders, pages):
 def test_drawn_curves_keep_ends_and_shape(folders):
     result = json.loads((folders["fit"] / "result.json").read_text())
     curve = result["packings"]["fitted"][0]["curves"]["confined"]
-    assert len(curve["force_n"]) == len(curve["displacement_mm"]) <= workflow.DRAWN
+    assert len(curve["force_n"]) == len(curve["displacement_mm"]) <= specimens.DRAWN
     assert curve["force_n"][0] == 0 and max(curve["force_n"]) == pytest.approx(400, rel=0.01)
-    long = workflow.drawn(np.linspace(0, 1, 5000), np.linspace(0, 3, 5000))
-    assert (len(long["force_n"]), long["force_n"][-1]) == (workflow.DRAWN, 3.0)
+    long = specimens.drawn(np.linspace(0, 1, 5000), np.linspace(0, 3, 5000))
+    assert (len(long["force_n"]), long["force_n"][-1]) == (specimens.DRAWN, 3.0)
 
 
 def test_an_audit_shows_its_verdicts(folders, pages):
@@ -173,7 +174,7 @@ def test_an_audit_shows_its_verdicts(folders, pages):
 def test_a_simulation_keeps_its_figure(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     runs = Formulas().runs([BASE], range(3), "simulating")[0]
-    output.write_simulation(opened, workflow.simulation_json(runs), runs, None)
+    results.write_simulation(opened, specimens.simulation_json(runs), runs, None)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "result.json").read_text())["engine"]
 
@@ -212,7 +213,7 @@ def test_curves_without_targets_have_a_page(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     opened = replace(opened, lab=replace(opened.lab, targets={}))
     found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Formulas())
-    output.write_fit(opened, found, None)
+    results.write_fit(opened, found, None)
     text = text_of(page_of(tmp_path))
     assert re.search(r"\d of \d numbers read from curves lie within 2 s\.d\.", text)
     assert "targets are met" not in text
@@ -293,8 +294,8 @@ def places(content, path=()):
 def test_a_damaged_result_is_shown_or_refused(folders, tmp_path, monkeypatch, kind):
     """One entry replaced or taken away, 60 times: a page, or one sentence; no other end."""
     found, file = kinds.find(folders[kind])
-    monkeypatch.setattr("calibrate.plotting.style.svg", drawn_only)
-    monkeypatch.setattr("calibrate.report.audit.svg", drawn_only)
+    monkeypatch.setattr("calibrate.figures.style.svg", drawn_only)
+    monkeypatch.setattr("calibrate.reports.audit.svg", drawn_only)
     rng, text = random.Random(kind), file.read_text()
     every, ends = list(places(json.loads(text))), Counter()
     for _ in range(60):

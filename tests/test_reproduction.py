@@ -9,18 +9,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calibrate.doe import designs
-from calibrate.doe.factors import Factor
-from calibrate.report import reproduction as report
-from calibrate.report.html import number, render
-from calibrate.reproduction import (
+from calibrate.designs import designs
+from calibrate.designs.factors import Factor
+from calibrate.designs.reproduction import (
     depth,
     force,
     levels,
     paper,
 )
-from calibrate.reproduction.tables import FOLDER, Range, equation, printed, table
-from calibrate.reproduction.verdict import (
+from calibrate.designs.reproduction.tables import FOLDER, Range, equation, printed, table
+from calibrate.designs.reproduction.verdict import (
     Attempt,
     Verdict,
     judge,
@@ -28,6 +26,8 @@ from calibrate.reproduction.verdict import (
     rounded,
     without_data,
 )
+from calibrate.reports import reproduction as report
+from calibrate.reports.html import number, render
 
 REPRODUCED, CORRECTED, NOT = Verdict
 

@@ -7,7 +7,7 @@ squares by numpy, sums by hand); none is copied from the program's output.
 import numpy as np
 import pytest
 
-from calibrate.reproduction import (
+from calibrate.designs.reproduction import (
     depth,
     equations,
     findings,
@@ -18,8 +18,8 @@ from calibrate.reproduction import (
     screening,
     sweep,
 )
-from calibrate.reproduction.tables import Range, in_text, printed, table
-from calibrate.reproduction.verdict import (
+from calibrate.designs.reproduction.tables import Range, in_text, printed, table
+from calibrate.designs.reproduction.verdict import (
     Verdict,
 )
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from jax import Array
 
-from calibrate.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, verdict
-from calibrate.campaign import Run
-from calibrate.fit import Evaluation, secant
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
-from calibrate.plotting.audit import MARKS
+from calibrate.figures.audit import MARKS
+from calibrate.inference.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, verdict
+from calibrate.inference.fit import Evaluation, secant
+from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.records.audit import Strategy
+from calibrate.simulation import Run
 from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended

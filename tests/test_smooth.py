@@ -1,4 +1,4 @@
-"""Every rounding in `jdem.smooth`: exact outside its width, smooth and finite inside it.
+"""Every rounding in `jdem.core.smooth`: exact outside its width, smooth and finite inside it.
 
 Each docstring's statement about the kink (value and slope) is checked as it stands.
 """
@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jdem import smooth
-from jdem.logarithm import logarithm
-from jdem.vector import Vector
+from jdem.core import smooth
+from jdem.core.logarithm import logarithm
+from jdem.core.vector import Vector
 
 WIDTHS = [1e-9, 0.02, 0.5, 3.0]
 ALL_WIDTHS = [0.0, *WIDTHS]

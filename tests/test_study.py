@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, specimen
 
-from calibrate.campaign import Run
-from calibrate.designed import Designed, design
-from calibrate.doe import designs
-from calibrate.doe.comparison import Enhanced, SlopePair, gradient
-from calibrate.doe.optimum import target
-from calibrate.doe.study import Bench, study, surfaces
-from calibrate.errors import CalibrationError, InputError
-from calibrate.measurements import Target
-from calibrate.output import Session
-from calibrate.parameters import FACTORS, space
-from calibrate.presets import PRESETS, Preset
-from calibrate.progress import Silent
-from calibrate.report import study as report
-from calibrate.workflow import campaign
+from calibrate.core.errors import CalibrationError, InputError
+from calibrate.core.progress import Silent
+from calibrate.designs import designs
+from calibrate.designs.calibration import Designed, design
+from calibrate.designs.comparison import Enhanced, SlopePair, gradient
+from calibrate.designs.optimum import target
+from calibrate.designs.study import Bench, study, surfaces
+from calibrate.inference.parameters import FACTORS, space
+from calibrate.io.lab import Target
+from calibrate.reports import study as report
+from calibrate.simulation import Run
+from calibrate.simulation.resolution import PRESETS, Preset
+from calibrate.simulation.session import Session
+from calibrate.simulation.specimens import campaign
 
 TARGETS = {
     "depression_depth_mm": Target(2.5, 0.1, 4),

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of, state_of
 
-from jdem.simulate import LOWER, Segment, run, stack
-from jdem.smooth import Smoothing
+from jdem.core.smooth import Smoothing
+from jdem.engine.loop import LOWER, Segment, run, stack
 
 TARGET = 0.5  # N
 HEAP = RADIUS * np.array([[0, 0, 1.0], [2.02, 0, 1.0], [1.01, 1.75, 1.0], [1.01, 0.58, 2.65]])

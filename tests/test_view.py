@@ -12,17 +12,17 @@ import meshio
 import numpy as np
 import pytest
 
-from calibrate.plotting import bed
-from calibrate.presets import numerics_for
+from calibrate.figures import bed
+from calibrate.simulation.resolution import numerics_for
 from calibrate.view.contacts import contacts_of
 from calibrate.view.frames import frames
 from calibrate.view.vtk import write_series
-from jdem.dynamics import GRAVITY
-from jdem.experiments.composite import LabTests, VirtualLab
-from jdem.experiments.confined import ConfinedCompression
-from jdem.experiments.unconfined import UnconfinedCompression
-from jdem.packing import Specimen, prepare
-from jdem.soil import SoilParameters
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.engine.step import GRAVITY
+from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Specimen, prepare
 
 SMALL = Specimen(count=60, height=0.06)
 SOIL = SoilParameters()
@@ -182,7 +182,7 @@ def test_bad_input_is_refused_in_one_line(calibrate, tmp_path, options, words):
 def test_the_verb_writes_into_its_folder_and_nowhere_else(seen, calibrate, tmp_path, monkeypatch):
     """The soil is named like a path; the simulation is the one that the other tests look at."""
     packing, _, states, _ = seen
-    monkeypatch.setattr("calibrate.campaign.Campaign.packings", lambda self, seeds: [packing])
+    monkeypatch.setattr("calibrate.simulation.Campaign.packings", lambda self, seeds: [packing])
     monkeypatch.setattr("calibrate.view.frames.frames", lambda *given: states[-3:])
     name = "../../evil \\\\ $(touch evil)"
     (tmp_path / "lab.toml").write_text(

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
 
-from calibrate.parameters import FACTORS, with_values
+from calibrate.inference.parameters import FACTORS
+from calibrate.io.soil import with_values
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.engine.loop import FAR, Segment, run, stack, start
 from jdem.sensitivity.virtual_power import FrozenMotion
-from jdem.simulate import FAR, Segment, run, stack, start
-from jdem.smooth import Smoothing
-from jdem.vector import Vector
 
 NAMES = (*FACTORS, "shear_modulus")
 CLAY = {

@@ -17,19 +17,19 @@ import pytest
 import toy_bank
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
-from calibrate.bank.description import Ready
-from calibrate.bank.design import CENTRE
-from calibrate.bank.store import declared
-from calibrate.errors import InputError
-from calibrate.measurements import load_lab
-from calibrate.progress import Silent
-from calibrate.withheld import laboratory, run
-from calibrate.withheld.canary import canary
-from calibrate.withheld.elsewhere import with_visibility
-from calibrate.withheld.laboratory import READINGS, recorded, write_case
-from calibrate.withheld.outside import ATMOSPHERE, PORES, air_force
-from calibrate.withheld.plan import Case, Hidden, Visibility, relative_error
-from calibrate.withheld.seal import HASHES, LABELS, digest, open_seal, write_seal
+from calibrate.core.errors import InputError
+from calibrate.core.progress import Silent
+from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.design import CENTRE
+from calibrate.discrepancy.library.store import declared
+from calibrate.io.lab import load_lab
+from calibrate.validation import laboratory, run
+from calibrate.validation.canary import canary
+from calibrate.validation.elsewhere import with_visibility
+from calibrate.validation.laboratory import READINGS, recorded, write_case
+from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
+from calibrate.validation.plan import Case, Hidden, Visibility, relative_error
+from calibrate.validation.seal import HASHES, LABELS, digest, open_seal, write_seal
 
 # ---------------------------------------------------------------- recording
 

@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 from test_architecture import Module, read_modules
 
-from calibrate.bank.design import CENTRE
-from calibrate.diagnosed import Manner
-from calibrate.diagnosis import baselines
-from calibrate.diagnosis.which import prepare
-from calibrate.errors import InputError
-from calibrate.progress import Silent
-from calibrate.withheld import trial
-from calibrate.withheld.laboratory import Specimen, write_case
-from calibrate.withheld.seal import open_seal, write_seal
+from calibrate.core.errors import InputError
+from calibrate.core.progress import Silent
+from calibrate.discrepancy.comparison import baselines
+from calibrate.discrepancy.comparison.compare import prepare
+from calibrate.discrepancy.diagnosis import Manner
+from calibrate.discrepancy.library.design import CENTRE
+from calibrate.validation import trial
+from calibrate.validation.laboratory import Specimen, write_case
+from calibrate.validation.seal import open_seal, write_seal
 
-ROOTS = ("calibrate.withheld.trial", "calibrate.diagnosed")
+ROOTS = ("calibrate.validation.trial", "calibrate.discrepancy.diagnosis")
 KNOWING = (
     "seal",
     "plan",
@@ -36,7 +36,7 @@ KNOWING = (
     "run",
     "scores",
     "canary",
-)  # of calibrate.withheld
+)  # of calibrate.validation
 MODULES = read_modules(Path(__file__).parents[1])
 
 
@@ -65,19 +65,22 @@ def paths_in(module: Module) -> list[str]:
 
 def test_a_diagnosis_imports_nothing_that_knows_the_labels():
     found = reached(ROOTS, MODULES)
-    assert "calibrate.diagnosis.which" in found and "calibrate.bank.emulator" in found
-    assert not found & {f"calibrate.withheld.{name}" for name in KNOWING}
+    assert (
+        "calibrate.discrepancy.comparison.compare" in found
+        and "calibrate.discrepancy.library.emulator" in found
+    )
+    assert not found & {f"calibrate.validation.{name}" for name in KNOWING}
 
 
 def test_a_diagnosis_names_no_path_to_the_labels():
     """Entries of the run cache are sealed too, with a checksum: another thing."""
     named = {n: p for n in reached(ROOTS, MODULES) if (p := paths_in(MODULES[n]))}
-    assert not {n for n in named if not n.startswith("calibrate.campaign.")}
-    assert paths_in(MODULES["calibrate.withheld.seal"])  # the rule sees what it is to see
+    assert not {n for n in named if not n.startswith("calibrate.simulation.")}
+    assert paths_in(MODULES["calibrate.validation.seal"])  # the rule sees what it is to see
 
 
 def test_whoever_opens_the_seal_is_seen_by_the_rule():
-    assert "calibrate.withheld.seal" in reached(("calibrate.withheld.run",), MODULES)
+    assert "calibrate.validation.seal" in reached(("calibrate.validation.run",), MODULES)
 
 
 # ---------------------------------------------------------------- running

@@ -13,18 +13,18 @@ import pytest
 from judged_cases import CLASSES, SEAT, label, specimens, verdict
 from rich.console import Console
 
-from calibrate.bank.store import declared
-from calibrate.diagnosis.features import seen
-from calibrate.diagnosis.opinion import NONE
-from calibrate.errors import InputError
-from calibrate.report import kinds
-from calibrate.report import withheld as report
-from calibrate.report.withheld_words import found as told
-from calibrate.report.withheld_words import percent
-from calibrate.withheld import run
-from calibrate.withheld.elsewhere import in_our_words
-from calibrate.withheld.named import BOTH, FAILED, OTHERS, named
-from calibrate.withheld.scores import (
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.comparison.features import seen
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.discrepancy.library.store import declared
+from calibrate.reports import kinds
+from calibrate.reports import withheld as report
+from calibrate.reports.withheld_words import found as told
+from calibrate.reports.withheld_words import percent
+from calibrate.validation import run
+from calibrate.validation.elsewhere import in_our_words
+from calibrate.validation.named import BOTH, FAILED, OTHERS, named
+from calibrate.validation.scores import (
     Realised,
     Row,
     against,
@@ -35,7 +35,7 @@ from calibrate.withheld.scores import (
     share,
     truth_of,
 )
-from calibrate.withheld.targets import AT_LEAST, AT_MOST, BELOW, Standing, Target, targets
+from calibrate.validation.targets import AT_LEAST, AT_MOST, BELOW, Standing, Target, targets
 
 # ---------------------------------------------------------------- scores
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from formulas import BASE, LAB, specimen
 
-from calibrate.bank.design import Design
-from calibrate.bank.emulator import COMPONENTS, Kernel
-from calibrate.bank.simulate import Points
-from calibrate.bank.store import Bank, Cylinder, collect, curves_of, save
-from calibrate.campaign import Run
-from calibrate.diagnosis.features import Curves
-from calibrate.parameters import with_values
-from calibrate.withheld.laboratory import Specimen, recorded, write_case
+from calibrate.discrepancy.comparison.features import Curves
+from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.emulator import COMPONENTS, Kernel
+from calibrate.discrepancy.library.simulate import Points
+from calibrate.discrepancy.library.store import Bank, Cylinder, collect, curves_of, save
+from calibrate.io.soil import with_values
+from calibrate.simulation import Run
+from calibrate.validation.laboratory import Specimen, recorded, write_case
 
 PACKINGS, ROWS = 14, 4
 CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BASE.surface_energy)}
@@ -62,7 +62,7 @@ def bank() -> Bank:
 
 
 def run_points(design: Design, points: Points, *_) -> list[Run]:
-    """What `calibrate.bank.simulate.run_points` does, by formula."""
+    """What `calibrate.discrepancy.library.simulate.run_points` does, by formula."""
     rows = zip(points.base[:, :2], points.strengths, points.seeds, strict=True)
     return [run(soil, strength, int(seed)) for soil, strength, seed in rows]
 

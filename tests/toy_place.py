@@ -12,16 +12,16 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.campaign import AbstractPlace, Campaign, Run
-from calibrate.campaign.places import MachineFailure
-from calibrate.campaign.run import QUALITY
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.parameters import base_soil, with_values
-from jdem.bed import Numerics
-from jdem.experiments.composite import LabTests, VirtualLab
-from jdem.packing import Packing, Specimen
-from jdem.particles import Spheres
-from jdem.vector import Vector
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import AbstractPlace, Campaign, Run
+from calibrate.simulation.executors import MachineFailure
+from calibrate.simulation.run import QUALITY
+from jdem.bodies.spheres import Spheres
+from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics
+from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.packing.settling import Packing, Specimen
 
 SPECIMEN = Specimen(height=0.05, count=48)
 SOIL = base_soil(load_lab(bundled_lab()))

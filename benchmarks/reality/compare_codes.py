@@ -24,11 +24,11 @@ from signatures import cached, features, records
 from soil import TENSILE_EXPONENT, Soil
 from specimen import CRUSHING, LOADING, SPHERES
 
-from calibrate.measurements import bundled_lab, load_lab
-from calibrate.presets import Preset, specimen, virtual_lab
-from jdem.experiments.composite import VirtualLab
-from jdem.packing import prepare
-from jdem.soil import SoilParameters
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation.resolution import Preset, specimen, virtual_lab
+from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import prepare
 
 HERE = Path(__file__).parent
 

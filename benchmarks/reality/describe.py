@@ -15,7 +15,7 @@ from instrument import CONFINED_SPEED, UNCONFINED_SPEED
 from soil import MEAN_DIAMETER
 from specimen import CRUSHING, DENSITY, LOADING, MOULD_RADIUS
 
-from calibrate.measurements import Curve, Lab, load_lab
+from calibrate.io.lab import Curve, Lab, load_lab
 
 HERE = Path(__file__).parent
 

@@ -22,7 +22,7 @@ from instrument import TARGET_FORCE
 from labfiles import Specimen, measured, write_case
 from specimen import Run, run
 
-from calibrate.withheld.seal import write_seal
+from calibrate.validation.seal import write_seal
 
 HERE = Path(__file__).parent
 DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)

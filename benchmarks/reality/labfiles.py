@@ -11,7 +11,7 @@ from instrument import CONFINED_SPEED, UNCONFINED_SPEED, Instrument, Record, app
 from soil import PRIOR, TENSILE_EXPONENT, Soil
 from specimen import Run
 
-from calibrate.withheld.laboratory import CURVE, TOML
+from calibrate.validation.laboratory import CURVE, TOML
 
 ZERO = 0.5e-3  # m; the displacement's zero is anywhere within
 BUNDLED_ROLLING = 0.1  # rolling friction of the bundled soil

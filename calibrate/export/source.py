@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calibrate.errors import BadValue, InputError, shown
-from calibrate.labfile import PARAMETER_UNITS, check_parameter, read_text
-from calibrate.measurements import Lab, load_lab
-from calibrate.parameters import base_soil
-from calibrate.presets import PRESETS, specimen
-from calibrate.workflow import soil_json
-from jdem import packing
+from calibrate.core.errors import BadValue, InputError, shown
+from calibrate.io.lab import Lab, load_lab
+from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, read_text
+from calibrate.io.soil import base_soil
+from calibrate.simulation.resolution import PRESETS, specimen
+from calibrate.simulation.specimens import soil_json
+from jdem.packing import settling as packing
 
 RESULT = "result.json"  # what `calibrate fit` writes into its folder
 

@@ -12,7 +12,7 @@ the radii.  With k1 in proportion to the radius that mean is EEPA's 2 E* R*, so 
 radius get a material of their own.
 """
 
-from calibrate.errors import InputError
+from calibrate.core.errors import InputError
 from calibrate.export.notes import PRESSURE, comment, heading, scale_up, uncertainty
 from calibrate.export.source import Found
 

@@ -3,11 +3,9 @@
 JSON has no NaN: what is not known stands there as null, and here as NaN.
 """
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -19,8 +17,9 @@ from pydantic import (
 from pydantic import model_validator as check
 from pydantic_core import ErrorDetails
 
-from calibrate.errors import BadValue, InputError, shown
-from calibrate.labfile import PARAMETER_UNITS, read_text
+from calibrate.core.errors import BadValue, InputError, shown
+from calibrate.core.files import as_json
+from calibrate.io.labfile import PARAMETER_UNITS, read_text
 
 LARGEST = 1e150  # larger numbers count as not known; squares of these are finite
 RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
@@ -103,11 +102,6 @@ class Measured(Record):
 R = TypeVar("R", bound=Record)
 
 
-def as_json(content: dict) -> str:
-    """Strict JSON: NaN and infinities become null."""
-    return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
-
-
 def record(kind: type[R], content: dict) -> R:
     """The record of plain data as it would be read from its file."""
     return kind.model_validate_json(as_json(content))
@@ -133,16 +127,3 @@ def _words(error: ErrorDetails) -> str:
     if isinstance(reason, BadValue):
         return reason.problem
     return error["msg"].removeprefix("Value error, ").replace("Input should be", "it should be")
-
-
-def _finite(value):
-    """The value with NaN and infinities replaced by None."""
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, np.integer | np.bool_):
-        return value.item()
-    return value

@@ -12,11 +12,11 @@ from pydantic import Field
 from pydantic import model_validator as check
 from scipy.optimize import isotonic_regression
 
-from calibrate.bank.further import menu
-from calibrate.diagnosed import Diagnosis
-from calibrate.diagnosis.features import CONFINED, REFERENCE, Curves, Feature
-from calibrate.diagnosis.refit import Refit
-from calibrate.diagnosis.which import label
+from calibrate.discrepancy.comparison.compare import label
+from calibrate.discrepancy.comparison.features import CONFINED, REFERENCE, Curves, Feature
+from calibrate.discrepancy.comparison.refit import Refit
+from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.discrepancy.library.further_tests import menu
 from calibrate.records.base import Curve, Number, Origin, Record, Test
 
 MOST_POINTS = 300  # of a curve that is kept to be drawn

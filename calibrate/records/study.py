@@ -7,13 +7,13 @@ simulation.
 import numpy as np
 from pydantic import model_validator as check
 
-from calibrate.doe.comparison import Comparison, Ending, Enhanced, SlopePair
-from calibrate.doe.design import Design
-from calibrate.doe.factors import Factor
-from calibrate.doe.screening import Screening, screen
-from calibrate.doe.study import DEPTH, OBSERVABLES, Experiment
-from calibrate.doe.surface import Surface, fit_surface
-from calibrate.doe.terms import parse
+from calibrate.designs.comparison import Comparison, Ending, Enhanced, SlopePair
+from calibrate.designs.design import Design
+from calibrate.designs.factors import Factor
+from calibrate.designs.screening import Screening, screen
+from calibrate.designs.study import DEPTH, OBSERVABLES, Experiment
+from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.terms import parse
 from calibrate.records.base import Measured, Number, Observable, Origin, Parameter, Record
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from calibrate.records.base import Record
-from calibrate.withheld.scores import Row
+from calibrate.validation.scores import Row
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -103,5 +103,5 @@ class WithheldRecord(Record):
     hidden: dict[str, list[Hidden]]
 
     def plain(self) -> dict:
-        """The result as `calibrate.withheld.run.opened` returns it."""
+        """The result as `calibrate.validation.run.opened` returns it."""
         return self.model_dump(by_alias=True)

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem import smooth
-from jdem.contact import Contact
-from jdem.dynamics import Bed, BedState
+from jdem.boundaries.walls import surface
+from jdem.core import smooth
+from jdem.core.vector import Vector
+from jdem.engine.neighbors import ContactList
+from jdem.engine.step import Bed, BedState
 from jdem.laws.base import AbstractContactLaw
-from jdem.neighbors import ContactList
-from jdem.vector import Vector
-from jdem.walls import surface
+from jdem.mechanics.contact import Contact
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.errors import CalibrationError
-from jdem.bed import build_bed, steps_per_sample
-from jdem.dynamics import Bed, BedState
-from jdem.experiments.composite import VirtualLab
-from jdem.packing import Packing
-from jdem.quantity import cast
-from jdem.simulate import KEEP, Record, Segment, run, stack, start
-from jdem.soil import SoilParameters
+from calibrate.core.errors import CalibrationError
+from jdem.core.quantity import cast
+from jdem.engine.bed import build_bed, steps_per_sample
+from jdem.engine.loop import KEEP, Record, Segment, run, stack, start
+from jdem.engine.step import Bed, BedState
+from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Packing
 
 PIECE = 8  # samples between frames, to begin with
 

@@ -18,11 +18,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.core.quantity import Real
+from jdem.engine.loop import Segment
 from jdem.laws.base import AbstractContactLaw
-from jdem.packing import Packing
-from jdem.quantity import Real
-from jdem.simulate import Segment
-from jdem.soil import SoilParameters
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import Packing
 
 
 class About(NamedTuple):

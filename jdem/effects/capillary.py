@@ -17,11 +17,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.contact import Contact, ContactHistory, NormalForce
+from jdem.core.fusion import once
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.fusion import once
 from jdem.laws.base import AbstractContactLaw
-from jdem.quantity import Real, quantity
+from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
 
 DECAY = 0.02  # of the diameter
 CUTOFF = 4.0  # decay lengths; pairs are listed that far apart

@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.contact import Contact, ContactForce, ContactHistory, NormalForce
+from jdem.core.fusion import once
+from jdem.core.quantity import Real, quantity
+from jdem.core.vector import Vector
 from jdem.effects.base import About, AbstractEffect
-from jdem.fusion import once
 from jdem.laws.base import AbstractContactLaw
-from jdem.quantity import Real, quantity
-from jdem.vector import Vector
+from jdem.mechanics.contact import Contact, ContactForce, ContactHistory, NormalForce
 
 STRAIN = 0.005  # of the diameter; displacement at which a bond is strongest
 

@@ -5,8 +5,8 @@ d_shown = d + F/K
 
 from typing import ClassVar
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
 
 
 class LoadFrameCompliance(AbstractEffect):

@@ -10,8 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.bed import friction_of_walls
-from jdem.dynamics import Bed, BedState
+from jdem.core.quantity import Real, as_quantity, cast, quantity
+from jdem.core.smooth import Smoothing
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, Stage
 from jdem.effects.capillary import CapillaryTension
 from jdem.effects.cementation import Cementation
@@ -26,10 +26,10 @@ from jdem.effects.rate import RateDependence
 from jdem.effects.seating import SeatingGap
 from jdem.effects.second_test import SecondTestFactor
 from jdem.effects.wall_friction import WallFriction
-from jdem.quantity import Real, as_quantity, cast, quantity
-from jdem.smooth import Smoothing
-from jdem.soil import SoilParameters, particle_law, wall_law
-from jdem.surroundings import AbstractSurroundings
+from jdem.engine.bed import friction_of_walls
+from jdem.engine.schedule import AbstractSurroundings
+from jdem.engine.step import Bed, BedState
+from jdem.materials.soil import SoilParameters, particle_law, wall_law
 
 TOUCH = 1.0  # N; below it errors fade for the servo: it returns until the platen is free
 

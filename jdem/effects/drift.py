@@ -5,8 +5,8 @@ F_shown = F + c t        t: nominal time since the cell was tared
 
 from typing import ClassVar
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
 
 
 class LoadCellDrift(AbstractEffect):

@@ -5,8 +5,8 @@ F_shown = (1 + g) F
 
 from typing import ClassVar
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
 
 
 class LoadCellGain(AbstractEffect):

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
-from jdem.simulate import Segment
+from jdem.engine.loop import Segment
 
 
 class AcquisitionLag(AbstractEffect):

@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect, with_contacts_scaled
-from jdem.quantity import Real, quantity
 
 
 class RateDependence(AbstractEffect):

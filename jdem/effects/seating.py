@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
 
 
 class SeatingGap(AbstractEffect):

@@ -5,8 +5,8 @@ k1, dgamma, f0 -> (1 + e) (k1, dgamma, f0)        from the opening of the mould 
 
 from typing import ClassVar
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect, with_contacts_scaled
-from jdem.quantity import Real, quantity
 
 
 class SecondTestFactor(AbstractEffect):

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.quantity import Real, quantity
 
 
 class WallFriction(AbstractEffect):

@@ -3,7 +3,7 @@
     force(contact, history) -> (force, history)
 
 A law never sees particle numbers, the bed or the neighbour list, so it can be
-plotted in one notebook cell; `jdem.dynamics` vectorises it.  The normal law comes
+plotted in one notebook cell; `jdem.engine.step` vectorises it.  The normal law comes
 first, because the tangential law needs the load that it carries.
 """
 
@@ -12,8 +12,8 @@ import abc
 import equinox as eqx
 from jax import Array
 
-from jdem.contact import Contact, ContactForce, ContactHistory, NormalForce
-from jdem.vector import Vector
+from jdem.core.vector import Vector
+from jdem.mechanics.contact import Contact, ContactForce, ContactHistory, NormalForce
 
 
 class AbstractNormalLaw(eqx.Module):

@@ -1,14 +1,14 @@
 """A whole contact: normal law, tangential law and rolling law in their slots."""
 
-from jdem.contact import Contact, ContactForce, ContactHistory
-from jdem.elasticity import AbstractStiffness
+from jdem.core.quantity import Real, quantity
 from jdem.laws.base import (
     AbstractContactLaw,
     AbstractNormalLaw,
     AbstractRollingLaw,
     AbstractTangentialLaw,
 )
-from jdem.quantity import Real, quantity
+from jdem.mechanics.contact import Contact, ContactForce, ContactHistory
+from jdem.mechanics.elasticity import AbstractStiffness
 
 
 class ContactLaw(AbstractContactLaw):

@@ -13,13 +13,13 @@ contacts kicks of many times mu N, and every rattling sphere then spoils all der
 import equinox as eqx
 import jax.numpy as jnp
 
-from jdem import smooth
-from jdem.contact import Contact, ContactHistory, NormalForce
-from jdem.damping import dashpot_constant
-from jdem.fusion import once
+from jdem.core import smooth
+from jdem.core.fusion import once
+from jdem.core.quantity import Real, quantity
+from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractTangentialLaw
-from jdem.quantity import Real, quantity
-from jdem.smooth import Smoothing
+from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.mechanics.dashpot import dashpot_constant
 
 
 class CoulombSpring(AbstractTangentialLaw):

@@ -16,14 +16,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem import smooth
-from jdem.contact import Contact, ContactHistory, NormalForce
-from jdem.damping import dashpot_constant
-from jdem.elasticity import AbstractStiffness
-from jdem.fusion import once
+from jdem.core import smooth
+from jdem.core.fusion import once
+from jdem.core.quantity import Real, quantity
+from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
-from jdem.quantity import Real, quantity
-from jdem.smooth import Smoothing
+from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.mechanics.dashpot import dashpot_constant
+from jdem.mechanics.elasticity import AbstractStiffness
 
 
 class Adhesion(eqx.Module):

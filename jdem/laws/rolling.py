@@ -1,17 +1,17 @@
 """Rolling resistance: a torque up to mu_r |f_hys| R against each body's own spin.
 
-The law gives the limit; `jdem.dynamics` applies the sum over a sphere's contacts
+The law gives the limit; `jdem.engine.step` applies the sum over a sphere's contacts
 implicitly, as friction that can stop a spin within a step but never reverse it.
 (A constant torque integrated explicitly jitters at tens of rad/s.)
 """
 
 import equinox as eqx
 
-from jdem import smooth
-from jdem.contact import NormalForce
+from jdem.core import smooth
+from jdem.core.quantity import Real, quantity
+from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractRollingLaw
-from jdem.quantity import Real, quantity
-from jdem.smooth import Smoothing
+from jdem.mechanics.contact import NormalForce
 
 
 class ConstantTorque(AbstractRollingLaw):

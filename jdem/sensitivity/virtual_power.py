@@ -28,15 +28,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem import smooth
-from jdem.dynamics import Bed, BedState, Command, next_motion, step
-from jdem.energy import Ledger
-from jdem.experiments.composite import VirtualLab
-from jdem.particles import Motion, kinetic_energy
+from jdem.bodies.spheres import Motion, kinetic_energy
+from jdem.boundaries.walls import PLATEN, Walls
+from jdem.core import smooth
+from jdem.core.vector import Vector
+from jdem.engine.energy import Ledger
+from jdem.engine.loop import AbstractFrozen
+from jdem.engine.step import Bed, BedState, Command, next_motion, step
+from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, forward_mode
-from jdem.simulate import AbstractFrozen
-from jdem.vector import Vector
-from jdem.walls import PLATEN, Walls
 
 
 class VirtualPower(AbstractStrategy):

@@ -1,0 +1,45 @@
+"""Verbs of the command line, one per file.
+
+Each file has `register(app)`, which adds its command to the program in `calibrate.cli`; what a
+verb needs is imported when it runs, so that `--help` is quick.
+"""
+
+import typer
+
+from calibrate.commands import (
+    audit,
+    bank,
+    contact,
+    convert,
+    diagnose,
+    doe,
+    export,
+    fit,
+    report,
+    reproduce,
+    simulate,
+    view,
+    withheld,
+)
+
+VERBS = (
+    simulate,
+    fit,
+    contact,
+    audit,
+    doe,
+    reproduce,
+    convert,
+    diagnose,
+    withheld,
+    bank,
+    report,
+    export,
+    view,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Adds all verbs of this folder to the program."""
+    for verb in VERBS:
+        verb.register(app)

@@ -1,0 +1,44 @@
+"""Options of the command line that several verbs share, and what they mean.
+
+Options that are wrong raise `InputError` with the option's name as the field.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calibrate.core.errors import COMMAND_LINE, InputError
+
+LabFile = Annotated[
+    Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: the bundled soil.")
+]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder for results; a second run resumes.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=10_000_000, help="Choice of packings.")]
+PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fine.")]
+Preparation = Annotated[
+    bool, typer.Option("--prepare-with-soil", help="Settle beds with the soil under test.")
+]
+Dask = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Simulate on this Dask cluster.")
+]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
+]
+
+
+def parse_changes(changes: Sequence[str]) -> dict[str, float]:
+    """`--set name=value` options as numbers in SI units."""
+    from calibrate.io.labfile import check_parameter
+
+    values = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise InputError(COMMAND_LINE, f"--set {change}", "no '='", "write name=value")
+        values[name.strip()] = check_parameter(
+            name.strip(), value.strip(), COMMAND_LINE, f"--set {name.strip()}"
+        )
+    return values

@@ -1,0 +1,65 @@
+"""Files that results are written to: whole or not at all, JSON without NaN."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.core.errors import COMMAND_LINE, InputError
+
+
+def make_folder(out: Path, option: str = "--out") -> None:
+    """Creates the folder for results, and says so in one line where that is impossible."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".write-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        problem = error.strerror or str(error)
+        repair = "give a folder that can be written to"
+        raise InputError(str(out), option, problem, repair) from None
+
+
+def check_writable(path: Path | None) -> None:
+    """Refuses a `--json` path that cannot be written, before anything is simulated."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(COMMAND_LINE, "--json", f"{path} is a folder", "give the name of a file")
+    make_folder(path.parent, "--json")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + f".{os.getpid()}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Strict JSON: NaN and infinities become null."""
+    write_text(path, as_json(content))
+
+
+def as_json(content: dict) -> str:
+    """Strict JSON: NaN and infinities become null."""
+    return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value):
+    """The value with NaN and infinities replaced by None."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    return value

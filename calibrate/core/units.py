@@ -1,0 +1,105 @@
+"""Quantities as people write them: one number and one unit, "8 mm/s".
+
+A pattern takes the text apart and nothing is ever evaluated (pint alone would compute
+"9**9**9 mm"); pint knows the units.  What cannot be used is a `BadValue` with its repair.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import pint
+
+from calibrate.core.errors import BadValue, shown
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of quantity: what it is called, the unit it is stored in, and an example."""
+
+    noun: str
+    unit: str
+    example: str
+
+
+LENGTH = Kind("length", "m", "100 mm")
+SPEED = Kind("speed", "m/s", "8 mm/s")
+FORCE = Kind("force", "N", "200 N")
+TIME = Kind("time", "s", "1 s")
+DENSITY = Kind("density", "kg/m^3", "1829.6 kg/m^3")
+FRACTION = Kind("fraction", "", "22.84 %")
+MILLIMETRES = Kind("length", "mm", "3.36 mm")
+
+UNITS = pint.UnitRegistry()
+_LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
+_FACTOR = r"[A-Za-z\u00b5\u03bc%]+(?:\s*(?:\^|\*\*)\s*-?[1-9]|[²³])?"
+_UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR})*")
+
+
+def unit_factor(unit: Any, kind: Kind) -> float:
+    """How many `kind.unit` one `unit` is, e.g. 1000 N for "kN"."""
+    repair = f'use a unit of {kind.noun}, as in "{kind.example}"'
+    if not isinstance(unit, str) or len(unit) > _LONGEST or not _UNIT.fullmatch(unit):
+        raise BadValue(f"unit {shown(unit)} is not understood", repair)
+    try:
+        return float(UNITS.Quantity(1.0, unit).to(kind.unit).magnitude)
+    except pint.UndefinedUnitError:
+        raise BadValue(f"unit {shown(unit)} is not known", repair) from None
+    except pint.DimensionalityError:
+        raise BadValue(f"{shown(unit)} is not a unit of {kind.noun}", repair) from None
+    except (pint.PintError, ValueError, ArithmeticError, AssertionError):
+        raise BadValue(f"unit {shown(unit)} is not understood", repair) from None
+
+
+def quantity(text: Any, kind: Kind) -> float:
+    """`text` ("50 mm") as a finite number of `kind.unit`; a number without unit is refused."""
+    repair = f'give a {kind.noun} with its unit such as "{kind.example}"'
+    if not isinstance(text, str) or len(text) > _LONGEST:
+        raise BadValue(f"{shown(text)} is not a quantity, which is a string", repair)
+    match = _QUANTITY.fullmatch(text.strip())
+    if match is None:
+        raise BadValue(f"{shown(text)} does not start with a finite number", repair)
+    if not match[2]:
+        raise BadValue(f"{shown(text)} has no unit", repair)
+    value = float(match[1]) * unit_factor(match[2], kind)
+    if not math.isfinite(value):
+        raise BadValue(f"{shown(text)} is too large", repair)
+    return value
+
+
+def positive_quantity(text: Any, kind: Kind) -> float:
+    """`quantity`, refused unless above zero."""
+    value = quantity(text, kind)
+    if value <= 0:
+        sign = "negative" if value < 0 else "zero"
+        repair = f'give a positive {kind.noun} such as "{kind.example}"'
+        raise BadValue(f"{sign} {kind.noun} {text.strip()}", repair)
+    return value
+
+
+def unsigned_quantity(text: Any, kind: Kind) -> float:
+    """`quantity`, refused if below zero."""
+    value = quantity(text, kind)
+    if value < 0:
+        repair = f'give 0 or a positive {kind.noun} such as "{kind.example}"'
+        raise BadValue(f"negative {kind.noun} {text.strip()}", repair)
+    return value
+
+
+def number_or_quantity(value: Any, unit: str) -> float:
+    """A number in `unit`, or a string with or without a unit of its own, as a finite float."""
+    repair = f'give a number or a quantity such as "1 {unit}"' if unit else "give a number"
+    if isinstance(value, str) and not re.fullmatch(_NUMBER, value[:_LONGEST].strip()):
+        return quantity(value, Kind(unit or "a pure number", unit, f"1 {unit}".strip()))
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise BadValue(f"{shown(value)} is not a number", repair)
+    try:
+        number = float(value)
+    except (OverflowError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise BadValue(f"{shown(value)} is not a finite number", repair)
+    return number

@@ -1,0 +1,316 @@
+"""Designed experiments beside gradients: the same simulator, packings and targets.
+
+    slopes       of each design's surface at its centre against the gradient there
+    optima       where each method ends, what that gives on fresh packings, what it cost
+    enhanced     surfaces fitted to values and gradient together, and how many points that saves
+
+Slopes are per unit of ln p.  Those of a screening design are effects over the distance of its
+levels: in a Plackett-Burman design of 12 runs they carry a third of every interaction of two
+other factors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import stats
+
+from calibrate.core.errors import BadValue
+from calibrate.designs.gradients import fit_with_gradients
+from calibrate.designs.study import (
+    FORCE,
+    OBSERVABLES,
+    SIGNIFICANT,
+    Bench,
+    Experiment,
+    Study,
+    Surfaces,
+    verified,
+)
+from calibrate.designs.surface import fit_surface
+from calibrate.designs.terms import quadratic
+from calibrate.inference.audit import CurvePoints, simulated_response
+from calibrate.inference.fit import Calibration, descend, packing_scatter
+from calibrate.inference.parameters import Space, ensemble
+from calibrate.inference.problem import pose
+from calibrate.io.lab import Lab
+from jdem.materials.soil import SoilParameters
+from jdem.sensitivity.base import Sensitivity
+from jdem.sensitivity.ensemble import Ensemble
+
+PAIRS = 2  # antithetic for each group and packing, so that errors have degrees of freedom
+LEVEL = 0.95
+DRAWS = 40  # random subsets of a design, for each size
+
+
+@dataclass(frozen=True)
+class SlopePair:
+    """One factor's slope by a surface and by the gradient, per unit of ln p (mm or N)."""
+
+    design: str
+    factor: str
+    observable: str
+    surface: float
+    surface_se: float
+    surface_df: int
+    gradient: float
+    gradient_se: float
+    gradient_df: int
+    matters: bool  # by the surface's own t test
+
+    @property
+    def reach(self) -> float:
+        """Half-width of the joint 95 % interval of the difference (Welch and Satterthwaite)."""
+        parts = np.array([self.surface_se, self.gradient_se]) ** 2
+        df = np.array([self.surface_df, self.gradient_df])
+        joint = parts.sum() ** 2 / np.sum(parts**2 / df) if parts.sum() > 0 else df.min()
+        return float(stats.t.ppf((1 + LEVEL) / 2, joint) * np.sqrt(parts.sum()))
+
+    @property
+    def agree(self) -> bool:
+        return abs(self.surface - self.gradient) <= self.reach
+
+    def why(self) -> str:
+        """What may part two slopes that do not agree."""
+        if self.agree:
+            return ""
+        if self.design == "screening":
+            return "interactions of other factors are aliased with it, and its levels lie far apart"
+        return "curvature beyond the second order within the design"
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """Where a method ended: parameters, both observables (packings, 2), what it cost."""
+
+    method: str
+    values: dict[str, float]
+    fitted: np.ndarray
+    fresh: np.ndarray
+    simulations: int
+    stopped: str
+
+
+@dataclass(frozen=True)
+class Enhanced:
+    """Error of quadratic surfaces at the points that they were not fitted to (root mean square).
+
+    From `points` of the design alone, and with the gradient at its centre; NaN where the
+    points do not fix the surface.
+    """
+
+    points: int
+    values_only: float
+    with_gradient: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Everything that is laid side by side."""
+
+    slopes: tuple[SlopePair, ...]
+    endings: tuple[Ending, ...]
+    enhanced: tuple[Enhanced, ...]
+    gradient_runs: float  # forward runs a packing of one gradient
+
+
+def compare(lab: Lab, bench: Bench, done: Study, fresh: Sequence[int], scatter) -> Comparison:
+    """Gradients at the centres of the designs, and a gradient fit of the same parameters.
+
+    `scatter` are the packings from which the fit takes one packing's scatter.
+    """
+    at_base = gradient(bench, bench.soil({}), "gradient at the base soil")
+    held = done.force.experiment.held
+    at_force = gradient(bench, bench.soil(held), "gradient at the centre of the force design")
+    slopes = [
+        *_screened(bench, done, at_base),
+        *_surfaced(bench, done.depth, at_base),
+        *_surfaced(bench, done.force, at_force),
+    ]
+    return Comparison(
+        slopes=tuple(slopes),
+        endings=(_designed(bench, done), fitted(lab, bench, done, fresh, scatter)),
+        enhanced=tuple(enhanced(bench, done.force.experiment, at_force)),
+        gradient_runs=strategy(bench.space).runs(len(bench.space.names), len(bench.seeds)),
+    )
+
+
+def gradient(bench: Bench, soil: SoilParameters, what: str) -> Sensitivity:
+    """Slopes (2 + curves, p) of the observables at a soil, on the packings of the designs."""
+    there = Space(bench.space.names, bench.space.ranges, soil)
+    points = CurvePoints.of(bench.work)
+    response = simulated_response(there, bench.work, bench.seeds, points)(what)
+    point = jnp.log(jnp.asarray(there.start()))
+    return strategy(there)(response, point, len(bench.seeds))
+
+
+def strategy(space: Space) -> Ensemble:
+    """That of fits, with more pairs."""
+    return ensemble(space, PAIRS)
+
+
+def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
+    pairs, freedom = [], _freedom(bench)
+    for m, observable in enumerate(OBSERVABLES):
+        for p, factor in enumerate(done.screening.design.factors):
+            effect = done.screens[observable][factor.name]
+            span = 2 * factor.half_range
+            pairs.append(
+                SlopePair(
+                    design="screening",
+                    factor=factor.name,
+                    observable=observable,
+                    surface=effect.effect / span,
+                    surface_se=abs(effect.effect / effect.t) / span if effect.t else np.nan,
+                    surface_df=effect.df,
+                    gradient=float(found.slopes[m, p]),
+                    gradient_se=float(found.standard_error[m, p]),
+                    gradient_df=freedom[p],
+                    matters=effect.p < SIGNIFICANT,
+                )
+            )
+    return pairs
+
+
+def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
+    pairs, freedom = [], _freedom(bench)
+    for m, observable in enumerate(OBSERVABLES):
+        surface = stage.whole[observable]
+        slopes = surface.slopes(np.zeros(surface.X.shape[1]))
+        for j, factor in enumerate(stage.experiment.design.factors):
+            p = bench.space.names.index(factor.name)
+            slope, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
+            pairs.append(
+                SlopePair(
+                    design=stage.experiment.title,
+                    factor=factor.name,
+                    observable=observable,
+                    surface=float(slope),
+                    surface_se=float(error),
+                    surface_df=surface.df,
+                    gradient=float(found.slopes[m, p]),
+                    gradient_se=float(found.standard_error[m, p]),
+                    gradient_df=freedom[p],
+                    matters=_p_value(slope / error, surface.df) < SIGNIFICANT,
+                )
+            )
+    return pairs
+
+
+def _freedom(bench: Bench) -> list[int]:
+    """Degrees of freedom of the gradient's standard errors."""
+    return strategy(bench.space).freedom(len(bench.space.names), len(bench.seeds))
+
+
+def _p_value(t: float, df: int) -> float:
+    return float(2 * stats.t.sf(abs(t), df))
+
+
+def _designed(bench: Bench, done: Study) -> Ending:
+    return Ending(
+        method="designs",
+        values=done.values,
+        fitted=done.fitted,
+        fresh=done.fresh,
+        simulations=done.simulations,
+        stopped="after the refinement",
+    )
+
+
+def fitted(
+    lab: Lab, bench: Bench, done: Study, fresh: Sequence[int], scatter: Sequence[int]
+) -> Ending:
+    """The fit of the parameters that the designs ended with, from the base soil."""
+    free = tuple(done.values)
+    ranges = tuple(bench.space.ranges[bench.space.names.index(name)] for name in free)
+    problem, there = pose(lab), Space(free, ranges, bench.space.base)
+    work = bench.work
+    spread = packing_scatter(
+        problem, lambda seeds: work.runs([there.base], seeds, "scatter of packings")[0], scatter
+    )
+    calibration = Calibration(problem, there, work, bench.seeds, spread, len(scatter))
+    walk = descend(calibration)
+    if walk.best is None:
+        raise BadValue("the gradient fit evaluated nothing", "see the progress lines", "fit")
+    soil = there.soil(walk.best.values)
+    reached = [row for row in walk.history if row["status"] == "better"][-1]
+    return Ending(
+        method="gradient fit",
+        values=dict(zip(free, walk.best.values.tolist(), strict=True)),
+        fitted=_pairs(bench, soil, bench.seeds),
+        fresh=_pairs(bench, soil, fresh),
+        simulations=round(reached["forward_runs"] * len(bench.seeds)),
+        stopped=walk.stopped,
+    )
+
+
+def _pairs(bench: Bench, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
+    return verified(bench.work, soil, seeds, "the gradient fit's end")
+
+
+def enhanced(bench: Bench, experiment: Experiment, found: Sensitivity) -> list[Enhanced]:
+    """Crushing-force surfaces from fewer points, with and without the gradient at the centre.
+
+    Random subsets that hold the centre; weights from the replicates' scatter and the
+    gradient's standard errors.
+    """
+    X, y = experiment.design.coded, experiment.means(FORCE)
+    factors = experiment.design.factors
+    columns = [bench.space.names.index(factor.name) for factor in factors]
+    half = np.array([factor.half_range for factor in factors])
+    m = OBSERVABLES.index(FORCE)
+    slope, error = (
+        np.asarray(part)[m, columns] * half for part in (found.slopes, found.standard_error)
+    )
+    sd = _value_sd(experiment), error.tolist()
+    rng = np.random.default_rng(0)
+    centre = int(np.flatnonzero(experiment.design.centre)[0])
+    return [
+        _subsets(X, y, slope, sd, centre, size, rng) for size in range(len(factors) + 1, len(X))
+    ]
+
+
+def _value_sd(experiment: Experiment) -> float:
+    """Standard error of a point's mean over packings, levels of the packings apart."""
+    values = experiment.responses[:, :, OBSERVABLES.index(FORCE)]
+    rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
+    df = (values.shape[0] - 1) * (values.shape[1] - 1)
+    return float(np.sqrt(np.sum(rest**2) / df / values.shape[1]))
+
+
+def _subsets(X, y, slope, sd, centre: int, size: int, rng) -> Enhanced:
+    others = np.delete(np.arange(len(X)), centre)
+    errors: list[list[float]] = [[], []]
+    for _ in range(DRAWS):
+        used = np.append(rng.choice(others, size - 1, replace=False), centre)
+        left = np.setdiff1d(np.arange(len(X)), used)
+        gradients = np.full((len(used), X.shape[1]), np.nan)
+        for kind, rows in enumerate((gradients, _at_end(gradients, slope))):
+            errors[kind].append(_left_out(X, y, used, left, rows, sd))
+    return Enhanced(size, *(_pooled(kind) for kind in errors))
+
+
+def _at_end(gradients: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The same rows with the slope at the last point, the centre."""
+    known = gradients.copy()
+    known[-1] = slope
+    return known
+
+
+def _left_out(X, y, used, left, gradients, sd) -> float:
+    """Mean squared error at the points left out; NaN where the others do not fix the surface."""
+    terms = quadratic(X.shape[1])
+    try:
+        if np.all(np.isnan(gradients)):
+            surface = fit_surface(X[used], y[used], terms)
+        else:
+            surface = fit_with_gradients(X[used], y[used], gradients, terms, sd=sd).surface
+    except BadValue:
+        return np.nan
+    return float(np.mean((surface(X[left]) - y[left]) ** 2))
+
+
+def _pooled(errors: list[float]) -> float:
+    known = [error for error in errors if np.isfinite(error)]
+    return float(np.sqrt(np.mean(known))) if len(known) > len(errors) // 2 else np.nan

@@ -1,0 +1,259 @@
+"""The paper's sequence of designed experiments, on our simulator.
+
+    screening     Plackett-Burman, all factors       which factors matter to depth and to force
+    depth         central composite, two factors     quadratic surface, optimum
+    force         Box-Behnken, three factors         quadratic surfaces, optimum of both responses
+    refinement    one factor at seven levels         the optimum moved along that factor
+    verification  the optimum on fresh packings
+
+after Chen et al. 2023, Sustainability 15, 15079, whose factors these are, and the shear modulus
+of the particles, which the paper does not give.  Every point is run on the same packings.  They
+are the replicates: what differs between packings at one point, beyond a packing's own level, is
+the pure error.  That level (one number for each packing and response) is taken out first; the
+degrees of freedom that it uses, one less than there are packings, are not subtracted.
+
+Rule of selection: factors are ranked by their contribution to a response.  The first two that
+matter to depth enter the central composite design, the first three that matter to force the
+Box-Behnken design, whether or not their p is below 0.05; the report says which are not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.core.errors import CalibrationError
+from calibrate.designs import designs
+from calibrate.designs.design import Design
+from calibrate.designs.factors import Factor
+from calibrate.designs.optimum import Goal, Optimum, Region, optimise, target
+from calibrate.designs.screening import Screening, screen
+from calibrate.designs.selection import select_backward
+from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.terms import cubic, quadratic
+from calibrate.inference.parameters import Space, probing_steps
+from calibrate.io.lab import Target
+from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.io.soil import with_values
+from calibrate.simulation import Campaign, Run
+from jdem.materials.soil import SoilParameters
+
+DEPTH, FORCE = OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
+SCREENED, SURFACED = 2.0, 1.5  # half-ranges of designs, in probing steps
+DEPTH_FACTORS, FORCE_FACTORS = 2, 3
+LEVELS = 7  # of the refinement
+SIGNIFICANT = 0.05
+TOLERATED = 3.0  # scatters of a repeat off the target at which nothing is desirable
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A design that was run: responses (points, packings, 2), in mm and N.
+
+    `held` are the natural values of parameters that differ from the base soil's and do not vary.
+    """
+
+    title: str
+    design: Design
+    responses: np.ndarray
+    held: dict[str, float]
+
+    @property
+    def packings(self) -> int:
+        return self.responses.shape[1]
+
+    @property
+    def simulations(self) -> int:
+        return self.responses.shape[0] * self.packings
+
+    def points(self) -> np.ndarray:
+        """Coded points (packings x points, p), one whole repeat after the other."""
+        return self.replicated().coded
+
+    def replicated(self) -> Design:
+        return self.design.replicated(self.packings)
+
+    def means(self, observable: str) -> np.ndarray:
+        """Means (points,) over the packings."""
+        return self.responses[:, :, OBSERVABLES.index(observable)].mean(axis=1)
+
+    def blocked(self, observable: str) -> np.ndarray:
+        """Responses (packings x points,) with each packing's level moved to the common one."""
+        values = self.responses[:, :, OBSERVABLES.index(observable)]
+        return (values - values.mean(axis=0) + values.mean()).T.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Where designs are run: a base soil with its free parameters, packings, a campaign."""
+
+    space: Space
+    work: Campaign
+    seeds: Sequence[int]
+
+    def factors(self, names: Sequence[str], reach: float, held: dict[str, float]) -> tuple:
+        """Factors on logarithmic scales around their present values.
+
+        Levels lie `reach` probing steps away, or less where star points would leave the bounds.
+        """
+        steps = dict(zip(self.space.names, probing_steps(self.space), strict=True))
+        return tuple(self._factor(name, reach * steps[name], held) for name in names)
+
+    def _factor(self, name: str, reach: float, held: dict[str, float]) -> Factor:
+        bounds = self.space.ranges[self.space.names.index(name)]
+        value = held.get(name, float(getattr(self.space.base, name)))
+        room = min(np.log(bounds.high / value), np.log(value / bounds.low)) / _STAR
+        half = min(reach, max(float(room), _LEAST))
+        low, high = value * np.exp(-half), value * np.exp(half)
+        return Factor(name, low, high, PARAMETER_UNITS[name], log=True)
+
+    def run(self, title: str, design: Design, held: dict[str, float]) -> Experiment:
+        """Every point on every packing; a failed run ends the study with its reason."""
+        rows = [dict(zip(design.names, row, strict=True)) for row in design.natural()]
+        soils = [self.soil({**held, **row}) for row in rows]
+        runs = self.work.runs(soils, self.seeds, title)
+        for number, row in enumerate(runs):
+            for run in row:
+                if run.failure:
+                    raise CalibrationError(f"{title}, point {number + 1}: {run.failure}")
+        responses = np.array([[_observed(run) for run in row] for row in runs])
+        return Experiment(title, design, responses, dict(held))
+
+    def soil(self, values: dict[str, float]) -> SoilParameters:
+        """The base soil with these natural values."""
+        return with_values(self.space.base, values)
+
+
+_STAR = 1.5  # star points of two factors lie at 1.41
+_LEAST = 0.02  # half-range of a factor that starts at its bound
+
+
+def _observed(run: Run) -> list[float]:
+    return [run.observables()[name] for name in OBSERVABLES]
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """An experiment with the quadratic surface of each response, whole and reduced.
+
+    Terms whose p exceeds 0.05 are left out one after the other, hierarchy kept; optima use the
+    reduced surfaces, slopes and lack of fit the whole ones.
+    """
+
+    experiment: Experiment
+    whole: dict[str, Surface]
+    reduced: dict[str, Surface]
+    optimum: Optimum
+
+    def best(self) -> dict[str, float]:
+        """Natural values of the design's factors at the optimum."""
+        factors = self.experiment.design.factors
+        return {
+            factor.name: float(factor.natural(x))
+            for factor, x in zip(factors, self.optimum.x, strict=True)
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The whole sequence; `values` are the natural values that it ends with."""
+
+    screening: Experiment
+    screens: dict[str, Screening]
+    depth: Surfaces
+    force: Surfaces
+    refinement: Surfaces
+    values: dict[str, float]
+    fitted: np.ndarray  #: (packings, 2) at `values`
+    fresh: np.ndarray  #: (fresh packings, 2)
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        stages = (self.depth, self.force, self.refinement)
+        return (self.screening, *(stage.experiment for stage in stages))
+
+    @property
+    def simulations(self) -> int:
+        """On the packings of the designs; verification apart."""
+        return sum(experiment.simulations for experiment in self.experiments)
+
+
+def study(bench: Bench, targets: dict[str, Target], fresh: Sequence[int]) -> Study:
+    """Runs the sequence towards both targets; resumes from what the campaign holds."""
+    goals = {name: _goal(targets[name]) for name in OBSERVABLES}
+    factors = bench.factors(bench.space.names, SCREENED, {})
+    screening = bench.run("screening", designs.plackett_burman(factors, centre=1), {})
+    screens = {
+        name: screen(screening.replicated(), screening.blocked(name)) for name in OBSERVABLES
+    }
+    by_depth, by_force = (ranked(screens[name]) for name in OBSERVABLES)
+
+    chosen = bench.factors(by_depth[:DEPTH_FACTORS], SURFACED, {})
+    composite = designs.central_composite(chosen, centre=1)
+    depth = surfaces(bench.run("depth", composite, {}), {DEPTH: goals[DEPTH]})
+    values = depth.best()
+
+    chosen = bench.factors(by_force[:FORCE_FACTORS], SURFACED, values)
+    behnken = designs.box_behnken(chosen, centre=1)
+    force = surfaces(bench.run("force", behnken, _others(values, chosen)), goals)
+    values |= force.best()
+
+    rest = [name for name in by_depth if name not in by_force[:FORCE_FACTORS]]
+    refined = bench.factors(rest[:1], SURFACED, values)
+    sweep = designs.sweep(refined[0], LEVELS)
+    refinement = surfaces(bench.run("refinement", sweep, _others(values, refined)), goals, cubic)
+    values |= refinement.best()
+    return Study(
+        screening=screening,
+        screens=screens,
+        depth=depth,
+        force=force,
+        refinement=refinement,
+        values=values,
+        fitted=verified(bench.work, bench.soil(values), bench.seeds, "optimum"),
+        fresh=verified(bench.work, bench.soil(values), fresh, "optimum on fresh packings"),
+    )
+
+
+def ranked(found: Screening) -> list[str]:
+    """Names of the factors, the largest contribution first."""
+    return [effect.name for effect in found.ranked()]
+
+
+def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) -> Surfaces:
+    """Surfaces of both responses over the design, and the optimum of those that have a goal.
+
+    The optimum is looked for within the points of the design (their largest radius).
+    """
+    design, points = experiment.design, experiment.points()
+    polynomial = terms(len(design.factors))
+    whole = {
+        name: fit_surface(points, experiment.blocked(name), polynomial, design.names)
+        for name in OBSERVABLES
+    }
+    reduced = {name: select_backward(surface)[0] for name, surface in whole.items()}
+    edge = float(np.abs(design.coded).max())
+    radius = float(np.linalg.norm(design.coded, axis=1).max())
+    best = optimise(
+        [reduced[name] for name in goals],
+        list(goals.values()),
+        Region(-edge, edge, radius),
+        runs=experiment.packings,
+    )
+    return Surfaces(experiment, whole, reduced, best)
+
+
+def verified(work: Campaign, soil: SoilParameters, seeds: Sequence[int], what: str) -> np.ndarray:
+    """Both observables (packings, 2) of a soil; NaN where a run failed."""
+    runs = work.runs([soil], seeds, what)[0]
+    return np.array([[np.nan, np.nan] if run.failure else _observed(run) for run in runs])
+
+
+def _goal(measured: Target) -> Goal:
+    reach = TOLERATED * measured.scatter
+    return target(measured.mean - reach, measured.mean, measured.mean + reach)
+
+
+def _others(values: dict[str, float], varied: Sequence[Factor]) -> dict[str, float]:
+    names = {factor.name for factor in varied}
+    return {name: value for name, value in values.items() if name not in names}

@@ -1,0 +1,139 @@
+"""What is usually done instead, to be measured against on the same cases.
+
+    majority     always the commonest answer of generated cases
+    template     the residual's direction against raw signatures, points as independent
+    bic          refit of each effect, independent noise of one unknown scale in each test, BIC
+    classifier   multinomial logistic regression on whitened residuals of generated cases
+
+All see the same measured mean and the same description.  None of them can say "unknown",
+except the classifier, which is trained on such cases.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from calibrate.discrepancy.comparison.features import tests_of
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.discrepancy.comparison.projection import fitted_shift
+from calibrate.discrepancy.comparison.refit import refit
+from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.score import admissible
+
+RIDGE = 1.0  # of the classifier's weights
+
+
+def majority(labels: Sequence[str]) -> str:
+    """The commonest label."""
+    names, counts = np.unique(np.array(labels), return_counts=True)
+    return str(names[int(np.argmax(counts))])
+
+
+def template_scores(description: Linearised, measured: Measured) -> np.ndarray:
+    """Match (k,) of the fitted base model's residual with each raw signature, in units of the
+    independent scatter of points."""
+    variance = _point_variance(description, measured)
+    fit = refit(description, measured.mean, np.diag(variance))
+    residual = (measured.mean - fit.values) / np.sqrt(variance)
+    shapes = fit.effect_slopes / np.sqrt(variance)[:, None]
+    match = shapes.T @ residual / np.maximum(np.linalg.norm(shapes, axis=0), 1e-12)
+    return admissible(match, description.one_sided)
+
+
+def template(description: Linearised, measured: Measured, least: float) -> str:
+    """The best match, or none where it is below `least` (to be set by null cases)."""
+    match = template_scores(description, measured)
+    best = int(np.argmax(match))
+    return description.effect_names[best] if match[best] > least else NONE
+
+
+def bic(description: Linearised, measured: Measured) -> str:
+    """The effect whose refit has the lowest BIC, or none."""
+    criteria = {
+        key: _criterion(description, measured, key)
+        for key in [(), *((k,) for k in range(len(description.effects)))]
+    }
+    best = min(criteria, key=lambda key: criteria[key])
+    return description.effect_names[best[0]] if best else NONE
+
+
+@dataclass(frozen=True, eq=False)
+class Classifier:
+    """Multinomial logistic regression: labels, scaling and weights (m + 1, labels)."""
+
+    labels: tuple[str, ...]
+    centre: np.ndarray
+    scale: np.ndarray
+    weights: np.ndarray
+
+    def probability(self, inputs: np.ndarray) -> np.ndarray:
+        """Probabilities (labels,) for inputs (m,)."""
+        score = _with_one((inputs - self.centre) / self.scale) @ self.weights
+        return np.exp(score - logsumexp(score))
+
+    def best(self, inputs: np.ndarray) -> str:
+        """The likeliest label."""
+        return self.labels[int(np.argmax(self.probability(inputs)))]
+
+
+def train(inputs: np.ndarray, labels: Sequence[str]) -> Classifier:
+    """Fits the classifier to inputs (n, m) with labels, by penalised likelihood."""
+    names = tuple(sorted(set(labels)))
+    target = np.array([[label == name for name in names] for label in labels], float)
+    centre, scale = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-9)
+    design = _with_one((inputs - centre) / scale)
+
+    def loss(flat: np.ndarray):
+        weights = flat.reshape(design.shape[1], len(names))
+        score = design @ weights
+        log_p = score - logsumexp(score, axis=1, keepdims=True)
+        value = -(target * log_p).sum() + 0.5 * RIDGE * (weights[:-1] ** 2).sum()
+        slope = design.T @ (np.exp(log_p) - target)
+        slope[:-1] += RIDGE * weights[:-1]
+        return value, slope.ravel()
+
+    start = np.zeros(design.shape[1] * len(names))
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+    return Classifier(names, centre, scale, found.x.reshape(design.shape[1], len(names)))
+
+
+def classifier_inputs(
+    description: Linearised, measured: Measured, covariance: np.ndarray
+) -> np.ndarray:
+    """Residual (m,) of the linear base fit, whitened by the covariance of the mean."""
+    residual = measured.mean - description.mean
+    shift, _ = fitted_shift(residual, description.base_slopes, description.prior_sd, covariance)
+    lower = np.linalg.cholesky(covariance)
+    return np.linalg.solve(lower, residual - description.base_slopes @ shift)
+
+
+def _point_variance(description: Linearised, measured: Measured) -> np.ndarray:
+    """Variance (m,) of each mean from its own repeats, or from packings without repeats."""
+    variance = description.packing_residuals.var(axis=0, ddof=1)
+    tests = tests_of(description.features)
+    for test, scatter in measured.scatter.items():
+        variance[tests == test] = np.diag(scatter.products) / scatter.freedom
+    floor = 1e-3 * description.packing_residuals.var(axis=0, ddof=1)
+    return np.maximum(variance, floor + 1e-300) / measured.counts
+
+
+def _criterion(description: Linearised, measured: Measured, key: tuple[int, ...]) -> float:
+    """BIC with one unknown factor for each test on the variances of points."""
+    tests = tests_of(description.features)
+    variance = _point_variance(description, measured)
+    fit = refit(description, measured.mean, np.diag(variance), key)
+    residual = (measured.mean - fit.values) / np.sqrt(variance)
+    n = len(residual)
+    total = 0.0
+    for test in dict.fromkeys(tests):
+        mine = residual[tests == test]
+        total += len(mine) * np.log(np.mean(mine**2))
+    return float(total + (len(description.prior_sd) + len(key)) * np.log(n))
+
+
+def _with_one(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values, np.ones((*values.shape[:-1], 1))], axis=-1)

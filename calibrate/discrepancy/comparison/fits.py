@@ -1,0 +1,142 @@
+"""Best fits of all explanations: none, each effect, pairs of the leading ones.
+
+Each is made with the noise at the base fit, then with that at its own place, and again where
+that moves it, since an emulator knows least where an effect is strong.  A fit is weighed by the
+noise where it ends, not where it came from.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.evidence import Evidence
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.noise import Noise, estimate
+from calibrate.discrepancy.comparison.projection import fitted_shift, project
+from calibrate.discrepancy.comparison.refit import Refit, Start, hollows, refit, start_at, weighed
+from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.score import admissible, lengths
+
+REFITTED = 3  # leading effects whose pairs are refitted
+BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
+# the base fit, which may be far off where an effect is strong, and with the prior's
+ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
+MOVES = 2  # of a fit, at most, to where the noise at its place leads
+HOLLOWS = 3  # different fits of one explanation that are weighed by their own noise
+
+Fits = dict[tuple[int, ...], Refit]
+
+
+def fitted_base(
+    d: Linearised, measured: Measured, packing: np.ndarray, inflation: float
+) -> tuple[Noise, Refit]:
+    """The noise of a sample and the fit of the base parameters alone; packing (m, m): covariance
+    of simulated specimens."""
+    noise = estimate(d, measured, packing, d.prior_sd**2)
+    base = refit(d, measured.mean, inflation * noise.mean)
+    spread = fitted_shift(base.working, base.base_slopes, d.prior_sd, noise.mean)[1]
+    noise = estimate(d, measured, packing, base.delta**2 + np.diag(spread))
+    starts = [start_at(d), start_at(d, base.delta)]
+    if d.emulator is not None:
+        drawn = np.random.default_rng(0).normal(size=(ELSEWHERE, len(d.prior_sd)))
+        starts += [start_at(d, d.prior_sd * shift) for shift in drawn]
+    return noise, _Fitter(d, measured.mean, noise, inflation).likeliest((), starts)
+
+
+def covariance_at(d: Linearised, noise: Noise, fit: Refit) -> np.ndarray:
+    """Covariance (m, m) of measured minus simulated mean, with what the description is wrong by
+    at the fit in place of what it is wrong by at its own centre."""
+    here = d.wrong_at(fit.delta, fit.strengths)
+    return noise.mean - d.wrong @ d.wrong.T + here @ here.T
+
+
+def all_fits(
+    d: Linearised,
+    measured: np.ndarray,
+    noise: Noise,
+    inflation: float,
+    base: Refit,
+    first: Evidence,
+) -> Fits:
+    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
+    the leading effects, the best one with its companions, and the leading pair.
+
+    measured (m,): means; base: the fit without effects.
+    """
+    fitter = _Fitter(d, measured, noise, inflation)
+    order = [int(k) for k in np.argsort(-first.singles)]
+    alone = order if d.emulator is not None else order[:REFITTED]
+    fits: Fits = {(k,): fitter.likeliest((k,), _starts(d, base, k)) for k in alone}
+    lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
+    chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
+    if lead:
+        chosen += [(lead[0], j) for j in _companions(d, fits[(lead[0],)])]
+    if len(first.pairs):
+        i, j = first.pair_index[int(np.argmax(first.pairs))]
+        chosen.append((int(i), int(j)))
+    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
+    return fits | {key: fitter.likeliest(key, _of_its_parts(key, base, fits)) for key in pairs}
+
+
+def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:
+    """Starts with one effect: without it and, where it is not linear, from several strengths."""
+    yield start_at(d, base.delta)
+    if d.emulator is None:
+        return
+    candidate = d.effects[effect]
+    signs = (1.0,) if candidate.one_sided else (1.0, -1.0)
+    for delta, share, sign in product((base.delta, None), BEGINNINGS, signs):
+        yield start_at(d, delta, effect, sign * share * candidate.reach)
+
+
+def _of_its_parts(key: tuple[int, ...], base: Refit, fits: Fits) -> list[Start]:
+    """Starts with two effects: the base fit and those with one of them."""
+    alone = [fits[(k,)] for k in key if (k,) in fits]
+    return [(fit.delta, fit.strengths) for fit in (base, *alone)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitter:
+    """Fits explanations to one sample."""
+
+    d: Linearised
+    measured: np.ndarray
+    noise: Noise
+    inflation: float
+
+    def likeliest(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
+        """The likeliest of the best fits from some starts, each weighed by the noise at its own
+        place, and moved to where this leads while that is likelier."""
+        covariance = self.inflation * self.noise.mean
+        found = hollows(self.d, self.measured, covariance, key, starts)[:HOLLOWS]
+        best = min((self._weighed(fit) for fit in found), key=self._unlikely)
+        for _ in range(MOVES if self.d.emulator is not None else 0):
+            start, own = (best.delta, best.strengths), self.inflation * best.covariance
+            moved = self._weighed(refit(self.d, self.measured, own, key, start))
+            if self._unlikely(moved) >= self._unlikely(best):
+                break
+            best = moved
+        return best
+
+    def _weighed(self, fit: Refit) -> Refit:
+        """The same point, weighed by the noise there."""
+        own = covariance_at(self.d, self.noise, fit)
+        return replace(weighed(self.d, self.measured, self.inflation * own, fit), covariance=own)
+
+    def _unlikely(self, fit: Refit) -> float:
+        """Minus twice the log posterior density, up to a constant."""
+        return fit.objective + float(np.linalg.slogdet(self.inflation * fit.covariance)[1])
+
+
+def _companions(d: Linearised, fit: Refit) -> list[int]:
+    """The two effects that would help most beside the fitted one."""
+    on = list(fit.chosen)
+    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance)
+    unit = design.effects[:, on] / lengths(design.effects[:, on])
+    others = design.effects - unit @ (unit.T @ design.effects)
+    left = design.residual - unit @ (unit.T @ design.residual)
+    score = admissible(others.T @ left / lengths(others), d.one_sided)
+    score[on] = -np.inf
+    return [int(k) for k in np.argsort(-score)[:2] if k not in on]

@@ -1,0 +1,212 @@
+"""What simulations said: features, their slopes, and the scatter between packings.
+
+    f(delta, e) = mean + B delta + G e            delta = ln p - ln p0,  e in typical strengths
+
+B (m, p) are slopes per ln p with a normal prior on delta; G (m, k) are slopes of the effects
+per typical strength, at strength 0.  Whoever fills this runs the simulator; an emulator of
+values and slopes may stand behind it for what is not linear.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.features import Feature
+
+KINDS = ("contact", "measuring", "specimen", "numerical")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A candidate: its name, whether its strength can only be positive, the strength that
+    is typical (in `unit`), what it would change (one of `KINDS`), and how many typical strengths
+    the simulations reach to."""
+
+    name: str
+    one_sided: bool
+    typical: float
+    unit: str = ""
+    kind: str = "contact"
+    reach: float = 3.0
+
+
+class Emulator(Protocol):
+    """Values (m,), slopes (m, p) and effects' slopes (m, k, per typical strength) at a point;
+    `wrong` are directions (m, q) in which these values may be wrong, one standard deviation
+    each."""
+
+    def __call__(
+        self, delta: np.ndarray, strengths: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+
+    def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A linear description of the simulator in the space of features.
+
+    mean (m,) over `mean_specimens` packings; base_slopes (m, p) per ln p with prior_sd (p,);
+    effect_slopes (m, k) per typical strength; *_errors are standard errors of slopes of the same
+    shapes; packing_residuals (n, m) are features of n simulated specimens minus their mean;
+    extra (m, m) covariances of a specimen that simulations of packings do not contain
+    (density, moisture); sensor (m, m) that of the instruments; wrong (m, q) directions in
+    which the description itself may be wrong, one standard deviation each.
+    """
+
+    features: tuple[Feature, ...]
+    mean: np.ndarray
+    base_names: tuple[str, ...]
+    base_slopes: np.ndarray
+    prior_sd: np.ndarray
+    effects: tuple[Effect, ...]
+    effect_slopes: np.ndarray
+    packing_residuals: np.ndarray
+    mean_specimens: int
+    base_errors: np.ndarray
+    extra: np.ndarray
+    sensor: np.ndarray
+    wrong: np.ndarray
+    emulator: Emulator | None = field(default=None)
+
+    def __post_init__(self):
+        m, p, k = len(self.features), len(self.base_names), len(self.effects)
+        shapes = {
+            "mean": (m,),
+            "base_slopes": (m, p),
+            "prior_sd": (p,),
+            "effect_slopes": (m, k),
+            "base_errors": (m, p),
+            "extra": (m, m),
+            "sensor": (m, m),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+        if self.wrong.shape[:1] != (m,) or self.wrong.ndim != 2:
+            raise ValueError(f"wrong has shape {self.wrong.shape}, not ({m}, q)")
+        if self.packing_residuals.shape[1:] != (m,) or len(self.packing_residuals) < 8:
+            raise ValueError(f"packing_residuals must have at least 8 rows of {m} features")
+
+    @property
+    def own_error(self) -> np.ndarray:
+        """Covariance (m, m) of what the description itself is wrong by, beside its slopes."""
+        return self.wrong @ self.wrong.T
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        return tuple(effect.name for effect in self.effects)
+
+    @property
+    def one_sided(self) -> np.ndarray:
+        """Which effects can only have positive strength, shape (k,)."""
+        return np.array([effect.one_sided for effect in self.effects], bool)
+
+    def at(self, delta: np.ndarray, strengths: np.ndarray):
+        """Values (m,), slopes (m, p) and effects' slopes (m, k) at a point."""
+        if self.emulator is not None:
+            return self.emulator(delta, strengths)
+        values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
+        return values, self.base_slopes, self.effect_slopes
+
+    def wrong_at(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        """Directions (m, q) in which the values at a point may be wrong."""
+        return self.wrong if self.emulator is None else self.emulator.wrong(delta, strengths)
+
+    def without_effects(self, names: Sequence[str]) -> "Linearised":
+        """The same without some candidates."""
+        keep = [i for i, effect in enumerate(self.effects) if effect.name not in names]
+        return replace(
+            self,
+            effects=tuple(self.effects[i] for i in keep),
+            effect_slopes=self.effect_slopes[:, keep],
+            emulator=None if self.emulator is None else _Fewer(self.emulator, keep, self),
+        )
+
+    def only_features(self, index: np.ndarray) -> "Linearised":
+        """The same for a subset of the features."""
+        block = np.ix_(index, index)
+        return replace(
+            self,
+            features=tuple(self.features[i] for i in index),
+            mean=self.mean[index],
+            base_slopes=self.base_slopes[index],
+            effect_slopes=self.effect_slopes[index],
+            packing_residuals=self.packing_residuals[:, index],
+            base_errors=self.base_errors[index],
+            extra=self.extra[block],
+            sensor=self.sensor[block],
+            wrong=self.wrong[index],
+            emulator=None if self.emulator is None else _Rows(self.emulator, index),
+        )
+
+
+def simple(
+    features: Sequence[Feature],
+    mean: np.ndarray,
+    base: dict[str, tuple[np.ndarray, float]],
+    effects: Sequence[tuple[Effect, np.ndarray]],
+    packing_residuals: np.ndarray,
+    mean_specimens: int | None = None,
+) -> Linearised:
+    """A description without slope errors, extra covariances or emulator.
+
+    base: slope (m,) per ln p and prior deviation by name; effects with slopes (m,) per unit
+    of their strength.  `dataclasses.replace` adds the rest.
+    """
+    m = len(mean)
+    slopes = np.array([slope for slope, _ in base.values()]).reshape(-1, m).T
+    columns = np.array([slope * e.typical for e, slope in effects]).reshape(-1, m).T
+    return Linearised(
+        features=tuple(features),
+        mean=mean,
+        base_names=tuple(base),
+        base_slopes=slopes,
+        prior_sd=np.array([sd for _, sd in base.values()]),
+        effects=tuple(effect for effect, _ in effects),
+        effect_slopes=columns,
+        packing_residuals=packing_residuals,
+        mean_specimens=mean_specimens or len(packing_residuals),
+        base_errors=np.zeros_like(slopes),
+        extra=np.zeros((m, m)),
+        sensor=np.zeros((m, m)),
+        wrong=np.zeros((m, 0)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fewer:
+    """An emulator that holds all effects but some at strength 0."""
+
+    emulator: Emulator
+    keep: list[int]
+    whole: Linearised
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, self._every(strengths))
+        return values, base, effects[:, self.keep]
+
+    def wrong(self, delta, strengths):
+        return self.emulator.wrong(delta, self._every(strengths))
+
+    def _every(self, strengths):
+        every = np.zeros(len(self.whole.effects))
+        every[self.keep] = strengths
+        return every
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """An emulator of a subset of the features."""
+
+    emulator: Emulator
+    index: np.ndarray
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, strengths)
+        return values[self.index], base[self.index], effects[self.index]
+
+    def wrong(self, delta, strengths):
+        return self.emulator.wrong(delta, strengths)[self.index]

@@ -1,0 +1,198 @@
+"""Where does the gap lie?  Residuals of the best base fit, by test and by segment.
+
+    r = y - f(delta)      Cov r = V Sigma^-1 ... = (I - H) V (I - H)',  V = Sigma + B P B'
+
+H is the operator of the base fit, so that what the fit has swallowed counts as certain.
+Bands are simultaneous over all features (sup-t by simulation): a named segment is not one of many
+tries.  A segment's share of the misfit is its part of the squared length of the residual
+whitened by the symmetric root of V's correlation (ZCA-cor: Kessy, Lewin and Strimmer 2018),
+the whitening that stays closest to the features themselves.  One test predicted from the
+other: the base parameters are fitted to one, with prior, and carried over by B cov(delta) B'.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, stats
+
+from calibrate.discrepancy.comparison.features import segments_of, tests_of
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.comparison.refit import Refit
+from calibrate.discrepancy.comparison.repeats import Measured
+
+LEVEL = 0.95
+SIMULATED = 2000
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A segment's mean residual, measured minus simulated, in its unit and over its standard
+    error (z); whether it leaves the simultaneous band; its share of the misfit with an
+    interval, and the share it would have by chance."""
+
+    test: str
+    segment: str
+    gap: float
+    unit: str
+    z: float
+    outside: bool
+    share: float
+    share_low: float
+    share_high: float
+    share_by_chance: float
+
+
+@dataclass(frozen=True, eq=False)
+class CrossTest:
+    """One test predicted from the other: difference and its deviation by feature (of that
+    test), p-value of a perfect prediction, and the factor by which the measured displacements
+    (confined) or forces (unconfined) are larger than predicted, with its standard error."""
+
+    predicted: str
+    features: np.ndarray
+    difference: np.ndarray
+    deviation: np.ndarray
+    p_value: float
+    factor: float
+    factor_se: float
+
+
+@dataclass(frozen=True, eq=False)
+class Where:
+    """Residual (m,) with standard error and half-width of the simultaneous band (m,), by
+    segment, and across tests."""
+
+    residual: np.ndarray
+    deviation: np.ndarray
+    band: np.ndarray
+    segments: tuple[Segment, ...]
+    across: tuple[CrossTest, ...]
+
+
+def where(
+    description: Linearised, measured: Measured, noise: Noise, base: Refit, seed: int
+) -> Where:
+    """Locates the gap of a sample, given its base fit."""
+    rng = np.random.default_rng(seed)
+    prior = np.diag(description.prior_sd**2)
+    marginal = noise.mean + base.base_slopes @ prior @ base.base_slopes.T
+    keep = _residual_maker(base.base_slopes, description.prior_sd, noise.mean)
+    covariance = keep @ marginal @ keep.T
+    residual = measured.mean - base.values
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    critical = sup_t(covariance, freedom_of(measured), rng)
+    return Where(
+        residual,
+        deviation,
+        critical * deviation,
+        _segments(description, base.working, residual, covariance, marginal, critical, rng),
+        across_tests(description, measured, noise, base),
+    )
+
+
+def sup_t(covariance: np.ndarray, freedom: int, rng: np.random.Generator) -> float:
+    """Critical value of the largest of |t| over all features, by simulation."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(deviation, deviation)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = rng.standard_normal((SIMULATED, len(values))) @ root.T
+    scale = np.sqrt(freedom / rng.chisquare(freedom, SIMULATED))
+    return float(np.quantile(np.abs(draws).max(axis=1) * scale, LEVEL))
+
+
+def freedom_of(measured: Measured, carrying: int = 5) -> int:
+    """Degrees of freedom behind the scale of the noise: those of the repeats times the few
+    modes that carry their scatter; 4 where no repeats are known."""
+    found = [s.freedom * min(carrying, len(s.products)) for s in measured.scatter.values()]
+    return max(min(found), 1) if found else 4
+
+
+def across_tests(
+    description: Linearised, measured: Measured, noise: Noise, base: Refit
+) -> tuple[CrossTest, ...]:
+    """Each test predicted from the other."""
+    tests = tests_of(description.features)
+    prior = np.diag(description.prior_sd**2)
+    marginal = noise.mean + base.base_slopes @ prior @ base.base_slopes.T
+    found = []
+    for name in dict.fromkeys(tests):
+        mine, other = np.flatnonzero(tests == name), np.flatnonzero(tests != name)
+        if len(other):
+            found.append(_predicted(name, mine, other, marginal, base, measured))
+    return tuple(found)
+
+
+def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> CrossTest:
+    carry = np.linalg.solve(marginal[np.ix_(other, other)], marginal[np.ix_(other, mine)]).T
+    expected = carry @ base.working[other]
+    difference = base.working[mine] - expected
+    covariance = marginal[np.ix_(mine, mine)] - carry @ marginal[np.ix_(other, mine)]
+    alike = _of_the_commonest_unit([measured.features[i].unit for i in mine])
+    prediction = (measured.mean[mine] - difference)[alike]
+    weighted = np.linalg.solve(covariance[np.ix_(alike, alike)], prediction)
+    information = float(prediction @ weighted)
+    chi2 = float(difference @ np.linalg.solve(covariance, difference))
+    return CrossTest(
+        predicted=name,
+        features=mine,
+        difference=difference,
+        deviation=np.sqrt(np.diag(covariance)),
+        p_value=float(stats.chi2.sf(chi2, len(mine))),
+        factor=1 + float(weighted @ difference[alike]) / information,
+        factor_se=information**-0.5,
+    )
+
+
+def _of_the_commonest_unit(units: Sequence[str]) -> np.ndarray:
+    """Displacements of a confined test, forces of an unconfined one: the machine turns at a force
+    that no soil changes, so that force and displacement have no factor in common."""
+    names, counts = np.unique(units, return_counts=True)
+    return np.flatnonzero(np.array(units) == names[counts.argmax()])
+
+
+def _segments(description, working, residual, covariance, marginal, critical, rng):
+    white, shares = _shares_by_feature(working, marginal)
+    drawn = white + rng.standard_normal((SIMULATED, len(white)))
+    drawn = drawn**2 / (drawn**2).sum(axis=1, keepdims=True)
+    found = []
+    for test, segment, index in segments_of(description.features):
+        for unit in dict.fromkeys(description.features[i].unit for i in index):
+            rows = np.array([i for i in index if description.features[i].unit == unit])
+            gap = float(residual[rows].mean())
+            error = np.sqrt(covariance[np.ix_(rows, rows)].mean())
+            low, high = np.quantile(drawn[:, rows].sum(axis=1), [0.05, 0.95])
+            edge = critical * np.sqrt(np.diag(covariance)[rows])
+            found.append(
+                Segment(
+                    test=test,
+                    segment=segment,
+                    gap=gap,
+                    unit=unit,
+                    z=float(gap / max(error, 1e-300)),
+                    outside=bool((np.abs(residual[rows]) > edge).any()),
+                    share=float(shares[rows].sum()),
+                    share_low=float(low),
+                    share_high=float(high),
+                    share_by_chance=len(rows) / len(residual),
+                )
+            )
+    return tuple(found)
+
+
+def _shares_by_feature(residual: np.ndarray, marginal: np.ndarray):
+    """ZCA-cor whitened residual (m,), and each feature's share of its squared length."""
+    deviation = np.sqrt(np.diag(marginal))
+    values, vectors = np.linalg.eigh(marginal / np.outer(deviation, deviation))
+    root = (vectors / np.sqrt(np.maximum(values, 1e-10))) @ vectors.T
+    white = root @ (residual / deviation)
+    return white, white**2 / max(float(white @ white), 1e-300)
+
+
+def _residual_maker(base_slopes, prior_sd, covariance) -> np.ndarray:
+    """I - H of the base fit, shape (m, m)."""
+    weighted = linalg.solve(covariance, base_slopes, assume_a="pos")
+    spread = np.linalg.inv(base_slopes.T @ weighted + np.diag(1 / prior_sd**2))
+    return np.eye(len(covariance)) - base_slopes @ spread @ weighted.T

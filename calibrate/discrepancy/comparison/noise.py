@@ -1,0 +1,204 @@
+"""How far specimens scatter: the covariance of one specimen's features, and of their mean.
+
+    S(a) = A (S_packing + S_extra) A + S_sensor          A = diag(a of the feature's test)
+    Sigma = S(a) * shared/(n n') + S_packing / n_mean + slope errors + W W'
+
+S_packing comes from simulated specimens, as factors and a diagonal or shrunk towards its
+diagonal, whichever predicts left-out specimens best.  From repeats come the amplitudes a, one
+for each test (restricted likelihood with a log-normal prior about 1), and then, along each
+principal direction of a test's S by itself, a factor on the variance:
+
+    (PRIOR_FREEDOM + sum of squares of repeats over S)/(PRIOR_FREEDOM + their freedom)
+
+the posterior scale of a variance under its conjugate prior, a scaled inverse chi-square about 1
+(Gelman et al., Bayesian data analysis, section 2.6): some specimens slip where most do not, and
+a mean that one of them has pulled is no gap.
+W are the directions in which the description may be wrong.  How far amplitude and
+factors may go is what predicted the means of cases with nothing hidden best (docs/decisions.md).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from calibrate.discrepancy.comparison.features import tests_of
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.repeats import Measured, Scatter
+
+PRIOR_SD_LN_AMPLITUDE = 0.25
+FOLDS = 5
+SMALLEST_UNIQUENESS = 1e-3  # share of a feature's variance that no factor explains, at least
+SMALLEST = 1e-9  # variance along a direction, of a correlation matrix
+CARRYING = 0.98  # of the scatter's variance: the modes from which the amplitude is judged
+PRIOR_FREEDOM = 4.0  # of the variance along one direction
+GRID = np.linspace(-1.6, 1.6, 161)  # of ln a
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a covariance is regularised: `factors` kept, or `weight` of the diagonal."""
+
+    factors: int = 0
+    weight: float = 0.0
+
+    def of(self, samples: np.ndarray) -> np.ndarray:
+        """Covariance (m, m) of centred samples (n, m)."""
+        freedom = max(len(samples) - 1, 1)
+        deviation = np.sqrt((samples**2).sum(axis=0) / freedom)
+        safe = np.where(deviation > 0, deviation, 1.0)
+        correlation = (samples / safe).T @ (samples / safe) / freedom
+        np.fill_diagonal(correlation, 1.0)
+        kept = self._factors(correlation) if self.factors else self._shrunk(correlation)
+        return kept * np.outer(deviation, deviation)
+
+    def _shrunk(self, correlation: np.ndarray) -> np.ndarray:
+        off = (1 - self.weight) * correlation
+        np.fill_diagonal(off, 1.0)
+        return off
+
+    def _factors(self, correlation: np.ndarray) -> np.ndarray:
+        values, vectors = np.linalg.eigh(correlation)
+        loadings = vectors[:, -self.factors :] * np.sqrt(np.maximum(values[-self.factors :], 0))
+        common = loadings @ loadings.T
+        unique = np.maximum(1 - np.diag(common), SMALLEST_UNIQUENESS)
+        return common + np.diag(unique)
+
+
+SHAPES = tuple(Shape(factors=q) for q in (1, 2, 3, 4, 5, 6, 8, 10, 13, 16)) + tuple(
+    Shape(weight=w) for w in (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.4, 1.0)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Covariance of one specimen (m, m), the amplitudes by test with the deviations of
+    their logarithms, and the covariance (m, m) of measured minus simulated mean."""
+
+    specimen: np.ndarray
+    mean: np.ndarray
+    amplitudes: dict[str, float]
+    ln_amplitude_sd: dict[str, float]
+
+    @property
+    def ln_scale_sd(self) -> float:
+        """Deviation of the logarithm of the noise as a whole (mean over tests)."""
+        deviations = list(self.ln_amplitude_sd.values())
+        return float(np.sqrt(np.mean(np.square(deviations))))
+
+
+def best_shape(samples: np.ndarray, shapes: Sequence[Shape] = SHAPES) -> Shape:
+    """The shape that predicts left-out specimens best (cross-validated normal likelihood).
+
+    samples: (n, m), centred.  Features that never vary are ignored.
+    """
+    varying = samples[:, samples.std(axis=0) > 0]
+    if varying.shape[1] < 2:
+        return Shape(weight=0.0)
+    scaled = varying / varying.std(axis=0)
+    fold = np.arange(len(scaled)) % FOLDS
+    scores = [
+        sum(_log_likelihood(s, scaled[fold != f], scaled[fold == f]) for f in range(FOLDS))
+        for s in shapes
+    ]
+    return shapes[int(np.argmax(scores))]
+
+
+def packing_covariance(description: Linearised, shape: Shape | None = None) -> np.ndarray:
+    """Regularised covariance (m, m) of simulated specimens."""
+    samples = description.packing_residuals - description.packing_residuals.mean(axis=0)
+    return (shape or best_shape(samples)).of(samples)
+
+
+def estimate(
+    description: Linearised, measured: Measured, packing: np.ndarray, delta_variance: np.ndarray
+) -> Noise:
+    """The noise of a measured sample.
+
+    packing: regularised covariance (m, m) of simulated specimens; delta_variance (p,):
+    expected squares of the base parameters' shifts, through which errors of slopes act.
+    """
+    tests = tests_of(description.features)
+    fixed = description.sensor
+    scattering = packing + description.extra
+    amplitude, spread = np.ones(len(tests)), {}
+    for test in dict.fromkeys(tests):
+        mine = np.flatnonzero(tests == test)
+        block = np.ix_(mine, mine)
+        scatter = measured.scatter.get(test)
+        value, sd = amplitude_of(scattering[block], fixed[block], scatter)
+        amplitude[mine], spread[test] = value, sd
+    scale = np.outer(amplitude, amplitude)
+    specimen = _as_repeats_scatter(scale * scattering + fixed, tests, measured)
+    model = packing / description.mean_specimens + slope_error(description, packing, delta_variance)
+    mean = specimen * measured.weights() + model + description.own_error
+    found = {test: float(amplitude[tests == test][0]) for test in dict.fromkeys(tests)}
+    return Noise(specimen, mean, found, spread)
+
+
+def _as_repeats_scatter(specimen: np.ndarray, tests: np.ndarray, measured: Measured) -> np.ndarray:
+    """The covariance (m, m) of a specimen with the variances along each test's principal
+    directions as its repeats show them."""
+    change = np.eye(len(tests))
+    for test, scatter in measured.scatter.items():
+        mine = np.flatnonzero(tests == test)
+        block = specimen[np.ix_(mine, mine)]
+        deviation = np.sqrt(np.diag(block))
+        values, axes = np.linalg.eigh(block / np.outer(deviation, deviation))
+        standard = scatter.products / np.outer(deviation, deviation)
+        seen = np.einsum("ij,ik,kj->j", axes, standard, axes) / np.maximum(values, SMALLEST)
+        factor = (PRIOR_FREEDOM + seen) / (PRIOR_FREEDOM + scatter.freedom)
+        turned = (axes * np.sqrt(factor)) @ axes.T
+        change[np.ix_(mine, mine)] = deviation[:, None] * turned / deviation
+    return change @ specimen @ change.T
+
+
+def amplitude_of(
+    scattering: np.ndarray, fixed: np.ndarray, scatter: Scatter | None
+) -> tuple[float, float]:
+    """Amplitude a of S = a^2 C + F from repeats, and the deviation of ln a.
+
+    Posterior mean of ln a on a grid: the restricted likelihood of the scatter of repeats
+    within the leading modes of C (`CARRYING`), times the prior.
+    """
+    log_posterior = -0.5 * (GRID / PRIOR_SD_LN_AMPLITUDE) ** 2
+    if scatter is not None:
+        values, modes = np.linalg.eigh(scattering)
+        explained = np.cumsum(values[::-1]) / max(values.sum(), 1e-300)
+        lead = modes[:, ::-1][:, : int(np.searchsorted(explained, CARRYING)) + 1]
+        common, rest = lead.T @ scattering @ lead, lead.T @ fixed @ lead
+        ratio, basis = linalg.eigh(common, rest + 1e-9 * np.trace(common) * np.eye(len(rest)))
+        basis = lead @ basis
+        seen = np.einsum("ij,ik,kj->j", basis, scatter.products, basis)
+        variance = np.exp(2 * GRID)[:, None] * np.maximum(ratio, 0) + 1
+        log_posterior = log_posterior - 0.5 * (
+            scatter.freedom * np.log(variance) + seen / variance
+        ).sum(axis=1)
+    weight = np.exp(log_posterior - log_posterior.max())
+    weight /= weight.sum()
+    mean = float(weight @ GRID)
+    return float(np.exp(mean)), float(np.sqrt(weight @ (GRID - mean) ** 2))
+
+
+def slope_error(
+    description: Linearised, packing: np.ndarray, delta_variance: np.ndarray
+) -> np.ndarray:
+    """Covariance (m, m) of the simulated mean from errors of slopes.
+
+    Errors of slopes come from packings, so they are correlated as packings are.
+    """
+    deviation = np.sqrt(np.maximum(np.diag(packing), 1e-300))
+    correlation = packing / np.outer(deviation, deviation)
+    errors = description.base_errors
+    return np.einsum("ip,p,jp->ij", errors, delta_variance, errors) * correlation
+
+
+def _log_likelihood(shape: Shape, seen: np.ndarray, left_out: np.ndarray) -> float:
+    middle = seen.mean(axis=0)
+    try:
+        lower = np.linalg.cholesky(shape.of(seen - middle))
+    except np.linalg.LinAlgError:
+        return -np.inf
+    white = linalg.solve_triangular(lower, (left_out - middle).T, lower=True)
+    return float(-0.5 * (white**2).sum() - len(left_out) * np.log(np.diag(lower)).sum())

@@ -1,0 +1,152 @@
+"""From evidences to probabilities over no gap, each effect, each pair, and unknown.
+
+    none     - t s(b)                                     b = max ln B - ln B
+    effect   - t s(b) + a1 + h(effect) - ln k             s(b) = c arsinh(b/c)
+    pair     - t s(b) + a2 + h(one) + h(other) - ln q
+    unknown  - t s(b) + a3 + d [p < ALPHA] + g ln(1 + <max ln B>)
+
+Probabilities are their softmax.  p is the p-value of what the best effect and the best pair leave,
+B the evidence of an explanation over that of none (`evidence`), g says that a large gap is oftener
+one from outside the library, whose effects only reach so far.  Evidence leans on a bank that is
+wrong in ways nobody knows: t says how much it is worth, s that differences of more than c are
+worth less, the a are prior odds, and the habits h of effects say which of them evidence speaks for
+too readily or too seldom, and how often each was there.  All are fitted by their logarithmic score
+to withheld cases whose seal has been opened (`fitted`, `benchmarks/opinion.py`), pulled towards
+evidences as they are; so what is stated has the prior of these cases.  Temperature and bias
+scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from calibrate.discrepancy.comparison.evidence import Evidence
+
+NONE, UNKNOWN = "none", "unknown"
+ALPHA = 0.05  # of a test for a gap
+LEARNED = "opinion.json"  # beside this file
+MUCH = 3.0  # c: difference of ln evidences, beyond which more of it counts less
+ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them decides alone
+PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about their neutral values
+HABIT_SD = 1.2
+SHARPEST, DULLEST = 2.0, 0.05  # t
+NAMED_BELOW = 0.25  # probability of no gap: alarms in 4 % of opened nulls, by the other folds
+HOPELESS = -1e6  # ln evidence of what could not be fitted
+ABSENT = -1e9  # ln of the probability of what is no explanation of a case
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """t, the three a, d, g and the habits by effect (0 where not listed); `smallest` is the
+    least probability of a member of the set of explanations.  Neutral: evidences as they are."""
+
+    sharpness: float = 1.0
+    single: float = 0.0
+    pair: float = -1.5
+    unknown: float = -1.0
+    left_over: float = 0.0
+    large: float = 0.0
+    habits: Mapping[str, float] = field(default_factory=dict)
+    smallest: float = 0.1
+
+    def numbers(self, names: Sequence[str]) -> np.ndarray:
+        """t, a1, a2, a3, d, g and the habits of these effects (6 + k,)."""
+        kinds = (self.single, self.pair, self.unknown)
+        habits = (self.habits.get(name, 0.0) for name in names)
+        return np.array([self.sharpness, *kinds, self.left_over, self.large, *habits])
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What is known of a gap: evidence for the effects `names`, the p-value of the test for any
+    gap, and the larger of those of the tests after the best effect and after the best pair."""
+
+    names: tuple[str, ...]
+    evidence: Evidence
+    p_before: float
+    p_after: float
+
+
+def hypotheses(facts: Facts) -> list[tuple[str, ...]]:
+    """Explanations in the order of their scores: none, effects, pairs, unknown."""
+    pairs = [(facts.names[i], facts.names[j]) for i, j in facts.evidence.pair_index]
+    return [(NONE,), *((name,) for name in facts.names), *pairs, (UNKNOWN,)]
+
+
+def log_probabilities(facts: Facts, opinion: Opinion) -> np.ndarray:
+    """ln of the probability of each of the `hypotheses`."""
+    columns, share = _table(facts, facts.names)
+    score = columns @ opinion.numbers(facts.names) + share
+    return score - logsumexp(score)
+
+
+@cache
+def learned() -> Opinion:
+    """The one that comes with the package."""
+    text = (resources.files("calibrate.discrepancy.comparison") / LEARNED).read_text(
+        encoding="utf-8"
+    )
+    return Opinion(**json.loads(text)["opinion"])
+
+
+def fitted(cases: Sequence[Facts], truths: Sequence[np.ndarray]) -> Opinion:
+    """The opinion with the best logarithmic score on cases.
+
+    truths: for each case a mask over its `hypotheses`: those that would be right.
+    """
+    names = tuple(dict.fromkeys(name for facts in cases for name in facts.names))
+    columns, share, right = _stacked([_table(facts, names) for facts in cases], truths)
+    neutral = Opinion().numbers(names)
+    pull = np.array([*PULL_SD, *[HABIT_SD] * len(names)])
+
+    def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
+        score = columns @ numbers + share
+        p = np.exp(score - logsumexp(score, axis=1, keepdims=True))
+        of_truth = (p * right).sum(axis=1)
+        foreseen = ODD + (1 - ODD) * of_truth
+        slope = ((1 - ODD) / foreseen)[:, None] * p * (right - of_truth[:, None])
+        away = (numbers - neutral) / pull
+        value = 0.5 * away @ away - np.log(foreseen).sum()
+        return float(value), away / pull - np.einsum("nh,nhj->j", slope, columns)
+
+    free, positive = (None, None), (0.0, None)
+    bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 2, *[free] * len(names)]
+    found = minimize(loss, neutral, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
+    return Opinion(*found[:6], habits=dict(zip(names, found[6:], strict=True)))
+
+
+def _table(facts: Facts, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """What each hypothesis' score is linear in, shape (h, 6 + k), and ln of its share (h,) in the
+    prior of its kind."""
+    found = facts.evidence
+    raw = np.concatenate([[0.0], found.singles, found.pairs, [found.unknown]])
+    raw = np.where(np.isfinite(raw), raw, HOPELESS)
+    count = (len(found.singles), len(found.pairs))
+    kind = np.repeat([0, 1, 2, 3], [1, *count, 1])
+    kinds = kind[:, None] == np.array([1, 2, 3])
+    left = float(facts.p_after < ALPHA)
+    outside = (kind == 3)[:, None] * np.array([left, np.log1p(raw.max())])
+    inside = np.array([[name in h for name in names] for h in hypotheses(facts)], float)
+    behind = MUCH * np.arcsinh((raw.max() - raw) / MUCH)
+    columns = np.column_stack([-behind, kinds, outside, inside.reshape(len(raw), -1)])
+    share = np.array([1, max(count[0], 1), max(count[1], 1), 1], float)
+    return columns, -np.log(share)[kind]
+
+
+def _stacked(
+    tables: Sequence[tuple[np.ndarray, np.ndarray]], truths: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns (n, h, j), shares (n, h) and truths (n, h) of cases, as long as the longest."""
+    most = max(len(share) for _, share in tables)
+    columns = np.zeros((len(tables), most, tables[0][0].shape[1]))
+    shares, right = np.full((len(tables), most), ABSENT), np.zeros((len(tables), most))
+    for i, ((rows, share), truth) in enumerate(zip(tables, truths, strict=True)):
+        columns[i, : len(share)], shares[i, : len(share)] = rows, share
+        right[i, : len(share)] = truth
+    return columns, shares, right

@@ -1,0 +1,245 @@
+"""How far does the gap shrink when an effect is added?
+
+The gap E of a model is the root mean square, over features, of its distance from a fresh
+specimen, each feature in units of the scatter of specimens; both tests count alike:
+
+    E^2 = 1 + d^2       d^2 = mean over features of (true mean - model)^2 / scatter^2
+
+1 is the floor: no model of the mean can predict a specimen better.  d^2 is estimated twice:
+from the sample with what fitting has swallowed given back (Mallows' Cp: |residual|^2 - tr S +
+2 tr H S, where S is the scatter of the sample's mean alone: what the description itself is wrong
+by shows on fresh specimens too), and by leaving specimens out.  Shrinkage = (E0 - E1)/(E0 - 1).
+Where its interval is wide the data cannot show it, and no value is claimed.
+Ceilings are the same number for any change of the contact law (span of base parameters,
+contact effects and a smooth gap), and for any change of the measuring chain (smooth
+distortions of displacement and of force along force, the same in both tests, and the
+measuring effects).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from calibrate.discrepancy.comparison.discrepancy import kernel_factors
+from calibrate.discrepancy.comparison.features import CONFINED, tests_of
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.comparison.refit import Refit, refit
+from calibrate.discrepancy.comparison.repeats import Measured
+
+WIDEST = 0.3  # of an interval (90 %), for a shrinkage to be claimed
+SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing
+BOOTSTRAP = 300
+CENTRES = (0.05, 0.3, 0.6, 0.9)  # of distortions, shares of the largest force
+SPAN_SD = 3.0  # typical strengths, of every direction of a ceiling
+SMOOTH_AMPLITUDE = 2.0  # scatters of a specimen, of the smooth gap in the contact ceiling
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """E before and after, the floor, the shrinkage with an interval (90 %), the shrinkage on
+    specimens left out (None with fewer than two), and the ceilings of the shrinkage."""
+
+    before: float
+    after: float
+    floor: float
+    shrinkage: float
+    low: float
+    high: float
+    left_out: float | None
+    ceilings: dict[str, float]
+
+    @property
+    def shown(self) -> bool:
+        """Whether the data can show the shrinkage."""
+        return is_shown(self.low, self.high)
+
+
+def how_far(
+    description: Linearised,
+    measured: Measured,
+    noise: Noise,
+    base: Refit,
+    best: Refit,
+    seed: int,
+) -> HowFar:
+    """The shrinkage by one refit, given the base fit."""
+    rng = np.random.default_rng(seed)
+    weight = feature_weights(description, noise)
+    before, after = (gap_squared(description, measured, noise, fit, weight) for fit in (base, best))
+    drawn = _drawn(description, measured, noise, (base, best), weight, rng)
+    low, high = np.quantile(drawn, [0.05, 0.95])
+    value = shrinkage(before, after)
+    ceilings = {
+        name: max(shrinkage(before, _span_gap(base, measured, noise, columns, weight)), value)
+        for name, columns in _spans(description, measured, noise, base).items()
+    }
+    left_out = _left_out(description, measured, noise, (base, best), weight)
+    return HowFar(
+        before=_error(before),
+        after=_error(after),
+        floor=1.0,
+        shrinkage=value,
+        low=float(low),
+        high=float(high),
+        left_out=left_out,
+        ceilings=ceilings,
+    )
+
+
+def is_shown(low: float, high: float) -> bool:
+    """Whether an interval is narrow enough for a shrinkage to be claimed."""
+    return high - low <= WIDEST
+
+
+def feature_weights(description: Linearised, noise: Noise) -> np.ndarray:
+    """1/scatter^2 (m,), so that they sum to one gap per test: both tests count alike."""
+    tests = tests_of(description.features)
+    names = list(dict.fromkeys(tests))
+    count = np.array([(tests == test).sum() for test in tests])
+    return 1 / (np.diag(noise.specimen) * count * len(names))
+
+
+def gap_squared(
+    description: Linearised, measured: Measured, noise: Noise, fit: Refit, weight: np.ndarray
+) -> float:
+    """d^2 of a fit to a sample's mean, corrected for what fitting has swallowed."""
+    hat = hat_of(*_columns(description, fit), fit.covariance)
+    residual = measured.mean - fit.values
+    return float(weight @ residual**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))
+
+
+def shrinkage(before: float, after: float) -> float:
+    """(E0 - E1)/(E0 - 1) from d0^2 and d1^2, kept within -1 and 1."""
+    possible = _error(before) - 1
+    if possible < SMALLEST_GAP:
+        return 0.0
+    return float(np.clip((_error(before) - _error(after)) / possible, -1.0, 1.0))
+
+
+def fresh_gap(values: np.ndarray, fresh: np.ndarray, weight: np.ndarray) -> float:
+    """d^2 of simulated values (m,) against the mean of many fresh specimens (n, m), NaN
+    where not measured."""
+    return float(weight @ (np.nanmean(fresh, axis=0) - values) ** 2)
+
+
+def _error(gap: float) -> float:
+    return float(np.sqrt(1 + max(gap, 0.0)))
+
+
+def _columns(description: Linearised, fit: Refit) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (m, q) that a fit may move in, with prior deviations (q,); an effect held at
+    its bound does not move."""
+    moving = [k for k in fit.chosen if fit.strengths[k] != 0]
+    columns = np.hstack([fit.base_slopes, fit.effect_slopes[:, moving]])
+    return columns, np.concatenate([description.prior_sd, np.full(len(moving), SPAN_SD)])
+
+
+def hat_of(columns: np.ndarray, prior: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Operator (m, m) of a fit that moves along columns (m, q) with prior deviations (q,)."""
+    weighted = linalg.solve(covariance, columns, assume_a="pos")
+    return columns @ np.linalg.inv(columns.T @ weighted + np.diag(prior**-2.0)) @ weighted.T
+
+
+def _of_the_mean(measured: Measured, noise: Noise) -> np.ndarray:
+    """Covariance (m, m) of a sample's mean about the mean of all such specimens."""
+    return noise.specimen * measured.weights()
+
+
+def _swallowed(hat: np.ndarray, scatter: np.ndarray, weight: np.ndarray) -> float:
+    """Mallows' correction of a weighted squared residual: 2 tr H S - tr S."""
+    return float(2 * weight @ np.diag(hat @ scatter) - weight @ np.diag(scatter))
+
+
+def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
+    """Shrinkages (n,) of samples drawn about the better fit, analysed linearly."""
+    base, best = fits
+    root = np.linalg.cholesky(noise.mean)
+    prepared = []
+    for fit in fits:
+        hat = hat_of(*_columns(description, fit), fit.covariance)
+        offset = _swallowed(hat, _of_the_mean(measured, noise), weight)
+        prepared.append((np.eye(len(hat)) - hat, offset))
+    gap = best.values - base.values
+    drawn = []
+    for _ in range(BOOTSTRAP):
+        scatter = root @ rng.standard_normal(len(root))
+        (keep0, offset0), (keep1, offset1) = prepared
+        before = weight @ (gap + keep0 @ scatter) ** 2 + offset0
+        after = weight @ (keep1 @ scatter) ** 2 + offset1
+        drawn.append(shrinkage(float(before), float(after)))
+    return np.array(drawn)
+
+
+def _left_out(description, measured, noise, fits, weight) -> float | None:
+    """Shrinkage on specimens left out of the fits, one after the other."""
+    specimens = measured.specimens
+    tests = tests_of(description.features)
+    per_test = [np.isfinite(specimens[:, tests == t]).any(axis=1).sum() for t in set(tests)]
+    if not len(specimens) or min(per_test) < 2:
+        return None
+    sums, total = np.zeros(2), measured.weight @ np.isfinite(specimens)
+    for number, specimen in enumerate(specimens):
+        rest = measured.without(number)
+        fewer = noise.specimen * (rest.weights() - measured.weights())
+        known = np.isfinite(specimen)
+        share = measured.weight[number] / total[known].max()
+        for i, whole in enumerate(fits):
+            covariance, start = whole.covariance + fewer, (whole.delta, whole.strengths)
+            fit = refit(description, rest.mean, covariance, whole.chosen, start)
+            error = np.where(known, specimen - fit.values, 0.0)
+            sums[i] += share * weight @ error**2
+    return shrinkage(float(sums[0] - 1), float(sums[1] - 1))
+
+
+def _spans(description, measured, noise, base: Refit) -> dict[str, np.ndarray]:
+    """Directions (m, q), one typical size each, of the two ceilings."""
+    kind = np.array([effect.kind for effect in description.effects])
+    smooth = kernel_factors(description.features, noise.specimen)
+    any_shape = [SMOOTH_AMPLITUDE / SPAN_SD * factor for factor in smooth]
+    contact = np.hstack([base.effect_slopes[:, kind == "contact"], *any_shape])
+    instruments = base.effect_slopes[:, kind == "measuring"]
+    chain = np.hstack([instruments, distortions(description, measured)])
+    return {"contact law": contact, "measuring chain": chain}
+
+
+def distortions(description: Linearised, measured: Measured) -> np.ndarray:
+    """What smooth distortions of displacement (0.1 mm) and of force (5 %) along force do to
+    the features, shape (m, 2 q): the same distortion acts in both tests."""
+    features, mean = description.features, measured.mean
+    high = max((f.scale for f in features if f.test == CONFINED), default=1.0)
+    force = np.array(
+        [f.abscissa if f.test == CONFINED else v for f, v in zip(features, mean, strict=True)]
+    )
+    slope = _slopes(description, mean)
+    columns = []
+    for centre in CENTRES:
+        bump = np.exp(-0.5 * ((force / high - centre) / 0.2) ** 2)
+        step = 1 / (1 + np.exp(-(force / high - centre) / 0.05))
+        confined = np.array([f.test == CONFINED for f in features])
+        columns.append(np.where(confined, 0.1 * step, -0.1 * slope * step))
+        columns.append(np.where(confined, -0.05 * force * bump * slope, 0.05 * force * bump))
+    return np.array(columns).T
+
+
+def _slopes(description: Linearised, mean: np.ndarray) -> np.ndarray:
+    """d value/d abscissa (m,) along each branch; 0 for features that stand alone."""
+    slope = np.zeros(len(mean))
+    for kind in ("loading", "unloading", "crushing"):
+        rows = np.array([i for i, f in enumerate(description.features) if f.kind == kind], int)
+        if len(rows) > 1:
+            at = np.array([description.features[i].abscissa for i in rows])
+            order = np.argsort(at)
+            slope[rows[order]] = np.gradient(mean[rows[order]], at[order])
+    return slope
+
+
+def _span_gap(base: Refit, measured, noise, columns, weight) -> float:
+    """d^2 when the base parameters and all directions of a span are free (within priors)."""
+    every = np.hstack([base.base_slopes, columns])
+    prior = np.full(every.shape[1], SPAN_SD)
+    prior[: base.base_slopes.shape[1]] = np.inf
+    hat = hat_of(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
+    left = base.working - hat @ base.working
+    return float(weight @ left**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))

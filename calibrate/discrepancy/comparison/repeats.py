@@ -1,0 +1,122 @@
+"""What was measured: the mean over repeats of every feature, and how the repeats scatter.
+
+Specimens are the sample, not points.  A specimen may have gone through one test or both;
+features of different tests then share as many specimens as went through both.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.features import TESTS, Curves, Feature, tests_of, vector
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Sum of squares and products (m_t, m_t) of one test's repeats about their mean, with its
+    degrees of freedom."""
+
+    products: np.ndarray
+    freedom: int
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Features of a soil: mean (m,), in how many specimens two features were both
+    measured, shared (m, m), and the scatter of repeats by test (absent if unknown).
+
+    `specimens` (s, m) keeps the single ones, NaN where not measured, and weight (s,) how much
+    each counts; no rows for targets.  With weights, `shared` is of as many specimens as would
+    make a mean as sure.
+    """
+
+    features: tuple[Feature, ...]
+    mean: np.ndarray
+    shared: np.ndarray
+    scatter: dict[str, Scatter]
+    specimens: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Number of repeats behind each mean, shape (m,)."""
+        return np.diag(self.shared)
+
+    def weights(self) -> np.ndarray:
+        """Covariance of the mean over the covariance of a specimen, shape (m, m)."""
+        return self.shared / np.outer(self.counts, self.counts)
+
+    def without(self, specimen: int) -> "Measured":
+        """The same with one specimen left out; features left unmeasured keep their mean."""
+        rest, weight = (np.delete(a, specimen, axis=0) for a in (self.specimens, self.weight))
+        return from_vectors(self.features, rest, weight)
+
+
+def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Measured:
+    """The sample of specimens with one or both curves each."""
+    return from_vectors(features, np.array([vector(features, curves) for curves in specimens]))
+
+
+def from_vectors(
+    features: Sequence[Feature], specimens: np.ndarray, weight: np.ndarray | None = None
+) -> Measured:
+    """The sample of feature vectors (s, m); NaN where a specimen lacks a feature; weight (s,):
+    how much each counts, 1 if not given.
+
+    ValueError if a feature was never measured: use `measured_features` first.
+    """
+    known = np.isfinite(specimens)
+    missing = [f.name for i, f in enumerate(features) if not known[:, i].any()]
+    if missing:
+        raise ValueError(f"never measured: {missing[0]}; drop it with measured_features")
+    weight = np.ones(len(specimens)) if weight is None else weight
+    heavy = weight[:, None] * known
+    total, squares = heavy.sum(axis=0), heavy.T @ heavy
+    counts = total**2 / np.diag(squares)
+    mean = np.where(known, heavy * specimens, 0.0).sum(axis=0) / total
+    scatter = {
+        test: found
+        for test in TESTS
+        if (found := _scatter(specimens[:, tests_of(features) == test], weight)) is not None
+    }
+    shared = squares * np.outer(counts / total, counts / total)
+    return Measured(tuple(features), mean, shared, scatter, specimens, weight)
+
+
+def from_targets(
+    features: Sequence[Feature], values: Mapping[str, tuple[float, float, int]]
+) -> Measured:
+    """Scalar targets alone: (mean, standard deviation of one, repeats) by feature's name."""
+    rows = [values[feature.name] for feature in features]
+    counts = np.array([row[2] for row in rows], float)
+    scatter = {
+        feature.test: Scatter(np.array([[(n - 1) * sd**2]]), int(n) - 1)
+        for feature, (_, sd, n) in zip(features, rows, strict=True)
+        if n > 1
+    }
+    mean = np.array([row[0] for row in rows], float)
+    none = np.empty((0, len(rows)))
+    return Measured(tuple(features), mean, np.diag(counts), scatter, none, np.empty(0))
+
+
+def measured_features(
+    features: Sequence[Feature], specimens: Sequence[Curves], values: np.ndarray | None = None
+) -> tuple[Feature, ...]:
+    """Those features that every specimen with a curve of their test has; values (s, m) of all, if
+    they are known already."""
+    if values is None:
+        values = np.array([vector(features, curves) for curves in specimens])
+    has_test = np.array([[f.test in curves for f in features] for curves in specimens])
+    complete = np.isfinite(values) | ~has_test
+    return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())
+
+
+def _scatter(values: np.ndarray, weight: np.ndarray) -> Scatter | None:
+    """Weighted scatter of the complete rows (s, m_t); None for fewer than two."""
+    complete = np.isfinite(values).all(axis=1)
+    rows, heavy = values[complete], weight[complete]
+    if len(rows) < 2 or not values.size:
+        return None
+    centred = rows - heavy @ rows / heavy.sum()
+    return Scatter(centred.T @ (heavy[:, None] * centred), len(rows) - 1)

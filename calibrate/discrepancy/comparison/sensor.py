@@ -1,0 +1,113 @@
+"""What recording adds to features: sampling at the laboratory's rate, and instruments' noise.
+
+A simulated curve has thousands of points and no noise; a recorded one misses the very peak and
+scatters.  Both the shift and the scatter of each feature are found by recording one
+typical curve many times, each time beginning at another moment.  Some machines store what
+they read at a moment, others the mean since the last reading, and few say which: half of the
+difference, which all specimens of a laboratory share, is one more thing that is not known.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.features import Curves, Feature, seen, vector
+from calibrate.discrepancy.comparison.noise import best_shape
+
+REPEATS = 100
+
+
+@dataclass(frozen=True)
+class Channel:
+    """How one test is recorded: travel between samples (mm), noise of force (N) and of
+    displacement (mm)."""
+
+    spacing: float
+    force_sd: float
+    displacement_sd: float
+
+    def record(
+        self, displacement: np.ndarray, force: np.ndarray, rng: np.random.Generator,
+        averaging: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """A recording that begins anywhere within the first interval; averaging: of the mean
+        force between readings."""
+        path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
+        at = np.arange(rng.uniform(0.0, self.spacing), path[-1], self.spacing)
+        x = np.interp(at, path, displacement) + self.displacement_sd * rng.standard_normal(len(at))
+        read = self._means(path, force, at) if averaging else np.interp(at, path, force)
+        return x, read + self.force_sd * rng.standard_normal(len(at))
+
+    def _means(self, path: np.ndarray, force: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Mean force over the interval about each reading."""
+        area = np.concatenate([[0.0], np.cumsum(np.diff(path) * (force[1:] + force[:-1]) / 2)])
+        ends = np.clip([at - self.spacing / 2, at + self.spacing / 2], 0.0, path[-1])
+        low, high = np.interp(ends, path, area)
+        return (high - low) / np.maximum(ends[1] - ends[0], 1e-12)
+
+
+def recording(
+    features: Sequence[Feature],
+    curves: Curves,
+    channels: Mapping[str, Channel],
+    rng: np.random.Generator,
+    repeats: int = REPEATS,
+    air: Mapping[str, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shift (m,) of the mean, covariance (m, m) of a specimen, and error (m,) that all share.
+
+    curves: finely sampled ones of a typical specimen, from contact on; channels: one for each test;
+    air: ways (mm) before contact that are recorded too.  What is recorded is read as that of a
+    laboratory is (`features.seen`).
+    """
+    moments, means = _departures(features, curves, channels, rng, repeats, air or {})
+    centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
+    shift, either = _middle(moments, means)
+    return shift, best_shape(centred).of(centred), either
+
+
+def recording_shift(
+    features: Sequence[Feature],
+    curves: Curves,
+    channels: Mapping[str, Channel],
+    rng: np.random.Generator,
+    repeats: int = REPEATS,
+    air: Mapping[str, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The shift and the shared error alone."""
+    return _middle(*_departures(features, curves, channels, rng, repeats, air or {}))
+
+
+def _departures(features, curves, channels, rng, repeats, air) -> tuple[np.ndarray, np.ndarray]:
+    """Features (r, m) of recordings less those of the curves, by moments and by means."""
+    exact = vector(features, curves)
+    whole = {test: through_air(x, force, air.get(test, 0.0)) for test, (x, force) in curves.items()}
+
+    def once(averaging: bool) -> np.ndarray:
+        read = {test: channels[test].record(*whole[test], rng, averaging) for test in whole}
+        return seen(features, read) - exact
+
+    def recorded(averaging: bool) -> np.ndarray:
+        found = np.array([once(averaging) for _ in range(repeats)])
+        return np.where(np.isfinite(found), found, 0.0 * exact)
+
+    return recorded(False), recorded(True)
+
+
+def _middle(moments: np.ndarray, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Between both ways, and how far each is from it."""
+    middle = (moments.mean(axis=0) + means.mean(axis=0)) / 2
+    return middle, moments.mean(axis=0) - middle
+
+
+def through_air(
+    displacement: np.ndarray, force: np.ndarray, way: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A curve with a way (mm) before contact, at the force of its first point."""
+    if not way:
+        return displacement, force
+    return (
+        np.concatenate([[displacement[0] - way], displacement]),
+        np.concatenate([[force[0]], force]),
+    )

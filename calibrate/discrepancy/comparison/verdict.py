@@ -1,0 +1,156 @@
+"""The answer in plain numbers, under the names that others build on.
+
+Every effect is also reported by itself, after the rule of Saris, Satorra and van der Veld
+(2009) for expected changes: `found` (significant, as large as is typical for it), `trivial`
+(significant, small), `absent` (not significant, though its typical strength would have been
+seen with 80 % power), `inconclusive` (not significant, and it could not have been seen).
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.classes import SEPARABLE
+from calibrate.discrepancy.comparison.compare import Prepared, Which
+from calibrate.discrepancy.comparison.localise import Where
+from calibrate.discrepancy.comparison.next_test import Proposal
+from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.comparison.reduction import HowFar
+from calibrate.discrepancy.comparison.score import admissible
+
+BIG = 0.3  # typical strengths; smaller is trivial
+SIGNIFICANT = 1.96  # of |z|; 1.64 for one-sided effects
+SHOWN = 0.005  # smallest probability of a pair that is listed
+
+
+@dataclass(frozen=True)
+class Report:
+    """One effect by itself; strengths in its own unit."""
+
+    name: str
+    status: str
+    z: float
+    strength: float
+    standard_error: float
+    unit: str
+    visibility: float
+
+
+def reports(prepared: Prepared, which: Which) -> list[Report]:
+    """Every effect of the library, by falling score."""
+    found, d = which.scores, prepared.description
+    score = admissible(found.z, d.one_sided)
+    rows = [
+        Report(
+            name=effect.name,
+            status=status(
+                float(score[k]),
+                effect.one_sided,
+                float(found.strength[k]),
+                float(found.typical_snr[k]),
+            ),
+            z=float(found.z[k]),
+            strength=float(found.strength[k] * effect.typical),
+            standard_error=float(found.strength_se[k] * effect.typical),
+            unit=effect.unit,
+            visibility=float(found.visibility[k]),
+        )
+        for k, effect in enumerate(d.effects)
+    ]
+    return [rows[k] for k in np.argsort(-score)]
+
+
+def status(score: float, one_sided: bool, strength: float, typical_snr: float) -> str:
+    """The rule above for one effect; strength in typical strengths."""
+    if score >= (1.64 if one_sided else SIGNIFICANT):
+        return "found" if abs(strength) >= BIG else "trivial"
+    return "absent" if typical_snr >= SEPARABLE else "inconclusive"
+
+
+def as_json(
+    prepared: Prepared,
+    where: Where,
+    which: Which,
+    far: HowFar | None,
+    proposals: list[Proposal],
+) -> dict:
+    """The keys where, which, how_far and next_test."""
+    return {
+        "where": [
+            {
+                "test": s.test,
+                "segment": s.segment,
+                "gap": s.gap,
+                "unit": s.unit,
+                "z": s.z,
+                "outside_band": s.outside,
+                "share": s.share,
+                "share_interval": [s.share_low, s.share_high],
+                "share_by_chance": s.share_by_chance,
+            }
+            for s in where.segments
+        ],
+        "across_tests": [
+            {
+                "predicted": c.predicted,
+                "p_value": c.p_value,
+                "factor": c.factor,
+                "factor_se": c.factor_se,
+            }
+            for c in where.across
+        ],
+        "which": _which(prepared, which),
+        "how_far": _how_far(far),
+        "next_test": _next(which, proposals),
+    }
+
+
+def _which(prepared: Prepared, which: Which) -> dict:
+    single = {n: which.probability[n] for n in which.facts.names}
+    ends = {n: which.probability[n] for n in (NONE, UNKNOWN)}
+    pairs = {
+        n: p
+        for n, p in which.probability.items()
+        if n not in single and n not in ends and p >= SHOWN
+    }
+    return {
+        "verdict": which.verdict,
+        "probability": {**single, **pairs, **ends},
+        "probability_by_class": which.by_class,
+        "likely_set": which.likely_set,
+        "alike": prepared.classes.alike(),
+        "absorbed_by_calibration": list(prepared.classes.absorbed),
+        "p_gap": which.facts.p_before,
+        "p_left_after_best": which.facts.p_after,
+        "effects": [asdict(report) for report in reports(prepared, which)],
+    }
+
+
+def _how_far(far: HowFar | None) -> dict | None:
+    if far is None:
+        return None
+    return {
+        "before": far.before,
+        "after": far.after,
+        "floor": far.floor,
+        "shrinkage": far.shrinkage,
+        "interval": [far.low, far.high],
+        "shown": far.shown,
+        "shrinkage_left_out": far.left_out,
+        "ceiling": far.ceilings,
+    }
+
+
+def _next(which: Which, proposals: list[Proposal]) -> dict | None:
+    if not proposals or which.verdict == NONE:
+        return None
+    best = proposals[0]
+    return {
+        "name": best.name,
+        "separation_now": best.now,
+        "separation": best.separation,
+        "settles": best.settles,
+        "hardest_pair": list(best.hardest),
+        "predicted": {name: curve.tolist() for name, curve in best.predicted.items()},
+        "all": [{"name": p.name, "cost": p.cost, "separation": p.separation} for p in proposals],
+    }

@@ -1,0 +1,327 @@
+"""What instruments add to a description: recording, and the force before contact.
+
+A recording misses what is sharp, and how much it misses depends on the curve: where the force
+reading is late, the turn of the confined curve is round already,
+
+    dR/dx = (F - R)/(v tau)        x: the platen's path, v its speed, tau the lag
+
+and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
+between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
+
+Where the force before contact was recorded, it is taken off (`features.seen`), so that an untared
+load cell moves those features alone in which the machine turned by its reading.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from calibrate.discrepancy.comparison.features import (
+    CONFINED,
+    UNCONFINED,
+    Curves,
+    Feature,
+    declare_before_contact,
+    readings_before_contact,
+    tared_rows,
+    vector,
+)
+from calibrate.discrepancy.comparison.linear import Emulator, Linearised
+from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
+from calibrate.discrepancy.comparison.sensor import recording, recording_shift
+from calibrate.discrepancy.library.lab import LabCurves
+from calibrate.discrepancy.library.load_cell_lag import LAG
+from calibrate.discrepancy.library.store import Bank
+
+FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
+STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
+OFFSET = "load_cell_offset"
+Interpolator = Callable[..., np.ndarray]
+ON_A_LAG = 30  # recordings
+LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
+
+
+def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> Linearised:
+    """The description with what recording adds to the features of curves."""
+    if not found.channels:
+        return d
+    reference, air = typical(bank, found), ways_through_air(found)
+    lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
+    unit = 0.0 if lag is None else d.effects[lag].typical
+    shift, sensor, either = recording(
+        d.features, reference, found.channels, np.random.default_rng(seed), air=air
+    )
+    rows = [
+        recording_shift(
+            d.features, late(reference, found, lags * unit), found.channels,
+            np.random.default_rng(seed), ON_A_LAG, air,
+        )
+        for lags in (LAGS if lag is not None else ())
+    ]  # fmt: skip
+    read = Recorded(lag, *_from_none(shift, either, rows))
+    d = replace(
+        d, mean=d.mean + shift, sensor=d.sensor + sensor,
+        effect_slopes=d.effect_slopes + read.slopes(np.zeros(len(d.effects))),
+        wrong=np.column_stack([d.wrong, either]),
+        emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
+    )  # fmt: skip
+    return _tared(d, found.tared)
+
+
+def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts and half differences (j, m) at LAGS, those without a lag as they were found best;
+    one row where there are no lags."""
+    if not rows:
+        return shift[None], either[None]
+    shifts, halves = (_filled(np.array(part)) for part in zip(*rows, strict=True))
+    return shifts - shifts[0] + shift, halves - halves[0] + either
+
+
+def ways_through_air(found: LabCurves) -> dict[str, float]:
+    """The way (mm) by test that a laboratory's platen usually makes before it surely touches."""
+    readings = {
+        test: [readings_before_contact(c[test][1]) for c in found.specimens if test in c]
+        for test in found.channels
+    }
+    return {
+        test: found.channels[test].spacing * float(np.median(counts))
+        for test, counts in readings.items()
+        if counts
+    }
+
+
+def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
+    """The description of curves; of some tests the force before contact was taken off."""
+    if OFFSET not in d.effect_names or not tests:
+        return d
+    offset = d.effect_names.index(OFFSET)
+    rows = tared_rows(d.features) & np.isin([f.test for f in d.features], tests)
+    slopes = d.effect_slopes.copy()
+    slopes[rows, offset] = 0.0
+    return replace(
+        d, effect_slopes=slopes,
+        emulator=None if d.emulator is None else Tared(d.emulator, offset, rows),
+    )  # fmt: skip
+
+
+def _filled(rows: np.ndarray) -> np.ndarray:
+    """Rows (j, m) with that of the next smaller lag where a late curve lacks a feature."""
+    for number in range(1, len(rows)):
+        rows[number] = np.where(np.isfinite(rows[number]), rows[number], rows[number - 1])
+    return rows
+
+
+def late(curves: Curves, found: LabCurves, lag: float) -> Curves:
+    """Curves as they are read `lag` seconds late; forces pushed up so that readings reach the same
+    largest value, as the machine turns by what it reads."""
+    if not lag:
+        return curves
+    read = {}
+    for test, (displacement, force) in curves.items():
+        path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
+        reading = _filtered(path, force, found.speeds[test] * lag)
+        read[test] = (displacement, reading * force.max() / reading.max())
+    return read
+
+
+def _filtered(path: np.ndarray, force: np.ndarray, length: float) -> np.ndarray:
+    """Solution (n,) of dR/dx = (F - R)/length from R = F at the first point, F linear between
+    points: exact for any spacing."""
+    reading = np.array(force, float)
+    steps, rises = np.diff(path), np.diff(force)
+    for i, (step, rise) in enumerate(zip(steps, rises, strict=True)):
+        if step == 0:
+            reading[i + 1] = reading[i]
+            continue
+        behind = length * rise / step  # how far R lags where F rises evenly
+        left = (reading[i] - force[i] + behind) * np.exp(-step / length)
+        reading[i + 1] = force[i + 1] - behind + left
+    return reading
+
+
+def typical(bank: Bank, found: LabCurves) -> Curves:
+    """The bank's reference curves, stretched to the size of what the lab measured: travel above
+    half the largest force; force and displacement of the peak."""
+    high = f"displacement at {0.99 * bank.cylinder.force_high:g} N, loading"
+    axes = {
+        CONFINED: (high, ""),
+        UNCONFINED: ("peak displacement, unconfined", "peak force, unconfined"),
+    }
+    curves = {}
+    for test in found.channels:
+        (displacement, force), (along, up) = bank.reference[test], axes[test]
+        curves[test] = (
+            displacement * _ratio(bank, found, along), force * _ratio(bank, found, up)
+        )  # fmt: skip
+    return curves
+
+
+def _ratio(bank: Bank, found: LabCurves, name: str) -> float:
+    """A measured feature over that of the reference curves, 1 where it is not known."""
+    names = [f.name for f in found.measured.features]
+    if name not in names:
+        return 1.0
+    feature = found.measured.features[names.index(name)]
+    ratio = found.measured.mean[names.index(name)] / vector([feature], bank.reference)[0]
+    least, most = STRETCHED
+    return float(np.clip(ratio, least, most)) if np.isfinite(ratio) else 1.0
+
+
+def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
+    """The description and the sample with the forces before contact: only an untared load cell
+    moves those."""
+    keep = [i for i in (0, 1) if np.isfinite(found.before[:, i]).any()]
+    if not keep:
+        return d, found.measured
+    before = declare_before_contact()
+    vectors = np.hstack([found.measured.specimens, found.before[:, keep]])
+    features = (*d.features, *(before[i] for i in keep))
+    noise = max(c.force_sd for c in found.channels.values())
+    return _extended(d, features, len(keep), noise), from_vectors(features, vectors)
+
+
+def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: float) -> Linearised:
+    column = np.array([e.typical if e.name == "load_cell_offset" else 0.0 for e in d.effects])
+    rows = np.tile(column, (more, 1))
+    variance = max(noise / np.sqrt(3), FEWEST_BEFORE_SD) ** 2
+
+    def taller(matrix: np.ndarray, below: np.ndarray | None = None) -> np.ndarray:
+        below = np.zeros((more, *matrix.shape[1:])) if below is None else below
+        return np.concatenate([matrix, below])
+
+    def wider(matrix: np.ndarray, value: float = 0.0) -> np.ndarray:
+        m = len(matrix)
+        grown = np.zeros((m + more, m + more))
+        grown[:m, :m] = matrix
+        grown[range(m, m + more), range(m, m + more)] = value
+        return grown
+
+    empty = np.zeros((len(d.packing_residuals), more))
+    return replace(
+        d, features=features, mean=taller(d.mean), base_slopes=taller(d.base_slopes),
+        effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
+        packing_residuals=np.hstack([d.packing_residuals, empty]),
+        extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
+        emulator=None if d.emulator is None else Taller(d.emulator, rows),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Shifts (j, m) by recording at LAGS and half of what machines differ by there (j, m); lag: the
+    effect's number, None where there is none."""
+
+    lag: int | None
+    shifts: np.ndarray
+    either: np.ndarray
+
+    def shift(self, strengths: np.ndarray) -> np.ndarray:
+        """Shift (m,) at strengths (k,) in typical ones."""
+        return self._shift(self._lag(strengths))
+
+    def half_difference(self, strengths: np.ndarray) -> np.ndarray:
+        """Half of what machines differ by (m,)."""
+        return self._either(self._lag(strengths))
+
+    def slopes(self, strengths: np.ndarray) -> np.ndarray:
+        """Change of the shift (m, k) per typical strength."""
+        found = np.zeros((self.shifts.shape[1], len(strengths)))
+        if self.lag is not None and strengths[self.lag] < LAGS[-1]:
+            found[:, self.lag] = self._shift(self._lag(strengths), 1)
+        return found
+
+    def _lag(self, strengths: np.ndarray) -> float:
+        return 0.0 if self.lag is None else float(np.clip(strengths[self.lag], LAGS[0], LAGS[-1]))
+
+    @cached_property
+    def _shift(self) -> Interpolator:
+        return _between_lags(self.shifts)
+
+    @cached_property
+    def _either(self) -> Interpolator:
+        return _between_lags(self.either)
+
+
+def _between_lags(rows: np.ndarray) -> Interpolator:
+    """Rows (j, m) at LAGS as a function of the lag; constant where there is one row."""
+    if len(rows) == 1:
+        return lambda lag: rows[0]
+    return PchipInterpolator(LAGS, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class AsRecorded:
+    """An emulator of values as a machine records them, one way or the other."""
+
+    emulator: Emulator
+    read: Recorded
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, strengths)
+        steep = effects + self.read.slopes(strengths)
+        return values + self.read.shift(strengths), base, steep
+
+    def wrong(self, delta, strengths):
+        either = self.read.half_difference(strengths)
+        return np.column_stack([self.emulator.wrong(delta, strengths), either])
+
+
+@dataclass(frozen=True, eq=False)
+class Taller:
+    """An emulator with further features that depend on effects alone, linearly: rows (q, k)."""
+
+    emulator: Emulator
+    rows: np.ndarray
+
+    def __call__(self, delta, strengths):
+        values, base, effects = self.emulator(delta, strengths)
+        more = np.zeros((len(self.rows), base.shape[1]))
+        return (
+            np.concatenate([values, self.rows @ strengths]),
+            np.concatenate([base, more]),
+            np.concatenate([effects, self.rows]),
+        )
+
+    def wrong(self, delta, strengths):
+        known = self.emulator.wrong(delta, strengths)
+        return np.concatenate([known, np.zeros((len(self.rows), known.shape[1]))])
+
+
+@dataclass(frozen=True, eq=False)
+class Tared:
+    """An emulator of which some rows (a mask) do not see the load cell's offset."""
+
+    emulator: Emulator
+    offset: int
+    rows: np.ndarray
+
+    def __call__(self, delta, strengths):
+        found = self.emulator(delta, strengths)
+        if strengths[self.offset]:
+            without = self.emulator(delta, self._without(strengths))
+            found = tuple(
+                np.where(_like(self.rows, a), b, a) for a, b in zip(found, without, strict=True)
+            )
+        values, base, effects = found
+        effects = effects.copy()
+        effects[self.rows, self.offset] = 0.0
+        return values, base, effects
+
+    def wrong(self, delta, strengths):
+        found = self.emulator.wrong(delta, strengths)
+        if not strengths[self.offset]:
+            return found
+        without = self.emulator.wrong(delta, self._without(strengths))
+        return np.where(_like(self.rows, found), without, found)
+
+    def _without(self, strengths: np.ndarray) -> np.ndarray:
+        changed = np.array(strengths, float)
+        changed[self.offset] = 0.0
+        return changed
+
+
+def _like(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return mask.reshape(-1, *[1] * (values.ndim - 1))

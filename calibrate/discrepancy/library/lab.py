@@ -1,0 +1,157 @@
+"""A lab file in the terms of a bank: curves scaled to its cylinder, repeats, instruments.
+
+Quasi-static tests on specimens of one shape depend on strain and stress alone, so a curve of
+another size is read at the bank's: displacement times the ratio of heights, force times that of
+areas.  The i-th confined and the i-th unconfined curve are taken for the same specimen where there
+are as many of both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.comparison.features import (
+    CONFINED,
+    TESTS,
+    UNCONFINED,
+    Curves,
+    declare_targets,
+    force_before_contact,
+    seen,
+)
+from calibrate.discrepancy.comparison.repeats import (
+    Measured,
+    from_targets,
+    from_vectors,
+    measured_features,
+)
+from calibrate.discrepancy.comparison.sensor import Channel
+from calibrate.discrepancy.library.store import TARGETS, Bank, Cylinder
+from calibrate.io.lab import Lab
+
+SHAPE_TOLERANCE = 0.12  # of height over diameter, and of the largest stress
+DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
+LEAST_FORCE_SD = 0.1  # N
+TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
+
+
+@dataclass(frozen=True, eq=False)
+class LabCurves:
+    """What a lab measured, at the bank's size: specimens, the features they have, their means;
+    `before` are means before contact (s, 2), NaN where there are none; channels and speeds (mm/s)
+    by test."""
+
+    measured: Measured
+    chosen: np.ndarray
+    before: np.ndarray
+    channels: dict[str, Channel]
+    specimens: tuple[Curves, ...]
+    speeds: dict[str, float]
+
+    @property
+    def tared(self) -> tuple[str, ...]:
+        """The tests whose forces before contact were taken off."""
+        known = np.isfinite(self.before)
+        return tuple(test for column, test in enumerate(TESTS) if known[:, column].any())
+
+
+def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
+    """The lab's specimens with their curves in mm and N at the bank's size."""
+    longer = cylinder.height / lab.specimen.height
+    wider = (cylinder.diameter / lab.specimen.diameter) ** 2
+    by_test = {
+        test: [
+            (c.displacement_mm * longer, c.force_n * wider) for c in lab.curves if c.test == test
+        ]
+        for test in (CONFINED, UNCONFINED)
+    }
+    counts = [len(curves) for curves in by_test.values()]
+    if counts[0] == counts[1]:
+        return [
+            dict(zip(by_test, pair, strict=True)) for pair in zip(*by_test.values(), strict=True)
+        ]
+    return [{test: curve} for test, curves in by_test.items() for curve in curves]
+
+
+def check_shape(lab: Lab, bank: Bank) -> None:
+    """Refuses a lab whose specimen or largest stress is too far from the bank's."""
+    mine, theirs = Cylinder.of(lab), bank.cylinder
+    slender = mine.height / mine.diameter / (theirs.height / theirs.diameter)
+    if abs(np.log(slender)) > SHAPE_TOLERANCE:
+        problem = f"height over diameter is {slender:.2f} times that of the bank's specimen"
+        raise InputError(lab.file, "specimen", problem, _REPAIR)
+    stress = mine.force_high / mine.diameter**2 / (theirs.force_high / theirs.diameter**2)
+    if abs(np.log(stress)) > SHAPE_TOLERANCE:
+        problem = f"the largest stress is {stress:.2f} times the bank's"
+        raise InputError(lab.file, "confined.force_high", problem, _REPAIR)
+
+
+_REPAIR = "make a bank for this lab: calibrate bank LAB.toml --out FILE"
+
+
+def read(lab: Lab, bank: Bank) -> LabCurves:
+    """Features of a lab: of its curves if there are any, else of its targets."""
+    check_shape(lab, bank)
+    every = bank.features
+    specimens = specimens_of(lab, bank.cylinder)
+    if not specimens:
+        return _targets(lab, bank)
+    before = _before(specimens)
+    on_curves = [f for f in every if f.kind != "target"]
+    values = np.array([
+        seen(on_curves, curves, dict(zip(TESTS, rest, strict=True)))
+        for curves, rest in zip(specimens, np.nan_to_num(before), strict=True)
+    ])  # fmt: skip
+    known = measured_features(on_curves, specimens, values)
+    if not known:
+        raise InputError(lab.file, "curves", "no feature could be read from them",
+                         "give whole curves: loading to the largest force and back, crushing "
+                         "past the peak")  # fmt: skip
+    vectors = values[:, [on_curves.index(feature) for feature in known]]
+    chosen = np.array([every.index(feature) for feature in known])
+    channels = {test: _channel(test, specimens) for test in (CONFINED, UNCONFINED)}
+    speeds = {CONFINED: 1e3 * lab.confined.rate, UNCONFINED: 1e3 * lab.unconfined.rate}
+    measured = from_vectors(known, vectors)
+    return LabCurves(measured, chosen, before, channels, tuple(specimens), speeds)
+
+
+def _before(specimens: Sequence[Curves]) -> np.ndarray:
+    """Forces before contact (s, 2) in the order of TESTS; a curve that does not show its own is
+    given the mean of the others, NaN where none shows it or there is no curve."""
+    found = np.array([
+        [force_before_contact(curves[test][1]) if test in curves else np.nan for test in TESTS]
+        for curves in specimens
+    ])  # fmt: skip
+    for column, test in enumerate(TESTS):
+        has = np.array([test in curves for curves in specimens])
+        known = np.isfinite(found[:, column])
+        if known.any():
+            found[has & ~known, column] = found[known, column].mean()
+    return found
+
+
+def _targets(lab: Lab, bank: Bank) -> LabCurves:
+    longer = bank.cylinder.height / lab.specimen.height
+    wider = (bank.cylinder.diameter / lab.specimen.diameter) ** 2
+    names = [name for name in TARGETS if name in lab.targets]
+    features = declare_targets(names)
+    values = {}
+    for name in names:
+        target, factor = lab.targets[name], longer if name.endswith("_mm") else wider
+        values[name] = (target.mean * factor, target.scatter * factor, target.repeats)
+    chosen = np.array([[f.name for f in bank.features].index(name) for name in names])
+    return LabCurves(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
+
+
+def _channel(test: str, specimens: Sequence[Curves]) -> Channel:
+    """How a test was recorded: travel between readings, and the noise of force from second
+    differences (their median, so that kinks of the soil do not count)."""
+    curves = [curves[test] for curves in specimens if test in curves]
+    if not curves:
+        return Channel(0.05, LEAST_FORCE_SD, DISPLACEMENT_SD)
+    spacing = np.median([np.median(np.abs(np.diff(x))) for x, _ in curves])
+    seconds = np.concatenate([np.diff(force, 2) for _, force in curves])
+    noise = 1.4826 * np.median(np.abs(seconds - np.median(seconds))) / np.sqrt(6)
+    return Channel(max(float(spacing), 1e-3), max(float(noise), LEAST_FORCE_SD), DISPLACEMENT_SD)

@@ -1,0 +1,153 @@
+"""Runs the rows of a design and keeps what their curves say: the simulations of a bank.
+
+Every run lies in a campaign's cache the moment it is finished, so a stopped bank goes on
+where it was.  Simulations are in single precision, for speed; how far means over packings then
+differ from those in double precision has not been measured.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from calibrate.core.progress import AbstractProgress, Silent
+from calibrate.discrepancy.library.design import Design
+from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign, Run, side_by_side
+from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from jdem.core.smooth import Smoothing
+from jdem.effects.base import AbstractEffect
+from jdem.effects.capillary import CapillaryTension
+from jdem.effects.cementation import Cementation
+from jdem.effects.composite import EFFECTS, with_strengths
+from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import neutral_soil
+
+Numbers = Sequence[float] | np.ndarray
+COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
+
+
+@dataclass(eq=False)
+class Simulator:
+    """Runs single specimens of a lab's tests with effects and settings of any strength.
+
+    One compiled program serves all that have the same number of spheres, a second one those
+    without costly effects: strength 0 changes no bit.
+    """
+
+    lab: Lab
+    folder: Path
+    effects: tuple[AbstractEffect, ...] = ()
+    costly: tuple[type[AbstractEffect], ...] = COSTLY
+    dtype: str = "float32"
+    _campaigns: dict[tuple[int, bool], Campaign] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.effects = self.effects or switched_off(EFFECTS)
+
+    def run(
+        self, soil: SoilParameters, setting: Numbers, strengths: Numbers,
+        spheres: int, seed: int,
+    ) -> Run:  # fmt: skip
+        """One specimen through both tests.
+
+        setting: smoothing factor - 1 and ln of the preparation friction's factor; strengths
+        in SI in the order of `effects`; seed of the packing.
+        """
+        pairs = list(zip(self.effects, map(float, strengths), strict=True))
+        lean = not any(strength and isinstance(effect, self.costly) for effect, strength in pairs)
+        shared = self._campaign(spheres, lean)
+        smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
+        numerics = replace(shared.lab.numerics, smoothing=smoothing)
+        kept = [s for effect, s in pairs if not (lean and isinstance(effect, self.costly))]
+        changed = with_strengths(shared.lab.effects, kept)
+        lab = replace(shared.lab, numerics=numerics, effects=changed)
+        settling = prepared_with(setting[1])
+        one = replace(shared, lab=lab, preparation=settling, progress=Silent(), workers=1)
+        return one.each([[soil]], [seed], "")[0][0]
+
+    def _campaign(self, spheres: int, lean: bool) -> Campaign:
+        if (spheres, lean) not in self._campaigns:
+            preset = replace(PRESETS["quick"], spheres=spheres)
+            cylinder = specimen(self.lab, preset)
+            plain = virtual_lab(self.lab, preset, numerics_for(cylinder, dtype=self.dtype))
+            kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
+            lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, kept)
+            folder = self.folder / str(spheres)
+            self._campaigns.setdefault((spheres, lean), Campaign(lab, cylinder, folder))
+        return self._campaigns[spheres, lean]
+
+
+def switched_off(
+    effects: Mapping[str, Callable[..., AbstractEffect]],
+) -> tuple[AbstractEffect, ...]:
+    """The effects at strength 0."""
+    return tuple(effect(0.0) for effect in effects.values())
+
+
+def prepared_with(ln_friction: float) -> SoilParameters:
+    """The neutral soil that beds settle with, its friction times exp(ln_friction)."""
+    soil = neutral_soil()
+    friction = float(soil.static_friction) * math.exp(round(float(ln_friction), 6))
+    return with_values(soil, {"static_friction": friction})
+
+
+def run_design(
+    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None,
+    first: int = 0,
+) -> list[Run]:  # fmt: skip
+    """Runs of a design from the packing `first` on, in the order of its rows; failed ones keep
+    their place."""
+    base, strengths = design.rows()
+    packing = np.repeat(np.arange(design.packings), design.rows_each)
+    spheres = [design.spheres_of(int(j)) for j in packing]
+    later = packing >= first
+    points = Points(
+        base[later], strengths[later], np.array(spheres)[later].tolist(),
+        1000 * design.seed + packing[later],
+    )  # fmt: skip
+    return run_points(design, points, simulator, progress, workers)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
+    (n,), seeds of packings (n,)."""
+
+    base: np.ndarray
+    strengths: np.ndarray
+    spheres: Sequence[int]
+    seeds: np.ndarray
+
+
+def run_points(
+    design: Design, points: Points, simulator: Simulator, progress: AbstractProgress,
+    workers: int | None = None,
+) -> list[Run]:  # fmt: skip
+    """Runs at points in the coordinates of a design; failed ones keep their place."""
+    centre = with_values(base_soil(simulator.lab), dict(design.centre))
+    wide = len(design.soil_names)
+
+    def one(row: int) -> Run:
+        values = {
+            name: design.centre[name] * math.exp(points.base[row, i])
+            for i, name in enumerate(design.soil_names)
+        }
+        return simulator.run(
+            with_values(centre, values), points.base[row, wide : wide + 2],
+            points.strengths[row], points.spheres[row], int(points.seeds[row]),
+        )  # fmt: skip
+
+    return side_by_side(one, len(points.base), progress, "simulating", workers)
+
+
+def reference_run(design: Design, simulator: Simulator) -> Run:
+    """The centre's soil on the first packing, without effects."""
+    soil = with_values(base_soil(simulator.lab), dict(design.centre))
+    none = [0.0] * len(simulator.effects)
+    return simulator.run(soil, (0.0, 0.0), none, design.spheres, 1000 * design.seed)

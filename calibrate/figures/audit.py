@@ -1,0 +1,117 @@
+"""Figures of an audit of gradients: estimates against the reference, and slopes of curves."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty, save
+from calibrate.records.audit import AuditSlopes, CurveSlope, Slope
+from calibrate.records.base import OBSERVABLES, TESTS, Observable, Test
+
+MARKS = {
+    "regression": ("^", DARK, "-."),
+    "fit": ("o", MIDDLE, "-"),
+    "ensemble": ("P", LIGHT, "--"),
+    "pathwise": ("x", "0.5", ":"),
+    "blend": ("s", LIGHT, "--"),
+    "virtual_power": ("D", DARK, "--"),
+    "virtual_power_blend": ("v", LIGHT, ":"),
+}
+UNITS = {"depression_depth_mm": "depression depth, mm", "crushing_force_n": "crushing force, N"}
+CURVE_SLOPES = {"confined": "d displacement / d ln p (mm)", "unconfined": "d force / d ln p (N)"}
+ABSCISSAS = {"confined": "force on loading (N)", "unconfined": "displacement (mm)"}
+
+
+def audit_figure(found: AuditSlopes, path: Path) -> None:
+    """Estimates against the reference, one panel an observable; the band is what passes."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
+    for axis, observable in zip(axes, OBSERVABLES, strict=True):
+        agreement(axis, found, observable)
+    save(figure, path)
+
+
+def agreement(axis: Axes, found: AuditSlopes, observable: Observable) -> None:
+    """Estimates of one observable's slopes against the reference; the band is what passes."""
+    for number, (name, each) in enumerate(found.strategies.items()):
+        _estimates(axis, each.of(observable), name, named=number == 0)
+    axis.margins(x=0.25)
+    _band(axis, found.within[observable])
+    axis.set_xlabel(f"reference slope ({UNITS[observable]} per unit of ln p)")
+    axis.set_ylabel("estimate")
+    axis.legend(frameon=False)
+
+
+def _estimates(axis: Axes, rows: Sequence[Slope], strategy: str, named: bool) -> None:
+    """Points with both standard errors, and with the parameters' names if they are to be `named`;
+    slopes too small to judge are pale."""
+    mark, colour, _ = MARKS[strategy]
+    limit = 3 * max((abs(row.reference) for row in rows), default=0.0)
+    shown = [row for row in rows if abs(row.estimate) < limit]
+    label = f"{strategy} ({len(rows) - len(shown)} off the scale)" if shown != rows else strategy
+    for number, row in enumerate(shown):
+        axis.errorbar(
+            row.reference,
+            row.estimate,
+            xerr=row.reference_se,
+            yerr=min(row.estimate_se, limit),
+            fmt=mark,
+            color=colour,
+            alpha=1.0 if row.judged else 0.35,
+            label=label if number == 0 else None,
+        )
+        if row.judged and named:
+            at, shift = (row.reference, row.estimate), (6, -4)
+            axis.annotate(pretty(row.parameter), at, shift, textcoords="offset points", fontsize=8)
+
+
+def _band(axis: Axes, within: float) -> None:
+    left, right = axis.get_xlim()
+    span = np.linspace(left, right, 101)
+    axis.fill_between(span, span * (1 - within), span * (1 + within), color="0.9", zorder=0)
+    axis.plot(span, span, color="0.5", lw=0.8)
+
+
+def curve_slopes_figure(found: AuditSlopes, path: Path) -> None:
+    """Slopes of both whole curves in every parameter: the reference's band and the estimates."""
+    names = list(found.curves.confined.slopes)
+    figure, axes = plt.subplots(
+        2, len(names), figsize=(2.1 * len(names), 5.2), layout="constrained", sharex="row",
+        sharey="row",
+    )  # fmt: skip
+    for test, row in zip(TESTS, axes, strict=True):
+        for name, axis in zip(names, row, strict=True):
+            curve_slope(axis, found, test, name)
+            axis.set_xlabel(ABSCISSAS[test], fontsize=8)
+        row[0].set_ylabel(CURVE_SLOPES[test])
+    for name, axis in zip(names, axes[0], strict=True):
+        axis.set_title(pretty(name), fontsize=9)
+    axes[0, 0].legend(fontsize=7, frameon=False)
+    save(figure, path)
+
+
+def curve_slope(axis: Axes, found: AuditSlopes, test: Test, parameter: str) -> None:
+    """Slope of one test's curve in one parameter."""
+    abscissa, by_name = _slopes(found, test, parameter)
+    reference = by_name["reference"]
+    slope, error = np.array(reference.slope), np.array(reference.se)
+    band = (slope - 2 * error, slope + 2 * error)
+    axis.fill_between(abscissa, *band, color=LIGHT, lw=0, label="reference ± 2 s.e.")
+    for name, each in by_name.items():
+        if name in MARKS:
+            _, colour, line = MARKS[name]
+            axis.plot(abscissa, each.slope, line, color=colour, lw=1.2, label=name)
+    axis.axhline(0, color="0.6", lw=0.6)
+
+
+def _slopes(
+    found: AuditSlopes, test: Test, parameter: str
+) -> tuple[list[float], dict[str, CurveSlope]]:
+    """Where one test's curve is read, and its slopes in one parameter by name."""
+    confined, unconfined = found.curves.confined, found.curves.unconfined
+    if test == "confined":
+        return confined.force_n, {str(k): v for k, v in confined.slopes[parameter].items()}
+    slopes = {str(k): v for k, v in unconfined.slopes[parameter].items()}
+    return unconfined.displacement_mm, slopes

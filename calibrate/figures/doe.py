@@ -1,0 +1,278 @@
+"""Figures of designed experiments: effects, response surfaces, residuals.
+
+Each drawing function fills one axis; the `..._figure` functions lay them out and write a file.
+Factors are drawn in their natural units; `response` is the label of the response with its unit.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from calibrate.designs.diagnostics import BoxCox, Diagnostics, box_cox, diagnose, without_profile
+from calibrate.designs.factors import Factor
+from calibrate.designs.screening import Effect, Screening
+from calibrate.designs.surface import Surface
+from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, save
+
+GRID = 61  # points along each side of a surface
+NAMED = 0.12  # of the largest effect: smaller ones lie too close together to be named
+
+
+# ---------------------------------------------------------------- screening
+
+
+def screening_figure(found: Screening, path: Path, response: str) -> None:
+    """Pareto chart and half-normal plot of effects."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    pareto(left, found, response)
+    half_normal(right, found, response)
+    save(figure, path)
+
+
+def pareto(axis: Axes, found: Screening, response: str) -> None:
+    """Bars of |effect|, the largest on top, with Lenth's margins; dummies are hollow."""
+    effects = sorted(found.effects, key=lambda effect: abs(effect.effect))
+    for place, effect in enumerate(effects):
+        colour = DARK if effect.effect >= 0 else MIDDLE
+        fill: dict[str, Any] = {"color": colour}
+        if effect.dummy:
+            fill = {"facecolor": "white", "edgecolor": colour, "hatch": "///"}
+        axis.barh(place, abs(effect.effect), height=0.7, **fill)
+    longest = abs(effects[-1].effect)
+    for place, effect in enumerate(effects):
+        text = f" {effect.contribution:.1f} %"
+        axis.text(abs(effect.effect), place, text, va="center", fontsize=7)
+    margins = [(found.margin, "--", "one at a time")]
+    margins += [(found.simultaneous_margin, ":", "all at once")]
+    shown = [margin for margin in margins if margin[0] < 3 * longest]
+    for margin, line, name in shown:
+        label = f"5 % by Lenth, {name}"
+        axis.axvline(margin, color="0.3", lw=1, ls=line, label=label, zorder=0)
+    axis.set_xlim(0, 1.15 * max([longest] + [margin for margin, _, _ in shown]))
+    axis.barh(0, 0, color=DARK, label="raises the response")
+    axis.barh(0, 0, color=MIDDLE, label="lowers it")
+    axis.set_yticks(range(len(effects)), [_pretty(effect.name) for effect in effects])
+    axis.set(xlabel=f"|effect| on {response}", title="Pareto chart, share of variation")
+    axis.legend(fontsize=7, loc="lower right")
+
+
+def half_normal(axis: Axes, found: Screening, response: str) -> None:
+    """|effect| against half-normal quantiles; the line is what Lenth's noise alone would give.
+
+    Squares are significant at 5 % one at a time; dummies are hollow.
+    """
+    largest = max(abs(effect.effect) for effect in found.effects)
+    for effect in found.effects:
+        large = abs(effect.effect) > found.margin
+        _half_normal_point(axis, effect, large, abs(effect.effect) > NAMED * largest)
+    quantiles = [0.0, max(effect.half_normal for effect in found.effects)]
+    noise = [quantile * found.pseudo_se for quantile in quantiles]
+    axis.plot(quantiles, noise, color="0.4", lw=1, label="noise alone (Lenth)")
+    axis.set_xlim(0, 1.25 * quantiles[1])
+    axis.set_ylim(bottom=0)
+    axis.margins(y=0.08)
+    label = f"|effect| on {response}"
+    axis.set(xlabel="half-normal quantile", ylabel=label, title="half-normal plot")
+    axis.legend(fontsize=7, loc="upper left")
+
+
+def _half_normal_point(axis: Axes, effect: Effect, large: bool, named: bool) -> None:
+    face = "white" if effect.dummy else (DARK if effect.effect >= 0 else MIDDLE)
+    point = (effect.half_normal, abs(effect.effect))
+    axis.plot(*point, "s" if large else "o", mfc=face, mec=DARK, ms=6)
+    if named and not effect.dummy:
+        axis.annotate(_pretty(effect.name), point, (6, -3), textcoords="offset points", fontsize=7)
+
+
+# ---------------------------------------------------------------- surfaces
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Which part of a surface is drawn, and where.
+
+    `pair` are the two factors that vary; the others are held at `held` (p,), coded, by default
+    at their centres.  Both span -`reach` to `reach` in coded units, by default as far as the
+    points of the fit do.
+    """
+
+    surface: Surface
+    factors: Sequence[Factor]
+    response: str
+    pair: tuple[int, int] = (0, 1)
+    held: np.ndarray | None = None
+    reach: float | None = None
+
+    @property
+    def span(self) -> float:
+        found = np.abs(self.surface.X[:, list(self.pair)]).max()
+        return float(found if self.reach is None else self.reach)
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coordinates of both factors and the predictions, all (g, g)."""
+        line = np.linspace(-self.span, self.span, GRID)
+        X = np.zeros((GRID, GRID, len(self.factors)))
+        X[:] = 0.0 if self.held is None else self.held
+        X[..., self.pair[0]], X[..., self.pair[1]] = np.meshgrid(line, line)
+        height = self.surface(X.reshape(-1, len(self.factors))).reshape(GRID, GRID)
+        across, up = (_drawn(self.factors[j], X[..., j]) for j in self.pair)
+        return across, up, height
+
+    def points(self) -> list[np.ndarray]:
+        """Coordinates of both factors at the points of the fit that lie within the span."""
+        X = self.surface.X[:, list(self.pair)]
+        inside = np.all(np.abs(X) <= self.span + 1e-9, axis=1)
+        return [_drawn(self.factors[j], self.surface.X[inside, j]) for j in self.pair]
+
+    def label(self, axis: Any) -> None:
+        """Names and units; a logarithmic axis gets its own ticks (3D axes know no log scale)."""
+        names = [_axis_label(self.factors[j]) for j in self.pair]
+        axis.set(xlabel=names[0], ylabel=names[1])
+        ticks = np.linspace(-self.span, self.span, 5)
+        for j, set_ticks in zip(self.pair, (axis.set_xticks, axis.set_yticks), strict=True):
+            factor = self.factors[j]
+            if factor.log:
+                set_ticks(_drawn(factor, ticks), [f"{v:.3g}" for v in factor.natural(ticks)])
+
+    def title(self) -> str:
+        """The response, and at which values the other factors are held."""
+        held = np.zeros(len(self.factors)) if self.held is None else self.held
+        others = [(f, x) for j, (f, x) in enumerate(zip(self.factors, held, strict=True))
+                  if j not in self.pair]  # fmt: skip
+        values = ", ".join(f"{_pretty(f.name)} {float(f.natural(x)):.4g}" for f, x in others)
+        return f"{self.response} at {values}" if values else self.response
+
+
+def surface_figure(
+    surface: Surface,
+    factors: Sequence[Factor],
+    path: Path,
+    response: str,
+    pairs: Sequence[tuple[int, int]] = (),
+    held: np.ndarray | None = None,
+    reach: float | None = None,
+) -> None:
+    """A contour plot over a 3D view for each of `pairs`, by default for all pairs of factors."""
+    pairs = pairs or list(itertools.combinations(range(len(factors)), 2))
+    figure = plt.figure(figsize=(4.9 * len(pairs) + 0.3, 8.8), layout="constrained")
+    for place, pair in enumerate(pairs):
+        view = View(surface, factors, response, pair, held, reach)
+        contour(figure.add_subplot(2, len(pairs), place + 1), view)
+        relief(figure.add_subplot(2, len(pairs), len(pairs) + place + 1, projection="3d"), view)
+    save(figure, path)
+
+
+def contour(axis: Axes, view: View) -> None:
+    """Contours over two factors; dots are points of the design, the others at any level."""
+    across, up, height = view.grid()
+    filled = axis.contourf(across, up, height, 14, cmap=MAP, alpha=0.75)
+    filled.set_rasterized(True)
+    lines = axis.contour(across, up, height, filled.levels, colors="black", linewidths=0.5)
+    axis.clabel(lines, fontsize=7)
+    axis.plot(*view.points(), "o", mfc="white", mec="black", ms=4, clip_on=False)
+    view.label(axis)
+    axis.set_xlim(across.min(), across.max())
+    axis.set_ylim(up.min(), up.max())
+    axis.set_title(view.title(), fontsize=9)
+
+
+def relief(axis: Any, view: View) -> None:
+    """The surface in three dimensions, on an axis with `projection="3d"`."""
+    across, up, height = view.grid()
+    thin = {"rstride": 2, "cstride": 2, "lw": 0.1, "edgecolor": "0.2", "rasterized": True}
+    axis.plot_surface(across, up, height, cmap=MAP, **thin)
+    axis.view_init(elev=26, azim=-128)
+    view.label(axis)
+    axis.set_zlabel(view.response)
+    for each in (axis.xaxis, axis.yaxis, axis.zaxis):
+        each.label.set_size(8)
+    axis.tick_params(labelsize=7)
+    axis.set_box_aspect(None, zoom=0.84)
+
+
+def _drawn(factor: Factor, coded: np.ndarray) -> np.ndarray:
+    """Where coded values lie on an axis: at the natural value, or at its logarithm."""
+    natural = factor.natural(coded)
+    return np.log10(natural) if factor.log else natural
+
+
+# ---------------------------------------------------------------- residuals
+
+
+def residual_figure(surface: Surface, path: Path, response: str) -> None:
+    """Normal plot, residuals against predictions, Cook's distances, Box-Cox profile."""
+    figure, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
+    found = diagnose(surface)
+    normal_plot(axes[0, 0], found)
+    residuals_against_predicted(axes[0, 1], found, response)
+    cooks_distances(axes[1, 0], found)
+    problem = without_profile(surface)
+    if problem:
+        axes[1, 1].set_axis_off()
+        axes[1, 1].text(0.5, 0.5, f"no Box-Cox profile:\n{problem}", ha="center")
+    else:
+        box_cox_profile(axes[1, 1], box_cox(surface))
+    save(figure, path)
+
+
+def normal_plot(axis: Axes, found: Diagnostics) -> None:
+    """Studentised residuals against normal quantiles; the line is the normal distribution."""
+    axis.plot(found.normal_quantile, found.studentised, "o", color=DARK, ms=5)
+    reach = np.nanmax(np.abs(found.normal_quantile))
+    axis.plot([-reach, reach], [-reach, reach], color="0.5", lw=1)
+    label = "externally studentised residual"
+    axis.set(xlabel="normal quantile", ylabel=label, title="normal plot")
+
+
+def residuals_against_predicted(axis: Axes, found: Diagnostics, response: str) -> None:
+    """Studentised residuals against predictions, with the limit for outliers."""
+    axis.plot(found.predicted, found.studentised, "o", color=DARK, ms=5)
+    axis.axhline(0, color="0.6", lw=0.8)
+    limit = found.outlier_limit
+    axis.axhline(limit, color=MIDDLE, ls="--", lw=1, label=f"outlier at 5 % (±{limit:.2f})")
+    axis.axhline(-limit, color=MIDDLE, ls="--", lw=1)
+    worst = max(limit, float(np.nanmax(np.abs(found.studentised))))
+    axis.set_ylim(-1.15 * worst, 1.3 * worst)
+    label = "externally studentised residual"
+    axis.set(xlabel=f"predicted {response}", ylabel=label, title="residuals against predictions")
+    axis.legend(fontsize=7, loc="upper right")
+
+
+def cooks_distances(axis: Axes, found: Diagnostics) -> None:
+    """Cook's distance of each run, in the order of the data."""
+    runs = np.arange(1, len(found.cooks_distance) + 1)
+    axis.vlines(runs, 0, found.cooks_distance, color=LIGHT, lw=2)
+    axis.plot(runs, found.cooks_distance, "o", color=DARK, ms=5)
+    highest = float(np.nanmax(found.cooks_distance))
+    if highest > 0.5:
+        axis.axhline(1, color=MIDDLE, ls="--", lw=1, label="influential")
+        axis.legend(fontsize=7)
+    axis.set_ylim(0, 1.15 * highest)
+    axis.set(xlabel="run, as listed", ylabel="Cook's distance", title="influence")
+
+
+def box_cox_profile(axis: Axes, found: BoxCox) -> None:
+    """ln of the residual sum of squares over the power, with its 95 % interval."""
+    low, high = found.interval
+    axis.plot(found.powers, found.log_residual, color=DARK)
+    axis.axhline(found.limit, color="0.5", lw=0.8, ls="--")
+    axis.axvspan(low, high, color=LIGHT, alpha=0.35, lw=0, label=f"95 %: {low:.2f} to {high:.2f}")
+    axis.axvline(found.best, color=MIDDLE, lw=1.2, label=f"best {found.best:.2f}")
+    axis.axvline(1, color="0.2", lw=1, ls=":", label="1: leave the response as it is")
+    axis.set(xlabel="power of the response", ylabel="ln(residual sum of squares)", title="Box-Cox")
+    axis.legend(fontsize=7)
+
+
+def _axis_label(factor: Factor) -> str:
+    unit = factor.unit.replace("^2", "²").replace("^3", "³")
+    return _pretty(factor.name) + (f" ({unit})" if unit else "")
+
+
+def _pretty(name: str) -> str:
+    return name.replace("_", " ")

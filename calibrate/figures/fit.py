@@ -1,0 +1,58 @@
+"""Figures of a simulation, of a fit at a glance, of one contact."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from calibrate.figures.panels import (
+    PACKINGS,
+    compression,
+    fit_groups,
+    observables,
+    parameters,
+)
+from calibrate.figures.style import DARK, save
+from calibrate.records.base import TESTS, Curve, Measured
+from calibrate.records.fit import FitRecord
+from calibrate.simulation import Run
+
+
+def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> None:
+    """Both tests' curves, one line a packing, beside measured curves and targets."""
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    for axis, test in zip(axes, TESTS, strict=True):
+        curves = [_curve(getattr(run, test)) for run in runs]
+        compression(axis, test, [(PACKINGS, curves)], measured)
+    _finish(figure, axes, path)
+
+
+def fit_figure(found: FitRecord, path: Path) -> None:
+    """Curves of fitted and fresh packings, observables against targets, parameters."""
+    figure, axes = plt.subplots(2, 2, figsize=(10.5, 8), layout="constrained")
+    for axis, test in zip(axes[0], TESTS, strict=True):
+        compression(axis, test, fit_groups(found, test), found.measured)
+    observables(axes[1, 0], found)
+    parameters(axes[1, 1], found)
+    _finish(figure, axes.ravel()[:3], path)
+
+
+def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:
+    """Normal force against overlap of one contact."""
+    figure, axis = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
+    axis.plot(1e6 * overlap_m, force_n, color=DARK)
+    axis.axhline(0, color="0.6", linewidth=0.8)
+    axis.set(xlabel="overlap (µm)", ylabel="normal force (N)")
+    save(figure, path)
+
+
+def _curve(points: np.ndarray) -> Curve:
+    return Curve(displacement_mm=points[:, 0].tolist(), force_n=points[:, 1].tolist())
+
+
+def _finish(figure, axes, path: Path) -> None:
+    for axis in axes:
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=8, frameon=False)
+    save(figure, path)

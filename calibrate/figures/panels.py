@@ -1,0 +1,147 @@
+"""Panels of simulations and calibrations: each function fills one axis.
+
+Everything is drawn from records, so a figure can be made again from a result's file.  Packings
+that were not fitted are dashed, with diamonds; measured curves are dotted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
+from calibrate.records.base import Curve, Measured, Test
+from calibrate.records.fit import FitRecord, Packing
+
+RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one group of packings is drawn, and what it is called."""
+
+    label: str
+    colour: str
+    line: str
+    marker: str
+
+
+PACKINGS = Look("packings", DARK, "-", "o")
+FITTED = Look("fitted packings", DARK, "-", "o")
+FRESH = Look("fresh packings", MIDDLE, "--", "D")
+Group = tuple[Look, Sequence[Curve]]
+
+
+def fit_groups(found: FitRecord, test: Test) -> list[Group]:
+    """Curves of one test on the packings of a fit and on fresh ones."""
+    both = ((FITTED, found.packings.fitted), (FRESH, found.packings.fresh))
+    return [
+        (look, [p.curves[test] for p in packings if test in p.curves]) for look, packings in both
+    ]
+
+
+def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measured) -> None:
+    """One test's curves, one line a packing, with what was measured."""
+    for look, curves in groups:
+        for number, curve in enumerate(curves):
+            name = look.label if number == 0 else None
+            points = (curve.displacement_mm, curve.force_n)
+            axis.plot(*points, look.line, color=look.colour, lw=1, label=name)
+    for number, curve in enumerate(c for c in measured.curves if c.test == test):
+        name = "measured" if number == 0 else None
+        axis.plot(curve.displacement_mm, curve.force_n, ":", color="0.35", lw=1.5, label=name)
+    if test == "confined":
+        for force in measured.depth_between_n:
+            axis.axhline(force, color="0.7", lw=0.7)
+    elif "crushing_force_n" in measured.targets:
+        _crushing_target(axis, measured)
+    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=f"{test} compression")
+
+
+def _crushing_target(axis: Axes, measured: Measured) -> None:
+    target = measured.targets["crushing_force_n"]
+    ends = (target.mean - target.scatter, target.mean + target.scatter)
+    label = "measured crushing force ± scatter"
+    axis.axhspan(*ends, color=LIGHT, alpha=0.5, lw=0, label=label)
+
+
+def observables(axis: Axes, found: FitRecord) -> None:
+    """Each observable over its target: packings as points, means as bars, the target's scatter."""
+    targets = found.measured.targets
+    for place, (name, target) in enumerate(targets.items()):
+        reach = target.scatter / target.mean
+        label = "measured ± one repeat" if place == 0 else None
+        bar = {"color": "0.5", "lw": 8, "alpha": 0.4, "zorder": 0}
+        axis.plot([place, place], [1 - reach, 1 + reach], label=label, **bar)
+        for shift, packings, look in (
+            (-0.12, found.packings.fitted, FITTED),
+            (0.12, found.packings.fresh, FRESH),
+        ):
+            values = _observed(packings, name) / target.mean
+            at = np.full(len(values), place + shift)
+            first = look.label if place == 0 else None
+            axis.plot(at, values, look.marker, color=look.colour, ms=5, label=first)
+            ends = (place + shift - 0.08, place + shift + 0.08)
+            if np.any(np.isfinite(values)):
+                axis.hlines(np.nanmean(values), *ends, look.colour, lw=2)
+    axis.axhline(1, color="0.6", lw=0.8)
+    axis.set_xticks(range(len(targets)), [pretty(name) for name in targets])
+    axis.set_xlim(-0.6, len(targets) - 0.4)
+    axis.set(ylabel="simulated / measured", title="observables (bars: means)")
+
+
+def _observed(packings: Sequence[Packing], name) -> np.ndarray:
+    return np.array([packing.observable(name) for packing in packings])
+
+
+def parameters(axis: Axes, found: FitRecord) -> None:
+    """Free parameters and their 95 % intervals, over their starting values."""
+    spans = []
+    for row, name in enumerate(found.free):
+        start, value = found.start(name), found.parameters[name]
+        low, high = (end / start for end in found.identifiability.interval_95[name])
+        spans += [low, high, value / start]
+        axis.plot([low, high], [row, row], color=DARK, lw=3)
+        axis.plot(value / start, row, "o", color=MIDDLE, ms=8)
+        at = (value / start, row)
+        axis.annotate(f"{value:.4g}", at, (0, 9), textcoords="offset points", ha="center")
+    axis.axvline(1, color="0.6", lw=0.8)
+    axis.set_xscale("log")
+    axis.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
+    axis.minorticks_off()
+    reach = 1.15 * max(float(np.max(np.abs(np.log(spans)))), 0.35)
+    axis.set_xlim(np.exp(-reach), np.exp(reach))
+    axis.set_yticks(range(len(found.free)), [pretty(name) for name in found.free])
+    axis.set_ylim(-0.6, len(found.free) - 0.4)
+    axis.set(xlabel="value / starting value (95 % interval)", title="free parameters (SI)")
+
+
+def profile(axis: Axes, found: FitRecord, name: str) -> None:
+    """The objective along one parameter: simulated points, and what the covariance implies."""
+    points = found.profiles[name]
+    ratio = np.array([point.value for point in points]) / found.parameters[name]
+    axis.plot(ratio, [p.simulated for p in points], "o", color=MIDDLE, label="simulated")
+    implied = np.array([p.linearised for p in points])
+    if len(np.unique(ratio)) > 2:  # a parabola in ln p
+        parabola = np.polynomial.Polynomial.fit(np.log(ratio), implied, 2)
+        ratio = np.geomspace(ratio.min(), ratio.max(), 61)
+        implied = parabola(np.log(ratio))
+    axis.plot(ratio, implied, "-", color=DARK, lw=1.2, label="from the covariance")
+    axis.set(xlabel=f"{pretty(name)} / fitted value", ylabel="objective (half of chi²)")
+    axis.set_title(f"profile of {pretty(name)}")
+
+
+def descent(axis: Axes, found: FitRecord) -> None:
+    """The objective at every evaluation; hollow where the step was rejected or failed."""
+    runs = np.array([step.forward_runs for step in found.history])
+    cost = np.array([step.cost for step in found.history])
+    better = np.array([step.status == "better" for step in found.history])
+    axis.plot(runs, np.minimum.accumulate(cost), drawstyle="steps-post", color=DARK, lw=1.2)
+    axis.plot(runs[better], cost[better], "o", color=DARK, label="better")
+    if not np.all(better):
+        points = (runs[~better], cost[~better])
+        axis.plot(*points, "D", mfc="white", mec=MIDDLE, label="rejected or failed")
+    axis.set_yscale("log")
+    axis.set(xlabel="forward runs a packing", ylabel="objective (half of chi²)")
+    axis.set_title("course of the fit")

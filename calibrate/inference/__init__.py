@@ -1,0 +1,1 @@
+"""From measurements to parameters: problem, fit, identifiability, audit."""

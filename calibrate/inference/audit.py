@@ -1,0 +1,307 @@
+"""The audit of gradients: is an estimate the slope of the response over a usable range?
+
+    reference   one parameter at a time, steps of +-0.2 in ln p, every packing
+    estimate    what a strategy of `jdem.sensitivity` returns on the same packings
+
+Both observables are judged, and both whole curves are differentiated with them from the same
+runs: displacement at a force on loading, force at a displacement on crushing.
+
+An estimate passes where it has the reference's sign and lies within 15 % (depression depth)
+or 25 % (crushing force) of it.  Slopes that are not three standard errors from zero are not
+judged: there the data could not tell a right estimate from a wrong one.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from calibrate.core.errors import CalibrationError
+from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
+from calibrate.simulation import Campaign, Run
+from jdem.laboratory.virtual_lab import Outcome, VirtualLab
+from jdem.observables import displacement_at
+from jdem.packing.settling import Packing
+from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
+from jdem.sensitivity.composite import Blend, blended
+from jdem.sensitivity.pathwise import Pathwise
+from jdem.sensitivity.regression import Regression
+from jdem.sensitivity.virtual_power import VirtualPower
+
+STRATEGIES = (
+    "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend",
+)  # fmt: skip
+SIMULATED = ("regression", "ensemble", "fit")  # from values of runs that a campaign keeps
+BLENDS = {"blend": "pathwise", "virtual_power_blend": "virtual_power"}  # each with the ensemble
+REFERENCE = Regression((0.2,))
+OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
+WITHIN = {"depression_depth_mm": 0.15, "crushing_force_n": 0.25}  # of the reference
+JUDGED_FROM = 3.0  # standard errors of the reference
+POINTS = 20  # of each curve
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Where the curves are read: loading forces (N), and displacements (mm) while crushing."""
+
+    loading_n: np.ndarray
+    crushing_mm: np.ndarray
+
+    @staticmethod
+    def of(work: Campaign) -> "CurvePoints":
+        share = np.arange(1, POINTS + 1) / POINTS
+        tests = work.lab.tests
+        return CurvePoints(
+            float(tests.confined.force_high) * share, 1e3 * float(tests.unconfined.stroke) * share
+        )
+
+    def read(self, run: Run) -> np.ndarray:
+        """H (mm), F (N), displacements (mm) on loading, forces (N) on crushing; NaN: failed."""
+        if run.failure:
+            return np.full(len(OBSERVABLES) + 2 * POINTS, np.nan)
+        travel, force = run.confined.T
+        highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
+        loading = np.interp(self.loading_n, highest, travel[: len(highest)])
+        crushing = np.interp(self.crushing_mm, *run.unconfined.T)
+        values = [run.observables()[name] for name in OBSERVABLES]
+        return np.concatenate([values, loading, crushing])
+
+    def traced(self, outcome: Outcome) -> Array:
+        """The same numbers as `read`, traced by JAX."""
+        loading, crushing = outcome.confined, outcome.unconfined.filled()
+        travel = jax.vmap(lambda force: displacement_at(loading, force))(
+            jnp.asarray(self.loading_n)
+        )
+        force = jnp.interp(
+            jnp.asarray(self.crushing_mm), 1e3 * crushing.displacement, crushing.force
+        )
+        observables = jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+        return jnp.concatenate([observables, 1e3 * travel, force])
+
+    def slices(self) -> dict[str, slice]:
+        """Where each test's curve stands among what `read` returns."""
+        first = len(OBSERVABLES)
+        return {
+            "confined": slice(first, first + POINTS),
+            "unconfined": slice(first + POINTS, first + 2 * POINTS),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """Slopes (m, p) per unit of ln p, by strategy, and the reference's.
+
+    Rows are both observables, and then, for strategies that have them, both curves.
+    """
+
+    names: tuple[str, ...]
+    reference: Sensitivity
+    estimates: dict[str, Sensitivity]
+    costs: dict[str, float]  # forward runs a packing
+    described: dict[str, str]
+    packings: int
+    points: CurvePoints
+
+    def rows(self, strategy: str) -> list[dict]:
+        """One row for each parameter and observable: the contract's keys, and intervals."""
+        found = self.estimates[strategy]
+        return [
+            self._row(found, m, observable, p, parameter)
+            for m, observable in enumerate(OBSERVABLES)
+            for p, parameter in enumerate(self.names)
+        ]
+
+    def _row(self, found: Sensitivity, m: int, observable: str, p: int, parameter: str) -> dict:
+        return judged(
+            {
+                "parameter": parameter,
+                "observable": observable,
+                "estimate": float(found.slopes[m, p]),
+                "estimate_se": float(found.standard_error[m, p]),
+                "reference": float(self.reference.slopes[m, p]),
+                "reference_se": float(self.reference.standard_error[m, p]),
+            }
+        )
+
+
+def judged(row: dict) -> dict:
+    """The row with relative_error, whether it can be judged, and if so whether it passed."""
+    estimate, reference = row["estimate"], row["reference"]
+    large = abs(reference) > JUDGED_FROM * row["reference_se"]
+    close = abs(estimate - reference) <= WITHIN[row["observable"]] * abs(reference)
+    return {
+        **row,
+        "relative_error": estimate / reference - 1 if reference else float("nan"),
+        "judged": large,
+        "passed": bool(close) if large else None,
+    }
+
+
+def verdict(rows: Sequence[dict]) -> bool:
+    """Whether every slope that can be judged has passed."""
+    return all(row["passed"] for row in rows if row["judged"])
+
+
+def strategies(space: Space) -> dict[str, AbstractStrategy]:
+    """What can be audited, by name, with the steps that suit the space's parameters."""
+    return {
+        "fit": fitting_ensemble(space),
+        "ensemble": ensemble(space),
+        "regression": Regression((0.25,)),
+        "pathwise": Pathwise(),
+        "blend": Blend(unbiased=ensemble(space)),
+        "virtual_power": VirtualPower(),
+        "virtual_power_blend": Blend(VirtualPower(), ensemble(space)),
+    }
+
+
+def audit(space: Space, work: Campaign, seeds: Sequence[int], names: Sequence[str]) -> Audit:
+    """Reference and estimates at the space's base soil, on the packings `seeds`."""
+    point, count = jnp.log(jnp.asarray(space.start())), len(seeds)
+    points = CurvePoints.of(work)
+    simulated = simulated_response(space, work, seeds, points)
+    reference = REFERENCE(simulated("reference"), point, count)
+    if not bool(jnp.all(jnp.isfinite(reference.slopes))):
+        raise CalibrationError("audit: a reference has no finite slope: every probe failed")
+    available, estimates = strategies(space), {}
+    needed = {*names, *(BLENDS[name] for name in names if name in BLENDS)}
+    for name in SIMULATED:
+        if name in needed or (name == "ensemble" and needed & set(BLENDS)):
+            estimates[name] = available[name](simulated(name), point, count)
+    for name in BLENDS.values():
+        if name in needed:
+            work.progress.say(f"{name}: one pass with all tangents on every packing")
+            estimates[name] = traced_slopes(name, space, work, seeds, points)
+    for name, precise in BLENDS.items():
+        if name in names:
+            rows = len(estimates[precise].slopes)
+            both = _first_rows(estimates["ensemble"], rows)
+            estimates[name] = blended(estimates[precise], both)
+    return Audit(
+        names=space.names,
+        reference=reference,
+        estimates={name: estimates[name] for name in names},
+        costs={name: available[name].runs(len(space.names), count) for name in names},
+        described={name: available[name].describe() for name in names},
+        packings=count,
+        points=points,
+    )
+
+
+def _first_rows(found: Sensitivity, rows: int) -> Sensitivity:
+    return Sensitivity(found.values[:, :rows], found.slopes[:rows], found.standard_error[:rows])
+
+
+def simulated_response(
+    space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
+) -> Callable:
+    """What: a response whose runs are cached simulations; failed runs are NaN."""
+
+    def named(what: str):
+        def response(asked: Array) -> Array:
+            rows = np.asarray(space.inside(np.asarray(asked)))
+            soils = [[space.soil(np.exp(point)) for point in row] for row in rows]
+            runs = work.each(soils, seeds, what)
+            return jnp.asarray([[points.read(run) for run in row] for row in runs])
+
+        return response
+
+    return named
+
+
+def traced_slopes(
+    name: str, space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
+) -> Sensitivity:
+    """Slopes in forward mode, packing by packing, at the time step of the base soil.
+
+    Of both observables by `pathwise`; of both curves as well by `virtual_power`.
+    """
+    power = VirtualPower()
+    if name == "virtual_power":
+        slopes = traced(power, power.laboratory(work.lab), space, points)
+    else:
+        slopes = traced(Pathwise(), work.lab, space, points, rows=len(OBSERVABLES))
+    found = [
+        slopes(packing, work.lab.time_step(packing, space.base)) for packing in work.packings(seeds)
+    ]
+    values, each = (jnp.stack(part) for part in zip(*found, strict=True))
+    return averaged(values, each)
+
+
+def traced(
+    strategy: AbstractStrategy,
+    lab: VirtualLab,
+    space: Space,
+    points: CurvePoints,
+    rows: int | None = None,
+) -> Callable[[Packing, Array], tuple[Array, Array]]:
+    """A compiled function of one packing and its time step (s): values (m,), slopes (m, p).
+
+    At the space's base soil, per unit of ln p; m are the first `rows` of what `points` reads.
+    """
+    point = jnp.log(jnp.asarray(space.start()))
+
+    @eqx.filter_jit
+    def slopes(packing: Packing, time_step: Array) -> tuple[Array, Array]:
+        def response(asked: Array) -> Array:
+            outcome = lab.run(packing, space.soil(jnp.exp(asked[0, 0])), time_step)
+            return points.traced(outcome)[:rows][None, None]
+
+        found = strategy(response, point, 1)
+        return found.values[0], found.slopes
+
+    return slopes
+
+
+def audit_json(found: Audit) -> dict:
+    """The contract's keys for the first strategy, all of them under "strategies", and curves."""
+    first = next(iter(found.estimates))
+    each = {name: _strategy_json(found, name) for name in found.estimates}
+    return {
+        "strategy": first,
+        "passed": each[first]["passed"],
+        "packings": found.packings,
+        "within": WITHIN,
+        "judged_from": JUDGED_FROM,
+        "rows": each[first]["rows"],
+        "strategies": each,
+        "curves": {test: _curve_json(found, test) for test in found.points.slices()},
+    }
+
+
+def _strategy_json(found: Audit, name: str) -> dict:
+    rows = found.rows(name)
+    return {
+        "passed": verdict(rows),
+        "rows": rows,
+        "forward_runs": found.costs[name],
+        "described": found.described[name],
+    }
+
+
+def _curve_json(found: Audit, test: str) -> dict:
+    """Mean curve and its slopes in every parameter, by reference and by strategy."""
+    rows, points = found.points.slices()[test], found.points
+    abscissa = {"force_n": points.loading_n, "displacement_mm": points.crushing_mm}
+    key = "force_n" if test == "confined" else "displacement_mm"
+    by_name = {"reference": found.reference} | {
+        name: each for name, each in found.estimates.items() if len(each.slopes) >= rows.stop
+    }
+    return {
+        key: abscissa[key].tolist(),
+        "mean": np.nanmean(found.reference.values[:, rows], axis=0).tolist(),
+        "slopes": {
+            parameter: {
+                name: {
+                    "slope": each.slopes[rows, p].tolist(),
+                    "se": each.standard_error[rows, p].tolist(),
+                }
+                for name, each in by_name.items()
+            }
+            for p, parameter in enumerate(found.names)
+        },
+    }

@@ -1,0 +1,186 @@
+"""The whole calibration of a lab file, from packings to a fit and its check on fresh packings.
+
+packings -> scatter -> screening -> free parameters -> fit -> fresh packings
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.inference.fit import Calibration, Fit, Settings, fit, packing_scatter
+from calibrate.inference.identifiability import choose_free
+from calibrate.inference.parameters import FACTORS, Space, ensemble, space
+from calibrate.inference.problem import Problem, pose
+from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign, Run
+from calibrate.simulation.resolution import Preset
+from calibrate.simulation.specimens import (
+    Seeds,
+    mean_observables,
+    measured_json,
+    packing_json,
+    quality_json,
+    rates_json,
+    soil_json,
+    spread_observables,
+)
+from jdem.materials.soil import SoilParameters
+
+CANDIDATES = (*FACTORS, "shear_modulus")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A fit with everything around it that a report shows."""
+
+    lab: Lab
+    problem: Problem
+    result: Fit
+    soil: SoilParameters
+    space: Space
+    screening: dict
+    fitted_runs: list[Run]
+    fresh_runs: list[Run]
+    scatter: np.ndarray
+    simulations: int
+    named: dict[str, dict]
+    strategy: str
+    seeds: Seeds
+    rates: dict
+
+
+def calibrate(
+    lab: Lab,
+    preset: Preset,
+    free: tuple[str, ...] | None,
+    changes: dict[str, float],
+    seed: int,
+    work: Campaign,
+) -> Calibrated:
+    """The whole calibration of a lab file; resumes from what `work.folder` holds."""
+    problem, seeds = pose(lab), Seeds.of(seed, preset.packings)
+    base = with_values(base_soil(lab), changes)
+    scatter = packing_scatter(
+        problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
+    )
+    screening: dict = {}
+    free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
+    if free is None:
+        screening = screen(lab, problem, base, scatter, seeds, work)
+        free = tuple(screening["free"])
+        work.progress.say("free parameters: " + ", ".join(free))
+    free_space = space(lab, free, base)
+    calibration = Calibration(
+        problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
+    )
+    result = fit(calibration)
+    soil = free_space.soil(result.best.values)
+    fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
+    fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
+    named = _named_sets(lab, base, seeds.fitted, work)
+    return Calibrated(
+        lab=lab,
+        problem=problem,
+        result=result,
+        soil=soil,
+        space=free_space,
+        screening=screening,
+        fitted_runs=fitted,
+        fresh_runs=fresh,
+        scatter=scatter,
+        simulations=work.simulated,
+        named=named,
+        strategy=calibration.strategy.describe(),
+        seeds=seeds,
+        rates=rates_json(work),
+    )
+
+
+def screen(
+    lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: Campaign
+) -> dict:
+    """Slopes of all features in all candidates, and the parameters that the data can fix."""
+    held = {name for name, choice in lab.parameters.items() if choice.free is False}
+    candidates = tuple(name for name in CANDIDATES if name not in held)
+    every = space(lab, candidates, base)
+    settings = Settings(strategy=ensemble(every))
+    calibration = Calibration(
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
+    )
+    slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
+    whitened = calibration.whitened(slopes)
+    rank = len(problem.measured)
+    chosen = choose_free(candidates, whitened, every.prior_sd(), rank)
+    names = [feature.name for feature in problem.features]
+    return {
+        "free": [name for name, _ in chosen],
+        "signal_to_noise": dict(chosen),
+        "slopes_per_ln": {
+            feature: dict(zip(candidates, row.tolist(), strict=True))
+            for feature, row in zip(names, slopes, strict=True)
+        },
+    }
+
+
+def fit_json(done: Calibrated) -> dict:
+    """The contract's keys for `fit`, and what was checked on fresh packings."""
+    features = [feature.name for feature in done.problem.features]
+    best = done.result.best
+    return {
+        "parameters": soil_json(done.soil),
+        "free": list(done.space.names),
+        "observables": mean_observables(done.fitted_runs),
+        "spread": spread_observables(done.fitted_runs),
+        "fresh_packings": {
+            "observables": mean_observables(done.fresh_runs),
+            "spread": spread_observables(done.fresh_runs),
+        },
+        "targets": {name: target.mean for name, target in done.lab.targets.items()},
+        "measured": measured_json(done.lab),
+        "seeds": list(done.seeds.fitted),
+        "fresh_seeds": list(done.seeds.fresh),
+        "packings": {
+            "fitted": _packings_json(done.seeds.fitted, done.fitted_runs),
+            "fresh": _packings_json(done.seeds.fresh, done.fresh_runs),
+        },
+        "quality": quality_json(done.fitted_runs),
+        "rates": done.rates,
+        "features": {
+            name: {"measured": float(m), "simulated": float(s), "sd": float(sd)}
+            for name, m, s, sd in zip(
+                features,
+                done.problem.measured,
+                best.features.mean(axis=0),
+                np.sqrt(np.diag(done.result.covariance)),
+                strict=True,
+            )
+        },
+        "packing_scatter": dict(
+            zip(features, np.sqrt(np.diag(done.scatter)).tolist(), strict=True)
+        ),
+        "simulations": done.simulations,
+        "stopped": done.result.stopped,
+        "strategy": done.strategy,
+        "profiles": done.result.profiles,
+        "identifiability": done.result.identifiability.as_json(),
+        "screening": done.screening,
+        "history": done.result.history,
+        "named_sets": done.named,
+        "at_bound": done.space.at_bound(best.values),
+    }
+
+
+def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
+    return [packing_json(seed, run) for seed, run in zip(seeds, runs, strict=True)]
+
+
+def _named_sets(lab: Lab, base: SoilParameters, seeds, work: Campaign) -> dict[str, dict]:
+    """Observables of the lab file's named parameter sets on the fitted packings."""
+    soils = [with_values(base, values) for values in lab.named_sets.values()]
+    rows = work.runs(soils, seeds, "named parameter sets") if soils else []
+    return {
+        name: {"observables": mean_observables(row), "spread": spread_observables(row)}
+        for name, row in zip(lab.named_sets, rows, strict=True)
+    }

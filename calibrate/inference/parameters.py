@@ -1,0 +1,200 @@
+"""The parameters that a fit may free: bounds, priors and the space a solver moves in.
+
+    y = logit((t(p) - t(low)) / (t(high) - t(low))),   t = ln
+
+A solver works on unbounded y; the parameter never leaves (low, high).  Priors are
+normal in ln p around the starting value.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
+from jdem.materials.soil import SoilParameters
+from jdem.sensitivity.ensemble import Ensemble
+
+
+@dataclass(frozen=True)
+class Range:
+    """Bounds of a parameter (SI) and the prior's standard deviation in ln p."""
+
+    low: float
+    high: float
+    prior_sd: float
+
+
+FACTORS = (
+    "restitution",
+    "static_friction",
+    "rolling_friction",
+    "surface_energy",
+    "plasticity_ratio",
+    "tensile_exponent",
+    "tangential_multiplier",
+)
+
+# Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
+RANGES = {
+    "restitution": Range(0.1, 0.9, 0.3),
+    "static_friction": Range(0.1, 1.5, 0.5),
+    "rolling_friction": Range(0.05, 1.0, 0.5),
+    "surface_energy": Range(1.0, 150.0, 1.0),
+    "plasticity_ratio": Range(0.05, 0.85, 0.4),
+    "tensile_exponent": Range(0.5, 5.0, 0.4),
+    "tangential_multiplier": Range(0.1, 2.0, 0.4),
+    "shear_modulus": Range(1e6, 60e6, 1.0),
+    "wall_friction": Range(0.01, 1.0, 1.0),
+    "platen_friction": Range(0.01, 1.5, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Space:
+    """Free parameters by name, each with its bounds, and the values of all others.
+
+    Arrays follow the order of `names`; `base` holds every parameter of the soil.
+    """
+
+    names: tuple[str, ...]
+    ranges: tuple[Range, ...]
+    base: SoilParameters
+
+    def start(self) -> np.ndarray:
+        """The base soil's values of the free parameters."""
+        return np.array([float(getattr(self.base, name)) for name in self.names])
+
+    def soil(self, values) -> SoilParameters:
+        """The base soil with the free parameters at `values`; differentiable."""
+        return with_values(self.base, dict(zip(self.names, jnp.asarray(values), strict=True)))
+
+    def to_unbounded(self, values: np.ndarray) -> np.ndarray:
+        """y of the values, which must lie within the bounds."""
+        low, high = self._log_bounds()
+        share = (np.log(values) - low) / (high - low)
+        share = np.clip(share, _EDGE, 1 - _EDGE)
+        return np.log(share / (1 - share))
+
+    def from_unbounded(self, y) -> np.ndarray:
+        """Values of y."""
+        low, high = self._log_bounds()
+        return np.exp(low + (high - low) / (1 + np.exp(-np.asarray(y))))
+
+    def log_slope(self, y) -> np.ndarray:
+        """d ln p / d y, to turn slopes per ln p into slopes per y."""
+        low, high = self._log_bounds()
+        share = 1 / (1 + np.exp(-np.asarray(y)))
+        return (high - low) * share * (1 - share)
+
+    def inside(self, log_values: np.ndarray) -> np.ndarray:
+        """ln p moved to the nearest point within the bounds; shape (..., p)."""
+        return np.clip(log_values, *self._log_bounds())
+
+    def prior_sd(self) -> np.ndarray:
+        """Standard deviations of ln p."""
+        return np.array([entry.prior_sd for entry in self.ranges])
+
+    def at_bound(self, values: np.ndarray) -> list[str]:
+        """Names of parameters within one per cent of a bound, in ln p."""
+        low, high = self._log_bounds()
+        share = (np.log(values) - low) / (high - low)
+        return [n for n, s in zip(self.names, share, strict=True) if s < 0.01 or s > 0.99]
+
+    def _log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        low = np.log([entry.low for entry in self.ranges])
+        return low, np.log([entry.high for entry in self.ranges])
+
+
+PROBE = 0.2  # usual step in ln p; about 20 %
+
+
+def probing_steps(space: Space) -> tuple[float, ...]:
+    """Steps in ln p (p,): PROBE, or as far as the nearer bound of a parameter is away."""
+    low, high = np.log([(entry.low, entry.high) for entry in space.ranges]).T
+    start = np.log(space.start())
+    return tuple(np.minimum(PROBE, np.minimum(high - start, start - low)).tolist())
+
+
+# What matters most to depth and force, spread over three groups when dealt out in turn: with the
+# modulus go parameters that hardly change the depth, with the plasticity ratio, and with
+# rolling friction, such that do not act through the same term (docs/gradients.md).
+DEALT = (
+    "shear_modulus",
+    "plasticity_ratio",
+    "rolling_friction",
+    "surface_energy",
+    "tangential_multiplier",
+    "restitution",
+    "tensile_exponent",
+    "static_friction",
+    "wall_friction",
+    "platen_friction",
+)
+# Parameters of which the audit confirmed no slope while others moved with them.
+ALONE = ("restitution", "tensile_exponent", "static_friction", "wall_friction", "platen_friction")
+
+
+def probing_groups(names: Sequence[str], most: int = 3) -> tuple[tuple[int, ...], ...]:
+    """Indices of the parameters that are probed together: two or three in a group where that
+    is enough for `most` groups, in the order of DEALT."""
+    return _dealt(names, range(len(names)), most)
+
+
+def fitting_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
+    """The same for a fit: those of ALONE are moved one at a time, as the audit's reference is."""
+    alone = tuple((i,) for i, name in enumerate(names) if name in ALONE)
+    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE], 3), *alone)
+
+
+def _dealt(names: Sequence[str], chosen: Sequence[int], most: int) -> tuple[tuple[int, ...], ...]:
+    """The chosen indices in groups, dealt out in the order of DEALT."""
+    count = min(most, max(min(len(chosen), 2), -(-len(chosen) // 2)))
+    order = sorted(chosen, key=lambda i: DEALT.index(names[i]))
+    return tuple(tuple(order[first::count]) for first in range(count))
+
+
+def ensemble(space: Space, pairs: int = 1) -> Ensemble:
+    """Slopes in all parameters at a cost of six runs a packing; screening relies on it."""
+    return Ensemble(probing_steps(space), probing_groups(space.names), pairs)
+
+
+def fitting_ensemble(space: Space) -> Ensemble:
+    """What fits use and the audit passes: the ensemble, with two runs more a packing for each
+    parameter whose slopes the audit could not confirm within a group."""
+    return Ensemble(probing_steps(space), fitting_groups(space.names))
+
+
+_EDGE = 1e-6  # keeps a start on a bound off infinity
+
+
+def space(lab: Lab, names: tuple[str, ...], base: SoilParameters | None = None) -> Space:
+    """Free parameters with the lab file's bounds and priors where it states them."""
+    base = base_soil(lab) if base is None else base
+    ranges = tuple(_range(lab, name) for name in names)
+    for name, bounds in zip(names, ranges, strict=True):
+        _check_inside(lab, name, float(getattr(base, name)), bounds)
+    return Space(names, ranges, base)
+
+
+def _check_inside(lab: Lab, name: str, value: float, bounds: Range) -> None:
+    """Refuses a start on or beyond the bounds of a free parameter."""
+    if not bounds.low < value < bounds.high:
+        raise InputError(
+            lab.file,
+            f"parameters.{name}",
+            f"{value:g} is not between the bounds {bounds.low:g} and {bounds.high:g} of a fit",
+            "change the value, or give its low and high",
+        )
+
+
+def _range(lab: Lab, name: str) -> Range:
+    default, choice = RANGES[name], lab.parameters.get(name)
+    if choice is None:
+        return default
+    stated = (choice.low, choice.high, choice.prior_sd)
+    usual = (default.low, default.high, default.prior_sd)
+    return Range(*[u if s is None else s for s, u in zip(stated, usual, strict=True)])

@@ -1,0 +1,108 @@
+"""An export of a testing machine, read whole: `read_export` gives its clean specimens."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibrate.core.errors import BadValue, InputError, one_line
+from calibrate.instrument_import.cells import Sheet
+from calibrate.instrument_import.recordings import Recording, Units, recordings_in
+from calibrate.instrument_import.specimens import Specimen, specimen_from
+from calibrate.instrument_import.textfile import text_sheet
+from calibrate.instrument_import.vocabulary import plain
+from calibrate.instrument_import.workbook import is_workbook, workbook_sheets
+
+LARGEST = 100_000_000  # bytes of an export
+_FOREIGN = {  # how files begin that are neither text nor .xlsx
+    b"\xd0\xcf\x11\xe0": ("an old Excel or Word file", "save it as .xlsx or .csv"),
+    b"%PDF": ("a PDF", "export the recorded points as .csv, .txt or .xlsx"),
+    b"\x1f\x8b": ("compressed", "unpack it first"),
+    b"\x89PNG": ("a picture", "export the recorded points as .csv, .txt or .xlsx"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """A file as it was understood: how it was read, its specimens in file order, and one
+    sentence for each specimen that could not be used."""
+
+    file: str
+    layout: str
+    specimens: tuple[Specimen, ...]
+    skipped: tuple[str, ...]
+
+
+def read_export(path: Path, test: str | None = None, units: Units | None = None) -> Export:
+    """Reads the export at `path`; `test` and `units` are what the user insists on.
+
+    Raises `InputError` with one useful sentence for any file that cannot be used.
+    """
+    try:
+        data = _bytes(Path(path))
+        sheets = _sheets(data, Path(path).stem)
+        recordings = recordings_in(sheets, units or Units())
+        specimens, refused = _specimens(recordings, test)
+        if not specimens:
+            raise refused[0]
+    except BadValue as bad:
+        raise InputError(str(path), "", one_line(bad.problem), bad.repair) from None
+    skipped = tuple(one_line(f"left out: {bad.problem}; {bad.repair}") for bad in refused)
+    return Export(str(path), sheets[0].layout, tuple(specimens), skipped)
+
+
+def _specimens(
+    recordings: list[Recording], test: str | None
+) -> tuple[list[Specimen], list[BadValue]]:
+    """The clean specimens, and why others are none."""
+    specimens: list[Specimen] = []
+    refused: list[BadValue] = []
+    for recording, label in zip(recordings, _labels(recordings), strict=True):
+        try:
+            specimens.append(specimen_from(recording, test, label))
+        except BadValue as bad:
+            refused.append(bad)
+    return specimens, refused
+
+
+def _bytes(path: Path) -> bytes:
+    """The content of a regular file of sensible size."""
+    try:
+        if path.is_dir():
+            raise BadValue("this is a folder", "give the path of a file inside it")
+        if not path.is_file():
+            raise BadValue("no such file", "check the path for a typing error")
+        if path.stat().st_size > LARGEST:
+            raise BadValue("it is larger than 100 MB", "export fewer points or specimens")
+        return path.read_bytes()
+    except OSError as error:
+        raise BadValue(f"it cannot be read ({error.strerror})", "check its permissions") from None
+
+
+def _sheets(data: bytes, name: str) -> list[Sheet]:
+    """The sheets of a text file or workbook, told apart by how the file begins."""
+    if not data.strip():
+        raise BadValue("it is empty", "export the record again")
+    for beginning, (what, repair) in _FOREIGN.items():
+        if data.startswith(beginning):
+            raise BadValue(f"this is {what}", repair)
+    if is_workbook(data):
+        sheets = workbook_sheets(data)
+        if not sheets:
+            raise BadValue("no worksheet holds anything", "export the record again")
+        return sheets
+    return [text_sheet(data, name)]
+
+
+def _labels(recordings: list[Recording]) -> list[str]:
+    """One name a specimen, unlike all others."""
+    labels: list[str] = []
+    for number, recording in enumerate(recordings, start=1):
+        label = " ".join(recording.label.split())[:60] or f"specimen {number}"
+        labels.append(f"{label} ({number})" if label in labels else label)
+    return labels
+
+
+def file_stem(text: str) -> str:
+    """`text` as part of a file's name: letters, digits, - and _ only, never a path."""
+    safe = re.sub(r"[^a-z0-9_-]+", "_", plain(text)).strip("_-")
+    return safe[:40] or "specimen"

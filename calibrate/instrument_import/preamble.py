@@ -1,0 +1,118 @@
+"""What the lines above a table say about specimen and test: "Durchmesser d0;50,0;mm".
+
+A line counts for a quantity if one of its words names it and a number with a fitting unit
+follows; only a length may lack its unit, which is then taken as mm, and said so.
+"""
+
+import re
+from dataclasses import dataclass, field
+
+from calibrate.core.errors import BadValue
+from calibrate.core.units import DENSITY, LENGTH, SPEED, Kind, unit_factor
+from calibrate.instrument_import.cells import number
+from calibrate.instrument_import.vocabulary import plain, test_named_in
+
+MASS = Kind("mass", "kg", "360 g")
+
+_QUANTITIES: dict[str, tuple[Kind, tuple[str, ...]]] = {
+    "diameter": (LENGTH, ("diameter", "durchmesser", "diametro", "diametre", "直径")),
+    "height": (
+        LENGTH,
+        ("height", "hohe", "probenlange", "altura", "hauteur", "altezza", "高度", "gauge length"),
+    ),
+    "mass": (MASS, ("mass", "weight", "masse", "masa", "peso", "poids", "质量")),
+    "density": (DENSITY, ("density", "dichte", "densidad", "densite", "密度")),
+    "speed": (
+        SPEED,
+        ("speed", "geschwindigkeit", "velocidad", "vitesse", "velocita", "rate", "速度"),
+    ),
+}
+_PLAUSIBLE = {  # SI; what a bench-top soil test can have
+    "diameter": (5e-3, 1.0),
+    "height": (5e-3, 2.0),
+    "mass": (1e-3, 1e3),
+    "density": (300.0, 4000.0),
+    "speed": (1e-8, 1.0),
+}
+_SPECIMEN = ("specimen", "sample", "probe", "probeta", "muestra", "试样", "试件", "eprouvette")
+_NUMBER = re.compile(r"(?<![\w.,])[-+]?\d+(?:[.,]\d+)?")
+_LABEL = re.compile(
+    r"\S+?(?:\s*(?:id|name|label|no|nr|nummer|number|code|编号))?\.?\s*[:：#=\s]\s*(.+)",
+    re.IGNORECASE,
+)
+_LONGEST = 200  # characters of a line
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a preamble states: quantities in SI, the test, the specimen's name.
+
+    `assumed` lists in words what had to be supplied, such as a missing unit.
+    """
+
+    quantities: dict[str, float] = field(default_factory=dict)
+    test: str | None = None
+    label: str = ""
+    assumed: tuple[str, ...] = ()
+
+
+def read_preamble(rows: list[list[str]]) -> Stated:
+    """All that the rows state; the last statement of a quantity counts."""
+    quantities: dict[str, float] = {}
+    assumed: list[str] = []
+    label, test = "", None
+    for row in rows:
+        cells = [cell.strip() for cell in row if cell.strip()]
+        line = " ".join(cells)[:_LONGEST]
+        test = test_named_in(line) or test
+        label = _label(cells) or label
+        for name, (kind, words) in _QUANTITIES.items():
+            value, note = _quantity(line, kind, words)
+            low, high = _PLAUSIBLE[name]
+            if value is not None and low <= value <= high:
+                quantities[name] = value
+                assumed += [note] if note else []
+    return Stated(quantities, test, label, tuple(dict.fromkeys(assumed)))
+
+
+def _quantity(line: str, kind: Kind, words: tuple[str, ...]) -> tuple[float | None, str]:
+    """A quantity (SI) that the line states, and what was assumed about its unit."""
+    lower = plain(line)
+    places = [lower.find(word) + len(word) for word in words if word in lower]
+    if not places:
+        return None, ""
+    rest = lower[min(places) :]
+    found = _NUMBER.search(rest)
+    if found is None:
+        return None, ""
+    value = number(found[0].replace(",", "."), ".")
+    after = re.split(r"[\s()\[\]]+", rest[found.end() :].strip(" ()[]"))[0]
+    before = re.search(r"[\[(]([^\[\]()]{1,10})[\])]", rest[: found.start()])
+    for unit in (after, before[1] if before else ""):
+        factor = _factor(unit, kind)
+        if factor is not None:
+            return value * factor, ""
+    if kind is not LENGTH or after:
+        return None, ""  # "speed 2 of the programme"
+    return value * unit_factor("mm", kind), f"{line.strip()!r} is in mm"
+
+
+def _factor(unit: str, kind: Kind) -> float | None:
+    """SI units in one `unit`, or None if it is no unit of this kind."""
+    written = unit.strip(".;,:").replace("毫米", "mm").replace("³", "^3").replace("cm3", "cm^3")
+    written = written.replace("m3", "m^3")
+    try:
+        return unit_factor(written, kind) if written else None
+    except BadValue:
+        return None
+
+
+def _label(cells: list[str]) -> str:
+    """The specimen's name in a line such as "Specimen: A-12" or "Probe Nr.;3"."""
+    if not cells or not any(plain(cells[0]).startswith(word) for word in _SPECIMEN):
+        return ""
+    line = " ".join(cells)
+    found = _LABEL.match(line)
+    label = found[1].strip() if found else ""
+    shape = any(word in plain(line) for _, words in _QUANTITIES.values() for word in words)
+    return "" if shape or not label else label[:60]

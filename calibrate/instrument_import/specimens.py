@@ -1,0 +1,304 @@
+"""From a recording to the clean curve of one specimen, with everything that was noticed.
+
+    order in time -> units that cannot be -> clipped top -> contact -> test -> the part that counts
+
+The confined curve keeps its unloading; the unconfined one ends where the platen turns back.
+Displacement counts from contact, force from its reading before contact.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibrate.core.errors import BadValue
+from calibrate.instrument_import import signals
+from calibrate.instrument_import.recordings import Recording
+from calibrate.instrument_import.tables import FEWEST_ROWS
+from calibrate.instrument_import.vocabulary import DISPLACEMENT, FORCE
+
+DIAMETER, HEIGHT = 0.05, 0.10  # m; assumed where the file does not say
+LEAD_SHARE = 0.1  # of the travel from contact to the peak; kept before contact
+COARSE = 20  # points on loading below which a curve is called coarse
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something noticed about a record: its kind, one sentence, and whether it is a fault."""
+
+    kind: str
+    text: str
+    fault: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """A clean curve: displacement (mm) and force (N) of shape (points,), time (s) if recorded.
+
+    `test` is "confined" or "unconfined"; `rate` is the platen's speed on loading (m/s) if
+    known; diameter and height (m) are None where the file does not state them;
+    `unloading_mm` is where unloading starts, None without; `clipped` says that the true
+    peak is unknown.  `raw` is what was recorded, in the units of the curve.
+    """
+
+    label: str
+    test: str
+    time_s: np.ndarray | None
+    displacement_mm: np.ndarray
+    force_n: np.ndarray
+    rate: float | None
+    diameter: float | None
+    height: float | None
+    density: float | None
+    unloading_mm: float | None
+    clipped: bool
+    contact_mm: float  # of the recorded displacement
+    zero_n: float  # of the recorded force
+    place: str
+    findings: tuple[Finding, ...]
+    raw: Recording = field(repr=False)
+
+
+def specimen_from(recording: Recording, test: str | None, label: str) -> Specimen:
+    """The clean specimen; `test` as the user gave it, or None to find out.
+
+    Raises `BadValue` where the record is no compression test or its kind cannot be told.
+    """
+    findings = [Finding("assumed", text) for text in recording.assumed]
+    findings += [Finding("missing values", text, True) for text in recording.warnings]
+    recording = _in_order(recording, findings)
+    recording = _plausible(recording, findings)
+    _check_curve(recording, label)
+    top = signals.clipped_run(recording.displacement_mm, recording.force_n)
+    start = signals.start_of_contact(recording.force_n)
+    if recording.force_n.max() <= _threshold(recording, start):
+        problem = f"specimen '{label}': its force does not rise above its noise"
+        raise BadValue(problem, "check which columns were exported")
+    _tell_start(recording, start, findings)
+    kind = _test(recording, test, start.row, findings, label)
+    kept = _counted(recording, start, top, kind, findings)
+    travel, force, time = _cleaned(recording, start, kept, kind, findings, label)
+    _tell_gaps(time, travel, force, findings)
+    turn = signals.turning_row(travel)
+    return Specimen(
+        label=label,
+        test=kind,
+        time_s=time,
+        displacement_mm=travel,
+        force_n=force,
+        rate=_rate(time, travel, force, recording),
+        diameter=recording.stated.quantities.get("diameter"),
+        height=recording.stated.quantities.get("height"),
+        density=_density(recording),
+        unloading_mm=None if turn is None else float(travel[turn]),
+        clipped=top is not None,
+        contact_mm=float(recording.displacement_mm[start.row]),
+        zero_n=start.zero,
+        place=recording.place,
+        findings=tuple(findings),
+        raw=recording,
+    )
+
+
+def _in_order(recording: Recording, findings: list[Finding]) -> Recording:
+    """The record sorted by time where the clock ran backwards."""
+    if recording.time_s is None:
+        return recording
+    back = signals.backward_rows(recording.time_s)
+    if not len(back):
+        return recording
+    order = np.argsort(recording.time_s, kind="stable")
+    text = f"{len(back)} rows lie before the row above them in time: sorted by time"
+    findings.append(Finding("time order", text, True))
+    return replace(
+        recording,
+        time_s=recording.time_s[order],
+        displacement_mm=recording.displacement_mm[order],
+        force_n=recording.force_n[order],
+    )
+
+
+def _plausible(recording: Recording, findings: list[Finding]) -> Recording:
+    """The record with force or travel multiplied by 1000 or 0.001 where nothing else can be."""
+    sizes = recording.stated.quantities
+    area = np.pi / 4 * sizes.get("diameter", DIAMETER) ** 2
+    pressure = float(np.ptp(recording.force_n)) / area
+    strain = 1e-3 * float(np.ptp(recording.displacement_mm)) / sizes.get("height", HEIGHT)
+    for kind, name, value, plausible, words in (
+        (FORCE, "force_n", pressure, signals.PRESSURE, f"a pressure of {pressure / 1e3:.3g} kPa"),
+        (DISPLACEMENT, "displacement_mm", strain, signals.STRAIN, f"a strain of {strain:.2g}"),
+    ):
+        factor = signals.unit_slip(value, plausible)
+        if factor is None or kind in recording.units_fixed:
+            continue
+        times = "1000 times larger" if factor > 1 else "1000 times smaller"
+        text = (
+            f"{kind} as written means {words}, which cannot be: taken as {times} "
+            f"(give --{kind}-unit if the file is right)"
+        )
+        findings.append(Finding("unit slip", text, True))
+        recording = replace(recording, **{name: getattr(recording, name) * factor})
+    return recording
+
+
+def _check_curve(recording: Recording, label: str) -> None:
+    """Refuses a record in which nothing is compressed."""
+    force, travel = recording.force_n, recording.displacement_mm
+    name = f"specimen '{label}': "
+    if len(force) < FEWEST_ROWS:
+        raise BadValue(f"{name}only {len(force)} complete points", "export the whole record")
+    if not (np.ptp(force) > 0 and np.ptp(travel) > 0):
+        still = "force" if np.ptp(force) == 0 else "displacement"
+        raise BadValue(f"{name}its {still} never changes", "check which columns were exported")
+    peak = int(np.argmax(force))
+    if np.ptp(travel[: peak + 1]) < 0.02 * np.ptp(travel) or peak < 3:
+        problem = f"{name}the largest force stands at its very start"
+        raise BadValue(problem, "export the record from before contact on")
+
+
+def _tell_start(recording: Recording, start: signals.Start, findings: list[Finding]) -> None:
+    """What was found about contact and the zero of force."""
+    peak = float(recording.force_n.max())
+    travel = recording.displacement_mm
+    first = float(np.median(recording.force_n[:5]))
+    ran = travel[start.row] - travel[0]
+    if first > 0.02 * peak and not start.approach:
+        text = f"the record starts under a load of {first:.3g} N: the first contact is missing"
+        findings.append(Finding("start of contact", text, True))
+    elif ran > 0:
+        text = f"contact {ran:.3g} mm after the start of the record: displacement counts from there"
+        findings.append(Finding("start of contact", text))
+    else:
+        findings.append(Finding("start of contact", "the record starts at contact"))
+    if start.zero != 0:
+        text = f"the force reads {start.zero:.3g} N before contact: subtracted"
+        findings.append(Finding("zero of force", text))
+
+
+def _test(
+    recording: Recording, given: str | None, row: int, findings: list[Finding], label: str
+) -> str:
+    """Which test this is: as given, as the file says, or as the shape of the curve says."""
+    travel, force = recording.displacement_mm[row:], recording.force_n[row:]
+    softens = signals.has_softening(travel, force)
+    shape = "unconfined" if softens else None
+    if shape is None and signals.is_stiffening(travel, force):
+        shape = "confined"
+    said = recording.stated.test
+    if given is not None:
+        return given
+    if said is not None:
+        if shape is not None and shape != said:
+            text = f"the file says {said}, but the curve looks {shape}: taken as {said}"
+            findings.append(Finding("kind of test", text, True))
+        return said
+    if shape is None:
+        problem = f"specimen '{label}': neither the file nor the curve tells which test it is"
+        raise BadValue(problem, "give --test confined or --test unconfined")
+    why = "softens after a peak" if softens else "stiffens up to its peak"
+    findings.append(Finding("assumed", f"{shape} test, because the curve {why}"))
+    return shape
+
+
+def _counted(
+    recording: Recording,
+    start: signals.Start,
+    top: tuple[int, int] | None,
+    kind: str,
+    findings: list[Finding],
+) -> slice:
+    """The rows that count: from just before contact to where the test ends."""
+    travel, force = recording.displacement_mm, recording.force_n
+    reach = LEAD_SHARE * (travel[int(np.argmax(force))] - travel[start.row])
+    first = int(np.argmax(travel >= travel[start.row] - reach))
+    turn = signals.turning_row(travel)
+    last = len(force)
+    if turn is not None:
+        text = f"unloading from {travel[turn] - travel[start.row]:.4g} mm on"
+        kept = "kept" if kind == "confined" else "left out"
+        findings.append(Finding("unloading", f"{text}: {kept}"))
+        loaded = np.flatnonzero(force > _threshold(recording, start))
+        last = turn + 1 if kind == "unconfined" else min(int(loaded[-1]) + 2, len(force))
+    if top is not None and top[0] - first >= FEWEST_ROWS:
+        limit = force[top[0]] - start.zero
+        text = (
+            f"the force stays at {limit:.4g} N while the platen moves on: the load cell's limit; "
+            "only the rise up to it is kept, and the true peak is unknown"
+        )
+        findings.append(Finding("saturation", text, True))
+        last = min(last, top[0] + 1)
+    return slice(first, last)
+
+
+def _threshold(recording: Recording, start: signals.Start) -> float:
+    """The force (N, as recorded) above which the specimen is surely loaded."""
+    rise = float(recording.force_n.max()) - start.zero
+    return start.zero + max(signals.NOISE_WIDTHS * start.noise, 2e-3 * rise)
+
+
+def _cleaned(
+    recording: Recording,
+    start: signals.Start,
+    rows: slice,
+    kind: str,
+    findings: list[Finding],
+    label: str,
+):
+    """Displacement from contact, force from its zero, time, of the rows that count."""
+    travel = recording.displacement_mm[rows] - recording.displacement_mm[start.row]
+    force = recording.force_n[rows] - start.zero
+    time = None if recording.time_s is None else recording.time_s[rows]
+    if kind == "unconfined":
+        further = np.concatenate([[True], travel[1:] > np.maximum.accumulate(travel)[:-1]])
+        travel, force = travel[further], force[further]
+        time = None if time is None else time[further]
+        lost = int((~further).sum())
+        if lost > 0.02 * len(further):
+            text = f"{lost} rows in which the platen does not advance were left out"
+            findings.append(Finding("standstill", text))
+    if len(force) < FEWEST_ROWS:
+        problem = (
+            f"specimen '{label}': only {len(force)} points from contact to the end of the test"
+        )
+        raise BadValue(problem, "export the record with more points")
+    loading = int(np.argmax(force))
+    if loading < COARSE:
+        text = f"only {loading} points up to the largest force: a coarse curve"
+        findings.append(Finding("sampling", text, True))
+    return travel, force, time
+
+
+def _tell_gaps(time, travel, force, findings: list[Finding]) -> None:
+    rows = signals.gaps(time, travel, force)
+    if not rows:
+        return
+    widest = max(rows, key=lambda row: abs(travel[row + 1] - travel[row]))
+    ends = f"{travel[widest]:.3g} to {travel[widest + 1]:.3g} mm"
+    held = f", {time[widest + 1] - time[widest]:.3g} s" if time is not None else ""
+    text = f"{len(rows)} gap(s) in the sampling, the widest from {ends}{held}"
+    findings.append(Finding("sampling gap", text, True))
+
+
+def _rate(time, travel, force, recording: Recording) -> float | None:
+    """Platen speed on loading (m/s), measured where time was recorded, else as stated."""
+    stated = recording.stated.quantities.get("speed")
+    if time is None:
+        return stated
+    up = slice(0, int(np.argmax(force)) + 1)
+    if np.ptp(time[up]) <= 0:
+        return stated
+    middle = (travel[up] > 0.1 * travel[up][-1]) & (travel[up] < 0.9 * travel[up][-1])
+    if middle.sum() < 3 or np.ptp(time[up][middle]) <= 0:
+        return stated
+    return float(1e-3 * np.polyfit(time[up][middle], travel[up][middle], 1)[0])
+
+
+def _density(recording: Recording) -> float | None:
+    """Bulk density (kg/m^3) as stated, or from mass, diameter and height."""
+    stated = recording.stated.quantities
+    if "density" in stated:
+        return stated["density"]
+    if {"mass", "diameter", "height"} <= stated.keys():
+        volume = np.pi / 4 * stated["diameter"] ** 2 * stated["height"]
+        density = stated["mass"] / volume
+        return float(density) if 300 < density < 4000 else None
+    return None

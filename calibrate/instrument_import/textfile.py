@@ -1,0 +1,162 @@
+"""Text exports: which encoding, which delimiter, which decimal sign.
+
+Every pair of delimiter and decimal sign is tried on a sample of lines; the one that turns
+most cells of tables into numbers, and fewest into anything else, is taken.
+"""
+
+import codecs
+import csv
+import re
+from dataclasses import dataclass
+
+from calibrate.core.errors import BadValue
+from calibrate.instrument_import.cells import Sheet, is_grouped, number, sheet
+from calibrate.instrument_import.vocabulary import FORCE, kind_of
+
+MOST_LINES = 1_000_000
+_SAMPLE = 150  # lines looked at for the layout, from each of two places
+_DELIMITERS = {
+    "\t": "tab",
+    ";": "semicolon",
+    ",": "comma",
+    "|": "bar",
+    "  ": "two or more blanks",
+    " ": "blanks",
+}
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a line becomes cells: the delimiter and the decimal sign."""
+
+    delimiter: str
+    decimal: str
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of one line; an unbalanced quote spoils this line and no other."""
+        if self.delimiter == "  ":
+            return re.split(r"\s{2,}|\t", line.strip())
+        if self.delimiter == " ":
+            return _with_their_units(line.split())
+        try:
+            return next(csv.reader([line], delimiter=self.delimiter), [])
+        except csv.Error:
+            return line.split(self.delimiter)
+
+    def words(self) -> str:
+        sign = "comma" if self.decimal == "," else "point"
+        return f"delimiter {_DELIMITERS[self.delimiter]}, decimal {sign}"
+
+
+def text_sheet(data: bytes, name: str) -> Sheet:
+    """The one sheet of a text file; `BadValue` where it is no text or holds no table."""
+    text, encoding = decode(data)
+    lines = text.splitlines()
+    if len(lines) > MOST_LINES:
+        raise BadValue(f"it has {len(lines)} lines", f"export at most {MOST_LINES} of them")
+    layout = find_layout(lines)
+    rows = [layout.cells(line) for line in lines]
+    return sheet(name, rows, layout.decimal, f"encoding {encoding}, {layout.words()}")
+
+
+def decode(data: bytes) -> tuple[str, str]:
+    """The text of a file and its encoding: a byte order mark, UTF-16 by its zeros, UTF-8,
+    GB 18030 if that gives Chinese words for force or travel, else Windows-1252."""
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return _checked(_decoded(data, encoding)), encoding
+    if data[:400].count(0) > len(data[:400]) // 4:
+        encoding = "utf-16-le" if data[:400:2].count(0) < data[1:400:2].count(0) else "utf-16-be"
+        return _checked(_decoded(data, encoding)), encoding
+    try:
+        return _checked(data.decode("utf-8")), "utf-8"
+    except UnicodeDecodeError:
+        pass
+    chinese = data.decode("gb18030", errors="replace")
+    if chinese.count("�") < 3 and any(word in chinese for word in ("力", "荷", "位移", "时间")):
+        return _checked(chinese), "gb18030"
+    return _checked(data.decode("cp1252", errors="replace")), "cp1252"
+
+
+def find_layout(lines: list[str]) -> Layout:
+    """The layout that makes most of the sample numeric; `BadValue` if none finds a table."""
+    filled = [line for line in lines if line.strip()]
+    middle = len(filled) // 2
+    sample = filled[:_SAMPLE] + filled[max(middle, _SAMPLE) : max(middle, _SAMPLE) + _SAMPLE]
+    quoted = any('"' in line for line in sample)
+    layouts = [
+        Layout(delimiter, decimal)
+        for delimiter in _DELIMITERS
+        for decimal in (".", ",")
+        if not (delimiter == decimal == "," and not quoted)
+    ]
+    scores = [_score(layout, sample) for layout in layouts]
+    if max(scores) < 2:
+        raise BadValue(
+            "it holds no table of recorded points, only text or results",
+            "export the recorded points (time, force, extension) as .csv, .txt or .xlsx",
+        )
+    layout = layouts[scores.index(max(scores))]
+    _check_comma(layout, sample)
+    return layout
+
+
+def _score(layout: Layout, sample: list[str]) -> float:
+    """Numeric cells minus others over all lines that look like rows of a table."""
+    total = 0.0
+    for line in sample:
+        cells = [cell for cell in layout.cells(line) if cell.strip()]
+        values = [number(cell, layout.decimal) for cell in cells]
+        numeric = sum(value == value for value in values)
+        grouped = sum(is_grouped(cell, layout.decimal) for cell in cells)
+        if numeric >= 2 and 2 * numeric >= len(cells):
+            total += numeric - 1.5 * (len(cells) - numeric) - 0.3 * grouped
+    return total
+
+
+def _check_comma(layout: Layout, sample: list[str]) -> None:
+    """Refuses a file whose comma is delimiter and decimal sign at once."""
+    if layout.delimiter != ",":
+        return
+    rows = [[cell for cell in layout.cells(line) if cell.strip()] for line in sample]
+    named = [len(row) for row in rows if any(kind_of(cell)[0] == FORCE for cell in row)]
+    data = [row for row in rows if len(row) > 1 and all(c.strip("-+ ").isdigit() for c in row)]
+    if named and len(data) > 5 and sum(len(row) > max(named) for row in data) > len(data) / 2:
+        raise BadValue(
+            "its comma separates columns and decimals alike, so the columns cannot be told apart",
+            "export it again with semicolons or tabs between columns, or with a decimal point",
+        )
+
+
+def _with_their_units(words: list[str]) -> list[str]:
+    """Words of a line where "(N)" belongs to the "Force" before it."""
+    cells: list[str] = []
+    for word in words:
+        if cells and word[0] in "([" and word[-1] in ")]":
+            cells[-1] += " " + word
+        else:
+            cells.append(word)
+    return cells
+
+
+def _decoded(data: bytes, encoding: str) -> str:
+    return data.decode(encoding, errors="replace")
+
+
+def _checked(text: str) -> str:
+    """The text, refused if it is full of characters that no text has."""
+    sample = text[:4000]
+    strange = sum((ord(c) < 32 and c not in "\t\n\r\f\v") or c == "�" for c in sample)
+    if strange > len(sample) / 50:
+        raise BadValue(
+            "this is neither text nor an .xlsx workbook",
+            "export the recorded points as .csv, .txt or .xlsx",
+        )
+    return text.replace("\0", "")

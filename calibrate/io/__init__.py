@@ -1,0 +1,1 @@
+"""Lab files and measured curves."""

@@ -1,0 +1,33 @@
+"""The soil that a lab file describes, as the simulator's parameters."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from calibrate.io.lab import Lab
+from jdem.materials.soil import SoilParameters
+
+
+def with_values(soil: SoilParameters, values: dict) -> SoilParameters:
+    """The soil with some parameters replaced, by name."""
+    values = dict(values)
+    exponent = values.pop("slope_exponent", None)
+    for name, value in values.items():
+        soil = eqx.tree_at(lambda s, n=name: getattr(s, n), soil, jnp.asarray(value, float))
+    if exponent is not None:
+        soil = _with_exponent(soil, float(exponent))
+    return soil
+
+
+def _with_exponent(soil: SoilParameters, exponent: float) -> SoilParameters:
+    fields = {name: getattr(soil, name) for name in SoilParameters.__dataclass_fields__}
+    return SoilParameters(**{**fields, "slope_exponent": exponent})
+
+
+def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:
+    """The soil that a lab file describes: defaults, its particles, its parameters."""
+    soil = with_values(SoilParameters(), {"poisson_ratio": lab.particles.poisson_ratio})
+    if lab.particles.reference_diameter is not None:
+        soil = with_values(soil, {"reference_diameter": lab.particles.reference_diameter})
+    chosen = {n: c.value for n, c in lab.parameters.items() if c.value is not None}
+    soil = with_values(soil, chosen)
+    return with_values(soil, lab.named_sets[named_set]) if named_set else soil

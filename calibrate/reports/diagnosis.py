@@ -1,0 +1,302 @@
+"""The report of a diagnosis: result.json, figures, a page, and a short summary on the terminal.
+
+The page opens with one paragraph, one figure and one table; all that they rest on stands below.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as Terminal
+
+from calibrate.core.files import write_json, write_text
+from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.figures import diagnosis as plots
+from calibrate.figures.style import svg
+from calibrate.records.base import TESTS, read, record
+from calibrate.records.diagnosis import DiagnosisRecord, Explanation, Segment, content
+from calibrate.reports.diagnosis_words import TEST_NAMES, amount, percent, sentence
+from calibrate.reports.effects import members, plain, strength, title
+from calibrate.reports.html import Page, Picture, Table, number, render, words
+
+PAGE = "diagnosis.html"
+FIRST = 4  # explanations of the first table, besides none and unknown
+STATUS = {
+    "found": "● found",
+    "trivial": "◐ found, but small",
+    "absent": "○ absent: it would have shown",
+    "inconclusive": "? could not have shown",
+}
+
+
+def write(out: Path, diagnosis: Diagnosis, origin: dict, path: Path | None) -> DiagnosisRecord:
+    """result.json (and `--json`), figures/ and the page, in a folder that exists."""
+    plain_data = content(diagnosis, origin)
+    write_json(out / "result.json", plain_data)
+    if path is not None:
+        write_json(path, plain_data)
+    found = record(DiagnosisRecord, plain_data)
+    for name, picture in _pictures(found).items():
+        write_text(out / "figures" / f"{name}.svg", picture.svg)
+    write_text(out / PAGE, of(found).html)
+    return found
+
+
+def page(path: Path) -> Page:
+    """The report of the result.json at `path`; `InputError` where it cannot be read."""
+    return of(read(path, DiagnosisRecord))
+
+
+def of(found: DiagnosisRecord) -> Page:
+    """The report of a diagnosis that has been read."""
+    pictures = _pictures(found)
+    shown = {
+        "sentence": sentence(found),
+        "first": [pictures[name] for name in pictures if name.startswith("where")],
+        "answer": _answer(found),
+        "likely": pictures["probability"],
+        "each": pictures["effects"],
+        "next": pictures.get("next_test"),
+        "predicted": _predicted(found),
+        "segments": _segments(found),
+        "effects": _effects(found),
+        "alike": _alike(found),
+        "far": _far(found),
+        "offers": _offers(found),
+        "across": _across(found),
+        "moved": _moved(found),
+        "settings": _settings(found),
+    }
+    return Page(shown["sentence"], render(PAGE, found=found, **shown))
+
+
+def show(found: DiagnosisRecord, console: Console) -> None:
+    """The paragraph and the likeliest explanations."""
+    console.print(sentence(found), markup=False, highlight=False)
+    table = Terminal(box=None, pad_edge=False)
+    for column in ("explanation", "probability", "strength if so"):
+        table.add_column(column)
+    for explanation in _leading(found):
+        table.add_row(
+            title(explanation.label), percent(explanation.probability), _if_so(explanation)
+        )
+    console.print(table)
+
+
+# ---------------------------------------------------------------- figures
+
+
+def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
+    """All figures by the name of their file."""
+    pictures = {}
+    measured = {row.test for row in found.features}
+    for test in TESTS:
+        if test not in measured:
+            continue
+        drawing = svg(plots.where_figure(found, test, title))
+        caption = (
+            f"{TEST_NAMES[test].capitalize()}. Top: measured repeats, the calibrated model, the "
+            "model with the best explanation. Bottom: what is left, place by place; shaded parts "
+            "leave the band that scatter fills in 95 of 100 laboratories."
+        )
+        pictures[f"where_{test}"] = Picture(
+            drawing, f"{TEST_NAMES[test]} and its residuals", caption
+        )
+    pictures["probability"] = Picture(
+        svg(plots.probability_figure(found, title)), "Probabilities of explanations as bars",
+        "How likely each explanation is. The set is to hold the right one in 90 of 100 cases.",
+    )  # fmt: skip
+    pictures["effects"] = Picture(
+        svg(plots.effects_figure(found, title)), "Strength of each effect over its error",
+        "Each effect by itself, added to the calibrated model alone: estimated strength over its "
+        "standard error.",
+    )  # fmt: skip
+    if found.next_test is not None:
+        units = {label: _unit(found, label) for label in found.next_test.labels}
+        pictures["next_test"] = Picture(
+            svg(plots.next_figure(found.next_test, units, title)),
+            "Predicted outcome of the proposed test",
+            f"{found.next_test.name.capitalize()}: what it would show under each of the leading "
+            "explanations, at the places that tell them apart best. Bars: deviation of the mean of "
+            "two repeats.",
+        )  # fmt: skip
+    return pictures
+
+
+def _unit(found: DiagnosisRecord, label: str) -> str:
+    """The unit of what a further test shows: that of the feature, or as its label says."""
+    known = {row.name: row.unit for row in found.features}
+    return known.get(label, "mm" if label.endswith(", mm") else "N")
+
+
+# ---------------------------------------------------------------- tables
+
+
+def _leading(found: DiagnosisRecord) -> list[Explanation]:
+    """The likeliest explanations, none and unknown always among them."""
+    every = found.explanations
+    first = [e for e in every if e.label not in (NONE, UNKNOWN)][:FIRST]
+    return [e for e in every if e in first or e.label in (NONE, UNKNOWN)]
+
+
+def _answer(found: DiagnosisRecord) -> Table:
+    rows = [
+        [
+            title(e.label) + (" ◀ verdict" if e.label == found.which.verdict else ""),
+            percent(e.probability),
+            _if_so(e),
+            " ".join(plain(name).sentence for group in members(e.label) for name in group),
+        ]
+        for e in _leading(found)
+    ]
+    return Table(["explanation", "probability", "strength if so", "what it means"], rows, text=True)
+
+
+def _if_so(explanation: Explanation) -> str:
+    """Fitted strengths of an explanation's best member, named where that is not plain."""
+    several = len([n for group in members(explanation.label) for n in group]) > 1
+    return "; ".join(
+        (f"{plain(name).name} " if several else "") + strength(name, value)
+        for name, value in explanation.strengths.items()
+    )
+
+
+def _segments(found: DiagnosisRecord) -> Table:
+    rows = [
+        [
+            f"{TEST_NAMES[s.test]}, {s.segment}",
+            amount(s.gap, s.unit),
+            number(s.z, 2),
+            "● outside" if s.outside_band else "inside",
+            _share(s),
+            percent(s.share_by_chance),
+        ]
+        for s in found.where
+    ]
+    columns = ["segment", "measured − model", "in standard errors", "95 % band",
+               "share of the misfit (90 %)", "by chance"]  # fmt: skip
+    return Table(columns, rows)
+
+
+def _share(segment: Segment) -> str:
+    low, high = (percent(end) for end in segment.share_interval)
+    return f"{percent(segment.share)} ({low} to {high})"
+
+
+def _effects(found: DiagnosisRecord) -> Table:
+    rows = [
+        [
+            plain(e.name).name,
+            STATUS[e.status],
+            number(e.z, 2),
+            strength(e.name, e.strength, e.standard_error),
+            percent(e.visibility),
+            e.name,
+        ]
+        for e in found.which.effects
+    ]
+    columns = ["effect", "status", "score", "strength by itself", "left after calibration", "name"]
+    return Table(columns, rows, text=True)
+
+
+def _alike(found: DiagnosisRecord) -> list[str]:
+    """Sentences on what these data cannot tell apart, or see."""
+    lines = [
+        ", ".join(plain(name).name for name in group)
+        + ": alike in what calibration leaves of them."
+        for group in found.which.alike
+    ]
+    lines += [
+        f"{plain(name).name}: calibration imitates it almost wholly, so these data cannot show it."
+        for name in found.which.absorbed_by_calibration
+    ]
+    return lines or ["None: every two effects differ enough at a signal-to-noise of 6."]
+
+
+def _far(found: DiagnosisRecord) -> Table | None:
+    far = found.how_far
+    if far is None:
+        return None
+    low, high = (percent(end) for end in far.interval)
+    rows = [
+        ["model's distance from a fresh specimen, before", f"{number(far.before, 3)} scatters"],
+        ["after", f"{number(far.after, 3)} scatters"],
+        ["floor: the mean of all specimens", f"{number(far.floor, 3)} scatter"],
+        ["share of the gap removed", f"{percent(far.shrinkage)} ({low} to {high})"],
+        ["on specimens left out of the fit", percent(far.shrinkage_left_out)],
+        *(
+            [f"ceiling: any change of the {name}", percent(value)]
+            for name, value in far.ceiling.items()
+        ),
+    ]
+    return Table(["", " and ".join(plain(name).name for name in found.best)], rows)
+
+
+def _offers(found: DiagnosisRecord) -> Table | None:
+    test = found.next_test
+    if test is None:
+        return None
+    rows = [[o.name, f"{number(o.cost, 2)} h", number(o.separation, 2)] for o in test.all]
+    rows.append(["these data alone", "", number(test.separation_now, 2)])
+    return Table(["further test", "cost, a guess", "separation (2.8 settles)"], rows)
+
+
+def _predicted(found: DiagnosisRecord) -> Table | None:
+    """What the proposed test would show under each leading explanation."""
+    test = found.next_test
+    if test is None:
+        return None
+    rows = [
+        [
+            label.removesuffix(", mm").removesuffix(", N"),
+            *(
+                f"{number(values[i], 3)} {_unit(found, label)}"
+                for values in test.predicted.values()
+            ),
+            f"{number(test.deviation[i], 2)} {_unit(found, label)}",
+        ]
+        for i, label in enumerate(test.labels)
+    ]
+    columns = [test.name, *map(title, test.predicted), "deviation, two repeats"]
+    return Table(columns, rows)
+
+
+def _across(found: DiagnosisRecord) -> Table | None:
+    if not found.across_tests:
+        return None
+    other = dict(zip(TESTS, reversed(TESTS), strict=True))
+    rows = [
+        [
+            f"{TEST_NAMES[a.predicted]} from the {TEST_NAMES[other[a.predicted]]}",
+            f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}",
+            percent(a.p_value),
+        ]
+        for a in found.across_tests
+    ]
+    return Table(["predicted", "measured over predicted", "chance of such a misfit"], rows)
+
+
+def _moved(found: DiagnosisRecord) -> Table:
+    order = sorted(found.base_parameters, key=lambda p: -abs(p.moved))
+    rows = [[words(p.name), number(p.moved, 2), number(p.prior_sd, 2)] for p in order]
+    return Table(["base parameter", "moved, prior deviations", "prior deviation of ln p"], rows)
+
+
+def _settings(found: DiagnosisRecord) -> dict[str, str]:
+    used, repeats = found.settings, []
+    for test in TESTS:
+        repeats.append(f"{getattr(used, test)} of the {TEST_NAMES[test]}")
+    scatter = [f"{number(a, 3)} ({TEST_NAMES[test]})" for test, a in found.amplitudes.items()]
+    return {
+        "specimens": _listed(repeats),
+        "bank": f"{used.bank}: {used.simulations} simulations of {used.packings} packings",
+        "seed": str(used.seed),
+        "scatter of repeats over that of simulated specimens": _listed(scatter),
+        "chance of such a misfit without a gap": percent(found.which.p_gap),
+        "the same after the best explanation": percent(found.which.p_left_after_best),
+    }
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(parts) or "–"

@@ -1,0 +1,266 @@
+"""What a diagnosis says, in sentences that a laboratory engineer reads without a glossary.
+
+    verdict and probability. Where the gap lies. How far it shrinks. What to do next.
+
+Nothing is claimed that the record does not hold: a weak verdict is called weak, a shrinkage whose
+interval reaches zero is not called one, and numbers without curves are said to be mute.
+"""
+
+from collections.abc import Sequence
+
+from calibrate.discrepancy.comparison.classes import SEPARABLE, TOGETHER
+from calibrate.discrepancy.comparison.probability_calibration import ALPHA, NONE, UNKNOWN
+from calibrate.records.diagnosis import DiagnosisRecord, HowFar, NextTest, Segment
+from calibrate.reports.effects import members, plain, title
+from calibrate.reports.html import number
+
+SURE, LIKELY = 0.8, 0.5
+ODD = 0.6  # weight of a specimen below which the reader is told
+FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
+GAIN = 1.1  # of separation, below which a further test adds next to nothing
+TEST_NAMES = {"confined": "confined test", "unconfined": "crushing test"}
+PLACES = {
+    ("confined", "toe"): "first touch of the confined test",
+    ("confined", "loading"): "lower half of loading in the confined test",
+    ("confined", "200-400 N"): "upper half of loading in the confined test",
+    ("confined", "reversal"): "reversal at the top of the confined test",
+    ("confined", "unloading"): "unloading of the confined test",
+    ("confined", "before contact"): "reading before contact in the confined test",
+    ("unconfined", "before contact"): "reading before contact in the crushing test",
+    ("unconfined", "toe"): "first touch of the crushing test",
+    ("unconfined", "rise"): "rise of the crushing test",
+    ("unconfined", "peak"): "peak of the crushing test",
+    ("unconfined", "softening"): "softening after the peak of the crushing test",
+}
+
+
+def sentence(found: DiagnosisRecord) -> str:
+    """The whole answer in one paragraph."""
+    parts = [verdict(found), place(found), shrinkage(found), todo(found), caution(found)]
+    return " ".join(part for part in parts if part)
+
+
+def verdict(found: DiagnosisRecord) -> str:
+    """What is left out, and how likely that is."""
+    which = found.which
+    if which.verdict == NONE:
+        return _no_gap(found)
+    stated = percent(which.probability_by_class.get(which.verdict, 0.0))
+    if which.verdict == UNKNOWN:
+        return _not_in_library(found, stated)
+    what = f"{_sureness(found)} “{title(which.verdict)}” (stated probability {stated})"
+    groups = members(which.verdict)
+    sentences = [plain(group[0]).sentence for group in groups if len(group) == 1]
+    alike = any(len(group) > 1 for group in groups)
+    told = " These data cannot tell the alternatives apart." if alike else ""
+    return f"{what}. {' '.join(sentences)}".strip().rstrip(".") + "." + told
+
+
+def _not_in_library(found: DiagnosisRecord, stated: str) -> str:
+    """No effect explains the gap; said with care where stated probabilities do not agree."""
+    text = (
+        "The calibrated model lacks something that is not in the library: there is a gap, and no "
+        "effect or pair of effects explains all of it"
+    )
+    first = found.explanations[0]
+    if first.label == UNKNOWN:
+        return f"{text} (stated probability {stated})."
+    chance = percent(found.which.p_left_after_best)
+    return (
+        f"{text} (what is left after the best one would be scatter in {chance} of such "
+        f"laboratories). The explanation that comes nearest is “{title(first.label)}”."
+    )
+
+
+def _sureness(found: DiagnosisRecord) -> str:
+    stated = found.which.probability_by_class.get(found.which.verdict, 0.0)
+    count = " two things at once:" if TOGETHER in found.which.verdict else ""
+    if stated >= SURE:
+        return f"What the calibrated model leaves out is most likely{count}"
+    if stated >= LIKELY:
+        return f"What the calibrated model leaves out is probably{count}"
+    return (
+        "The calibrated model leaves something out; what it is stays open, and the first candidate "
+        f"is{count}"
+    )
+
+
+def _no_gap(found: DiagnosisRecord) -> str:
+    stated = percent(found.which.probability_by_class.get(NONE, 0.0))
+    if found.targets_only:
+        count = len(found.features)
+        return (
+            f"{_count(count)} without curves cannot show a gap: calibration can meet them whatever "
+            "the model leaves out."
+        )
+    chance = percent(found.which.p_gap)
+    first = found.explanations[0].label
+    if first != NONE or found.which.p_gap <= ALPHA:
+        return _not_named(found, first, stated, chance)
+    return (
+        "No gap was found: the calibrated model fits these curves as well as repeats agree with "
+        f"each other (stated probability of no gap {stated}; scatter alone would give a misfit "
+        f"like this in {chance} of such laboratories)."
+    )
+
+
+def _not_named(found: DiagnosisRecord, first: str, stated: str, chance: str) -> str:
+    """There may be a gap, but that there is none is not unlikely enough to name its cause."""
+    scatter = f"scatter alone would give a misfit like this in {chance} of such laboratories"
+    if first == NONE:
+        return (
+            f"No cause is named: {scatter}, yet that nothing is left out is likelier than any "
+            f"explanation (stated probability {stated}). More repeats would tell."
+        )
+    likeliest = percent(found.which.probability_by_class.get(first, 0.0))
+    what = "something that the library does not hold" if first == UNKNOWN else f"“{title(first)}”"
+    return (
+        f"No cause is named: {what} would be the likeliest one (stated probability {likeliest}), "
+        f"but the model may as well lack nothing ({stated}; {scatter}). More repeats would tell."
+    )
+
+
+def _count(count: int) -> str:
+    return {1: "One number", 2: "Two numbers"}.get(count, f"{count} numbers")
+
+
+def place(found: DiagnosisRecord) -> str:
+    """The segments that leave the band, largest score first."""
+    if found.which.verdict == NONE:
+        return ""
+    flagged = sorted((s for s in found.where if s.outside_band), key=lambda s: -abs(s.z))
+    if not flagged:
+        return "No single stretch of the curves stands out; the gap is spread over them."
+    return f"The gap shows most at the {'; then at the '.join(_lies(s) for s in flagged[:2])}."
+
+
+def _lies(segment: Segment) -> str:
+    """Where a segment's measured curve runs, seen from the model's."""
+    name = PLACES.get((segment.test, segment.segment))
+    name = name or f"{segment.segment} of the {TEST_NAMES[segment.test]}"
+    words = ("right of", "left of") if segment.unit == "mm" else ("above", "below")
+    side = words[0] if segment.gap > 0 else words[1]
+    by = amount(abs(segment.gap), segment.unit)
+    return f"{name}, where the measured curve runs {by} {side} the model's"
+
+
+def shrinkage(found: DiagnosisRecord) -> str:
+    """How much of the gap goes with the best effect, only if the data can show it."""
+    if found.how_far is None or not found.best:
+        return ""
+    far, name = found.how_far, " and ".join(plain(n).name for n in found.best)
+    if far.shrinkage <= 0:
+        return f"Adding “{name}” to the model does not shrink the gap."
+    low, high = far.interval
+    ends = f"90 % interval {percent(low)} to {percent(high)}"
+    if not low <= far.shrinkage <= high:
+        ends = _why_outside(found)
+    elif low <= 0:
+        return f"The data cannot show that adding “{name}” shrinks the gap ({ends})."
+    elif not far.shown:
+        found_here = f"{percent(far.shrinkage)} here, {ends}{_fresh(far)}"
+        return f"How much of the gap goes with “{name}” the data cannot show ({found_here})."
+    share = f"{percent(far.shrinkage)} of the gap ({ends}{_fresh(far)})"
+    text = f"Adding “{name}” to the model removes {share}"
+    alone = TOGETHER in found.which.verdict and len(found.best) == 1
+    return text + ("; the second effect is not counted in this." if alone else ".")
+
+
+def _why_outside(found: DiagnosisRecord) -> str:
+    """What it means that the interval does not hold its estimate."""
+    if found.which.p_left_after_best < ALPHA:
+        return "its interval does not hold, as the effect is not all that is left out"
+    return "no interval: the gap is hardly larger than the scatter of specimens"
+
+
+def _fresh(far: HowFar) -> str:
+    if far.shrinkage_left_out != far.shrinkage_left_out:
+        return ""
+    return f"; {percent(far.shrinkage_left_out)} on specimens left out of the fit"
+
+
+def todo(found: DiagnosisRecord) -> str:
+    """The next step."""
+    if found.targets_only:
+        return (
+            "Next: record force and displacement of both tests, on at least three specimens each."
+        )
+    if found.which.verdict == NONE:
+        return _unseen(found)
+    if found.next_test is None:
+        return ""
+    if found.which.verdict == UNKNOWN:
+        return (
+            f"Next: look at the places above for what acts there; {found.next_test.name} would "
+            "tell the library's nearest effects apart, though the right one may be none of them."
+        )
+    return _proposed(found.next_test)
+
+
+def _proposed(test: NextTest) -> str:
+    cost = next((offer.cost for offer in test.all if offer.name == test.name), float("nan"))
+    what = f"{test.name} (about {number(cost, 2)} h)"
+    pair = [plain(name).name for name in test.hardest_pair]
+    between = f"“{pair[0]}” from “{pair[1]}”"
+    if test.separation < GAIN * test.separation_now:
+        return f"No further test on the list would tell {between} better than these data do."
+    if test.separation_now >= SEPARABLE:
+        return f"Next, to confirm it: {what}."
+    if test.settles:
+        return f"Next: {what}; it would settle which of the leading explanations is right."
+    return f"Next: {what}; it helps most, but would not yet tell {between} for certain."
+
+
+def _unseen(found: DiagnosisRecord) -> str:
+    """Effects that could hide in data without a gap."""
+    hidden = [plain(e.name).name for e in found.which.effects if e.status == "inconclusive"]
+    if not hidden:
+        return "Every effect of the library would have shown at its typical strength."
+    return (
+        f"Not excluded, as these data could not show them at typical strength: {', '.join(hidden)}."
+    )
+
+
+def caution(found: DiagnosisRecord) -> str:
+    """What weakens the answer: few repeats, odd ones, an effect that calibration mimics."""
+    few = [TEST_NAMES[test] for test in ("confined", "unconfined")
+           if 0 < getattr(found.settings, test) < FEW and not found.targets_only]  # fmt: skip
+    absent = [TEST_NAMES[test] for test in ("confined", "unconfined")
+              if getattr(found.settings, test) == 0]  # fmt: skip
+    parts = [*_odd(found.specimen_weights)]
+    if few:
+        parts.append(f"With fewer than {FEW} specimens in the {' and the '.join(few)}, scatter is "
+                     "taken mostly from simulations.")  # fmt: skip
+    if absent:
+        parts.append(f"Nothing of the {' and the '.join(absent)} was given.")
+    absorbed = {n for group in members(found.which.verdict) for n in group}
+    absorbed &= set(found.which.absorbed_by_calibration)
+    if absorbed:
+        names = ", ".join(sorted(plain(n).name for n in absorbed))
+        parts.append(f"Calibration can imitate {names} almost wholly.")
+    return " ".join(parts)
+
+
+def _odd(weights: Sequence[float]) -> list[str]:
+    """Specimens that count for less, because they lie far from the others."""
+    return [
+        f"Specimen {number_} lies far from the others and counts for {percent(weight)} of one."
+        for number_, weight in enumerate(weights, 1)
+        if weight < ODD
+    ]
+
+
+def amount(value: float, unit: str) -> str:
+    """A size with its unit, two digits."""
+    return f"{number(value, 2)} {unit}"
+
+
+def percent(value: float) -> str:
+    """A share as whole per cent; below one, as such."""
+    if value != value:
+        return "–"
+    if 0 < value < 0.005:
+        return "under 1 %"
+    if 0.995 < value < 1:
+        return "over 99 %"
+    return f"{100 * value:.0f} %".replace("-0 %", "0 %").replace("-", "−")

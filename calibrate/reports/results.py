@@ -1,0 +1,177 @@
+"""What `simulate`, `fit`, `audit` and `contact` leave in their folder and say on the terminal."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from calibrate import figures
+from calibrate.core.files import make_folder, write_json, write_text
+from calibrate.inference.audit import Audit, audit_json
+from calibrate.inference.calibration import Calibrated, fit_json
+from calibrate.inference.parameters import RANGES
+from calibrate.io.lab import Lab
+from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.records.audit import AuditRecord
+from calibrate.records.base import Measured, record
+from calibrate.records.fit import FitRecord
+from calibrate.simulation.run import Run
+from calibrate.simulation.session import Session, origin_of
+from calibrate.simulation.specimens import measured_json
+
+
+def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
+    """result.json (and `--json`), a figure, and a table on the terminal."""
+    _write_result(session.out, {**origin_of(session), **result}, path)
+    measured = record(Measured, measured_json(session.lab))
+    figures.simulation_figure(runs, measured, session.out / "curves.png")
+    console = Console()
+    console.print(_observables_table(session.lab, {"simulated": result}))
+    for failure in result["failures"]:
+        console.print(f"failed: {failure}", markup=False)
+    speed = result["particle_steps_per_s"] / 1e6
+    inertial = result["quality"]["inertial_number"]
+    console.print(
+        f"inertial number {inertial:.1e}, {speed:.2f} M particle-steps/s per run; "
+        f"curves and figure in {session.out}",
+        highlight=False,
+    )
+
+
+def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
+    """result.json (and `--json`), history.csv, a figure, and what was found on the terminal."""
+    result = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
+    _write_result(session.out, result, path)
+    _write_history(session.out / "history.csv", result["history"])
+    figures.fit_figure(record(FitRecord, result), session.out / "fit.png")
+    console = Console()
+    groups = {
+        **{f"set '{name}'": group for name, group in result["named_sets"].items()},
+        "fitted packings": result,
+        "fresh packings": result["fresh_packings"],
+    }
+    console.print(_observables_table(session.lab, groups))
+    console.print(_parameters_table(done))
+    for line in _conclusions(done, result):
+        console.print(line, markup=False, highlight=False)
+    console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
+
+
+def write_audit(session: Session, found: Audit, settings: dict, path: Path | None) -> None:
+    """audit.json (and `--json`), two figures, and a table on the terminal."""
+    result = {**origin_of(session), **settings, **audit_json(found)}
+    write_json(session.out / "audit.json", result)
+    if path is not None:
+        write_json(path, result)
+    drawn = record(AuditRecord, result)
+    figures.audit_figure(drawn, session.out / "audit.png")
+    figures.curve_slopes_figure(drawn, session.out / "audit_curves.png")
+    console = Console()
+    for name in found.estimates:
+        console.print(_audit_table(found, name))
+        console.print(f"{name}: {_judgement(found.rows(name))}", highlight=False)
+    console.print(
+        f"audit.json, audit.png and audit_curves.png are in {session.out}", highlight=False
+    )
+
+
+def _audit_table(found: Audit, strategy: str) -> Table:
+    table = Table(title=f"{strategy}, {found.packings} packings", title_justify="left")
+    for column in ("parameter", "observable", "estimate per ln p", "reference per ln p", "verdict"):
+        table.add_column(column)
+    for row in found.rows(strategy):
+        cells = [f"{row[key]:.3g} ± {row[key + '_se']:.2g}" for key in ("estimate", "reference")]
+        table.add_row(row["parameter"], row["observable"], *cells, _word(row))
+    return table
+
+
+def _word(row: dict) -> str:
+    if not row["judged"]:
+        return "too small to judge"
+    return "passed" if row["passed"] else "FAILED"
+
+
+def _judgement(rows: list[dict]) -> str:
+    judged = [row for row in rows if row["judged"]]
+    passed = sum(bool(row["passed"]) for row in judged)
+    return f"{passed} of {len(judged)} slopes that can be judged pass"
+
+
+def write_contact(result: dict, out: Path, path: Path | None) -> None:
+    """contact.json (and `--json`) and a figure."""
+    make_folder(out)
+    write_json(out / "contact.json", result)
+    if path is not None:
+        write_json(path, result)
+    overlap, force = np.array(result["overlap_m"]), np.array(result["normal_force_n"])
+    figures.contact_figure(overlap, force, out / "contact.png")
+    print(f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N; in {out}")
+
+
+def _write_result(out: Path, result: dict, path: Path | None) -> None:
+    write_json(out / "result.json", result)
+    if path is not None:
+        write_json(path, result)
+
+
+def _write_history(path: Path, history: list[dict]) -> None:
+    rows = [
+        {k: v for k, v in row.items() if k not in ("parameters", "features")}
+        | row["parameters"]
+        | row["features"]
+        for row in history
+    ]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
+    table = Table(title=lab.name, title_justify="left")
+    for column in ("", "depression depth (mm)", "crushing force (N)"):
+        table.add_column(column)
+    names = ("depression_depth_mm", "crushing_force_n")
+    measured = [
+        f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
+        for n in names
+    ]
+    table.add_row("measured (± one repeat)", *measured)
+    for label, group in groups.items():
+        cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
+        table.add_row(f"{label} (± one packing)", *cells)
+    return table
+
+
+def _parameters_table(done: Calibrated) -> Table:
+    table = Table(title="free parameters", title_justify="left")
+    for column in ("", "start", "fitted", "95 % interval", "unit"):
+        table.add_column(column)
+    found = done.result.identifiability
+    first = done.result.history[0]["parameters"]
+    for row, name in enumerate(found.names):
+        low, high = found.interval[row]
+        cells = [f"{x:.4g}" for x in (first[name], found.values[row])]
+        table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
+    return table
+
+
+def _conclusions(done: Calibrated, result: dict) -> list[str]:
+    """What the data fixed, what they left open, and how the fit ended."""
+    held = [name for name in RANGES if name not in done.space.names]
+    lines = [
+        f"stopped: {done.result.stopped}; {len(done.result.history)} evaluations, "
+        f"{done.simulations} simulations in this start",
+        "held at their starting values: " + ", ".join(held),
+    ]
+    for entry in result["identifiability"]["directions"]:
+        weights = " ".join(f"{w:+.2f} {name}" for name, w in entry["weights"].items())
+        verdict = "fixed by the data" if entry["fixed_by_data"] else "LEFT OPEN by the data"
+        lines.append(f"{verdict} (signal/noise {entry['signal_to_noise']:.1f}): {weights}")
+    for name in result["at_bound"]:
+        lines.append(f"warning: {name} ended at its bound")
+    return lines

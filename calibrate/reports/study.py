@@ -1,0 +1,146 @@
+"""A study by designed experiments as JSON, run sheets, an HTML page, and a summary."""
+
+import csv
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from calibrate.core.files import write_json, write_text
+from calibrate.designs.anova import anova
+from calibrate.designs.calibration import Designed
+from calibrate.designs.comparison import Comparison, Ending
+from calibrate.designs.study import OBSERVABLES, Experiment, Study, Surfaces
+from calibrate.records.base import record
+from calibrate.records.study import StudyRecord
+from calibrate.reports import study_page
+from calibrate.reports.html import number
+from calibrate.reports.study_page import cell, sentence
+from calibrate.simulation.session import Session, origin_of
+from calibrate.simulation.specimens import measured_json
+
+PAGE = "study.html"
+SHORT = {"depression_depth_mm": "H", "crushing_force_n": "F"}
+
+
+def write(session: Session, found: Designed, path: Path | None) -> None:
+    """result.json (and `--json`), one CSV a design, and study.html in `session.out`."""
+    out = session.out
+    content = {
+        **origin_of(session),
+        "spheres": session.preset.spheres,
+        "seeds": list(found.seeds),
+        "fresh_seeds": list(found.fresh),
+        "measured": measured_json(session.lab),
+        **as_json(found.study, found.comparison),
+    }
+    write_json(out / "result.json", content)
+    if path is not None:
+        write_json(path, content)
+    for experiment in found.study.experiments:
+        _write_sheet(experiment, out / f"{experiment.title}.csv")
+    write_text(out / PAGE, study_page.of(record(StudyRecord, content)).html)
+
+
+def as_json(done: Study, compared: Comparison) -> dict:
+    """Designs with responses, effects, surfaces, the optimum, and the comparison."""
+    return {
+        "screening": {
+            "effects": {name: [asdict(e) for e in found.effects]
+                        for name, found in done.screens.items()},
+        },
+        **{stage.experiment.title: _stage_json(stage)
+           for stage in (done.depth, done.force, done.refinement)},
+        "optimum": done.values,
+        "simulations": done.simulations,
+        "comparison": {
+            "slopes": [{**asdict(pair), "agree": pair.agree, "reach": pair.reach, "why": pair.why()}
+                       for pair in compared.slopes],
+            "endings": [_ending_json(ending) for ending in compared.endings],
+            "enhanced": [asdict(row) for row in compared.enhanced],
+            "gradient_runs": compared.gradient_runs,
+        },
+        "designs": {
+            experiment.title: {
+                "kind": experiment.design.kind,
+                "factors": [asdict(factor) for factor in experiment.design.factors],
+                "coded": experiment.design.coded.tolist(),
+                "dummies": experiment.design.dummies.tolist(),
+                "held": experiment.held,
+                "responses": {
+                    name: experiment.responses[:, :, m].tolist()
+                    for m, name in enumerate(OBSERVABLES)
+                },
+            }
+            for experiment in done.experiments
+        },
+    }  # fmt: skip
+
+
+def _stage_json(stage: Surfaces) -> dict:
+    return {
+        "optimum": stage.best(),
+        "desirability": stage.optimum.desirability,
+        "surfaces": {
+            name: {
+                "terms": surface.labels,
+                "coefficients": surface.coefficients.tolist(),
+                "anova": anova(surface).as_text().split("\n"),
+            }
+            for name, surface in stage.whole.items()
+        },
+    }
+
+
+def _ending_json(ending: Ending) -> dict:
+    return {
+        "method": ending.method,
+        "values": ending.values,
+        "simulations": ending.simulations,
+        "stopped": ending.stopped,
+        **{f"{where}_{name}": values[:, m].tolist()
+           for where, values in (("fitted", ending.fitted), ("fresh", ending.fresh))
+           for m, name in enumerate(OBSERVABLES)},
+    }  # fmt: skip
+
+
+def _write_sheet(experiment: Experiment, path: Path) -> None:
+    """Natural values and every packing's responses, one row a point."""
+    packings = range(1, experiment.packings + 1)
+    header = [*experiment.design.names]
+    header += [f"{name} packing {k}" for name in OBSERVABLES for k in packings]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for natural, found in zip(experiment.design.natural(), experiment.responses, strict=True):
+            numbers = [*natural, *found.T.ravel()]
+            writer.writerow([f"{number:.8g}" for number in numbers])
+
+
+def show(found: Designed, console: Console) -> None:
+    """Endings and slopes as tables on the terminal."""
+    compared = found.comparison
+    table = _plain("where each method ended (mean ± one packing)")
+    for column in ("", "runs", "H fitted (mm)", "H fresh", "F fitted (N)", "F fresh"):
+        table.add_column(column, no_wrap=True)
+    for ending in compared.endings:
+        cells = [cell(values, m) for m in (0, 1) for values in (ending.fitted, ending.fresh)]
+        table.add_row(ending.method, str(ending.simulations), *cells)
+    console.print(table)
+    table = _plain("slopes per ln p of factors that matter (H in mm, F in N)")
+    for column in ("design", "factor", "of", "surface", "gradient", "intervals"):
+        table.add_column(column, no_wrap=True)
+    for pair in compared.slopes:
+        if pair.matters:
+            cells = [f"{pair.surface:.3g} ± {number(pair.surface_se, 1)}"]
+            cells += [f"{pair.gradient:.3g} ± {number(pair.gradient_se, 1)}"]
+            word = "agree" if pair.agree else "DISAGREE"
+            table.add_row(pair.design, pair.factor, SHORT[pair.observable], *cells, word)
+    console.print(table)
+    console.print(sentence(compared), highlight=False)
+
+
+def _plain(title: str) -> Table:
+    """A table narrow enough for 80 columns."""
+    return Table(title=title, title_justify="left", box=None, pad_edge=False)

@@ -1,0 +1,29 @@
+"""Many simulations: cached on disk by content, resumable, on these cores or on a cluster.
+
+keys.py        what a run depends on, hashed
+run.py         one finished simulation in mm and N, with the checks that say whether to trust it
+simulation.py  simulating and preparing, with programs compiled once a process
+seal.py store.py   entries of the cache: atomic, with checksum, one writer at a time
+places.py cluster.py   where the work is done: threads here, or workers of a Dask cluster
+campaign.py    from soils and seeds to runs: what is missing is simulated, what fails is labelled
+"""
+
+from calibrate.simulation.campaign import Campaign
+from calibrate.simulation.compiled import blank
+from calibrate.simulation.executors import AbstractPlace, Here, cores, side_by_side
+from calibrate.simulation.keys import engine_hash
+from calibrate.simulation.run import Run, summary
+from calibrate.simulation.store import NETCDF
+
+__all__ = [
+    "NETCDF",
+    "AbstractPlace",
+    "Campaign",
+    "Here",
+    "Run",
+    "blank",
+    "cores",
+    "engine_hash",
+    "side_by_side",
+    "summary",
+]

@@ -1,0 +1,160 @@
+"""One finished simulation, and why it failed if it did.
+
+A failure is one sentence that names the cause: a contact list that was too small, a time step
+that was too large, a number that is not finite, a soil too soft to test, a machine that gave up.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jdem.laboratory.virtual_lab import Outcome, VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.observables import inertial_number
+from jdem.packing.settling import Packing
+
+UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
+QUALITY = (
+    "inertial_number",
+    "overflow",
+    "energy_balance",
+    "kinetic_energy_after_rest_j",
+    "platen_work_j",
+    "time_step_s",
+    "steps",
+    "spheres",
+    "runtime_s",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One finished simulation in the units of the observables.
+
+    Curves are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
+    or one sentence; a failed run keeps its place and its numbers.
+    """
+
+    depression_depth_mm: float
+    crushing_force_n: float
+    confined: np.ndarray
+    unconfined: np.ndarray
+    quality: dict[str, float]
+    failure: str = ""
+
+    def observables(self) -> dict[str, float]:
+        return {
+            "depression_depth_mm": self.depression_depth_mm,
+            "crushing_force_n": self.crushing_force_n,
+        }
+
+
+def not_simulated(failure: str) -> Run:
+    """The row of a run that no machine could finish: no curves, numbers that are NaN."""
+    quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
+    return Run(np.nan, np.nan, np.zeros((0, 2)), np.zeros((0, 2)), quality, failure)
+
+
+def summary(
+    lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome, seconds: float
+) -> Run:
+    """A run's numbers in mm and N, with the checks that say whether to believe them."""
+    record, tests = outcome.record, lab.tests
+    samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
+    steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
+    energy = record.state.energy
+    pressure = float(tests.confined.force_low) / (np.pi * float(packing.mould_radius) ** 2)
+    density = float(packing.bulk_density() / packing.solid_fraction())
+    rest = np.flatnonzero(np.asarray(record.samples.segment) == tests.names.index("resting"))
+    kinetic = np.asarray(record.samples.kinetic_energy)
+    quality = {
+        "inertial_number": float(
+            inertial_number(
+                tests.confined.simulated_rate,
+                packing.height,
+                packing.mean_diameter(),
+                density,
+                pressure,
+            )
+        ),
+        "overflow": float(_overflowed(lab, outcome)),
+        "energy_balance": _integration_error(outcome),
+        "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
+        "platen_work_j": float(energy.platen),
+        "time_step_s": float(lab.time_step(packing, soil)),
+        "steps": float(steps),
+        "spheres": float(packing.spheres.count),
+        "runtime_s": seconds,
+    }
+    return Run(
+        depression_depth_mm=1e3 * float(outcome.depression_depth),
+        crushing_force_n=float(outcome.crushing_force),
+        confined=_points(outcome.confined),
+        unconfined=_points(outcome.unconfined),
+        quality=quality,
+        failure=_failure(lab, packing, soil, outcome),
+    )
+
+
+def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
+    return bool(outcome.record.overflow_of(lab.grid))
+
+
+def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome) -> str:
+    """Why the outcome is no result; "" if it is one."""
+    if not bool(outcome.failed) and _integration_error(outcome) < UNSTABLE:
+        return ""
+    for find in (_bad_input(packing, soil), _bad_numerics(lab, outcome), _bad_course(lab, outcome)):
+        if find:
+            return find
+    force = float(lab.tests.confined.force_high)
+    return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+
+
+def _bad_input(packing: Packing, soil: SoilParameters) -> str:
+    """What was not a number before anything was simulated."""
+    for name in SoilParameters.__dataclass_fields__:
+        if not np.all(np.isfinite(getattr(soil, name))):
+            return f"{name} of the soil is not finite"
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(packing)):
+        return "the packing holds numbers that are not finite"
+    return ""
+
+
+def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
+    """Lists that were too small, and steps that were too large."""
+    record, finds = outcome.record, []
+    if bool(record.demand.exceeds(lab.grid)):
+        finds.append("a contact list was too small: " + record.explain_overflow(lab.grid))
+    error = _integration_error(outcome)
+    position = record.state.motion.position.stack()
+    if not (error < UNSTABLE and np.all(np.isfinite(position))):
+        finds.append(
+            "the time step is too large or a parameter is extreme: integration errors are "
+            f"{error:.2g} times the platen's work"
+        )
+    if _overflowed(lab, outcome) and not finds:
+        finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
+    return "; ".join(finds)
+
+
+def _integration_error(outcome: Outcome) -> float:
+    """Of the whole programme, relative to the platen's work; far below 1 in a sound run."""
+    energy = outcome.record.state.energy
+    return float(abs(energy.integration) / abs(energy.platen))
+
+
+def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
+    """Tests that did not come to their end."""
+    if not bool(outcome.record.finished):
+        return "the tests took longer than their capacity of samples"
+    if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
+        return "a number of the result is not finite: the tests took an unforeseen course"
+    return ""
+
+
+def _points(curve) -> np.ndarray:
+    rows = np.asarray(curve.valid) > 0
+    columns = (1e3 * np.asarray(curve.displacement), np.asarray(curve.force))
+    return np.stack(columns, axis=1)[rows].astype(float)

@@ -1,0 +1,61 @@
+"""What a verb works with: lab, preset, folder of results, progress, and where simulations run."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.files import make_folder
+from calibrate.core.progress import AbstractProgress, for_terminal
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import specimens
+from calibrate.simulation.campaign import Campaign
+from calibrate.simulation.executors import HERE, AbstractPlace
+from calibrate.simulation.origin import made_by
+from calibrate.simulation.resolution import PRESETS, Preset
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a verb works with: the lab, the preset, where results go, who hears of progress,
+    and where simulations run."""
+
+    lab: Lab
+    preset: Preset
+    out: Path
+    progress: AbstractProgress
+    place: AbstractPlace = HERE
+
+    @staticmethod
+    def open(lab: Path | None, preset: str, out: Path, dask: str | None = None) -> "Session":
+        if preset not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise InputError(COMMAND_LINE, "--preset", f"no preset '{preset}'", f"give {known}")
+        loaded = load_lab(bundled_lab() if lab is None else lab)
+        make_folder(out)
+        return Session(loaded, PRESETS[preset], out, for_terminal(), place_of(dask))
+
+    def resized(self, spheres: int) -> "Session":
+        """The same session with another number of spheres in the preset."""
+        return replace(self, preset=replace(self.preset, spheres=spheres))
+
+    def campaign(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
+        """Simulations of this session; beds settle with the soil under test if its changed
+        parameters are given, with a neutral soil if not."""
+        soil = None if preparation is None else with_values(base_soil(self.lab), preparation)
+        work = specimens.campaign(self.lab, self.preset, out, self.progress, soil)
+        return replace(work, place=self.place)
+
+
+def place_of(dask: str | None) -> AbstractPlace:
+    """The cluster at the address of `--dask`, or the cores of this machine."""
+    if dask is None:
+        return HERE
+    from calibrate.simulation.cluster import DaskCluster  # loads Dask, which takes a second
+
+    return DaskCluster(dask)
+
+
+def origin_of(session: Session) -> dict:
+    """What made a result from a laboratory's data: `made_by`, soil and preset."""
+    return {"soil": session.lab.name, "preset": session.preset.name, **made_by()}

@@ -1,0 +1,171 @@
+"""A lab's virtual tests on several packings: `calibrate simulate`, and results as plain data."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.core.progress import AbstractProgress
+from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation.campaign import Campaign
+from calibrate.simulation.resolution import Preset, specimen, virtual_lab
+from calibrate.simulation.run import Run
+from jdem.materials.soil import SoilParameters
+
+SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
+
+
+FRESH_PACKINGS = 3  # on which a fit is checked
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Packings that are fitted, packings held back, and all that scatter is taken from."""
+
+    fitted: tuple[int, ...]
+    fresh: tuple[int, ...]
+    scatter: tuple[int, ...]
+
+    @staticmethod
+    def of(seed: int, fitted: int) -> "Seeds":
+        every = tuple(
+            range(100 * seed, 100 * seed + max(SCATTER_PACKINGS, fitted + FRESH_PACKINGS))
+        )
+        return Seeds(every[:fitted], every[fitted : fitted + FRESH_PACKINGS], every)
+
+
+def campaign(
+    lab: Lab,
+    preset: Preset,
+    folder: Path,
+    progress: AbstractProgress,
+    preparation: SoilParameters | None = None,
+) -> Campaign:
+    """The lab's virtual tests at a preset, with results kept in `folder`.
+
+    Beds settle with `preparation`, or by default with a slippery, cohesionless soil.
+    """
+    laboratory, cylinder = virtual_lab(lab, preset), specimen(lab, preset)
+    return Campaign(laboratory, cylinder, folder, progress, preparation=preparation)
+
+
+def simulate(
+    lab: Lab, preset: Preset, settings: dict[str, float], seed: int, work: Campaign
+) -> tuple[dict, list[Run]]:
+    """Both tests on the preset's packings; the contract's JSON and the runs."""
+    soil = with_values(base_soil(lab), settings)
+    seeds = Seeds.of(seed, preset.packings).fitted
+    runs = work.runs([soil], seeds, "simulating")[0]
+    result = {
+        **simulation_json(runs),
+        "rates": rates_json(work),
+        "parameters": soil_json(soil),
+        "seeds": list(seeds),
+    }
+    return result, runs
+
+
+def simulation_json(runs: Sequence[Run]) -> dict:
+    """Means and scatter over packings, the first packing's curves, quality and speed."""
+    seconds = sum(run.quality["runtime_s"] for run in runs)
+    work = sum(run.quality["steps"] * run.quality["spheres"] for run in runs)
+    return {
+        "observables": mean_observables(runs),
+        "spread": spread_observables(runs),
+        "curves": curves_json(runs[0]),
+        "packings": [{**run.observables(), "failure": run.failure} for run in runs],
+        "quality": quality_json(runs),
+        "failures": [run.failure for run in runs if run.failure],
+        "runtime_s": seconds,
+        "particle_steps_per_s": work / seconds,
+    }
+
+
+def quality_json(runs: Sequence[Run]) -> dict:
+    """The worst of each check over packings, and whether any list stayed too small."""
+    worst = {
+        name: float(np.max([run.quality[name] for run in runs]))
+        for name in runs[0].quality
+        if name not in ("runtime_s", "steps", "overflow")
+    }
+    return {**worst, "overflow": any(run.quality["overflow"] > 0 for run in runs)}
+
+
+def rates_json(work: Campaign) -> dict:
+    """Nominal and simulated platen speeds (mm/s) of both tests, and their ratio."""
+    tests = work.lab.tests
+    return {
+        name: {
+            "nominal_mm_s": 1e3 * float(test.nominal_rate),
+            "simulated_mm_s": 1e3 * float(test.simulated_rate),
+            "scaled_by": float(test.simulated_rate / test.nominal_rate),
+        }
+        for name, test in (("confined", tests.confined), ("unconfined", tests.unconfined))
+    }
+
+
+def curves_json(run: Run) -> dict:
+    """A run's curves as lists."""
+    return {
+        name: {"displacement_mm": curve[:, 0].tolist(), "force_n": curve[:, 1].tolist()}
+        for name, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+    }
+
+
+DRAWN = 300  # points of a curve in a fit's result; all of them are in the campaign's cache
+
+
+def drawn(displacement_mm: np.ndarray, force_n: np.ndarray) -> dict[str, list[float]]:
+    """At most `DRAWN` points of a curve, first and last among them, to six digits."""
+    count = len(force_n)
+    rows = np.unique(np.linspace(0, count - 1, min(count, DRAWN)).round().astype(int))
+    columns = {"displacement_mm": displacement_mm[rows], "force_n": force_n[rows]}
+    return {name: [float(f"{x:.6g}") for x in column] for name, column in columns.items()}
+
+
+def packing_json(seed: int, run: Run) -> dict:
+    """One simulated specimen with its curves as drawn."""
+    curves = {"confined": run.confined, "unconfined": run.unconfined}
+    return {
+        "seed": seed,
+        **run.observables(),
+        "failure": run.failure,
+        "curves": {name: drawn(*curve.T) for name, curve in curves.items()},
+    }
+
+
+def measured_json(lab: Lab) -> dict:
+    """What the laboratory measured: targets with their scatter, curves as drawn."""
+    return {
+        "targets": {name: asdict(target) for name, target in lab.targets.items()},
+        "curves": [
+            {
+                "test": curve.test,
+                "file": curve.file,
+                **drawn(curve.displacement_mm, curve.force_n),
+            }
+            for curve in lab.curves
+        ],
+        "depth_between_n": [lab.confined.force_low, lab.confined.force_high],
+    }
+
+
+def mean_observables(runs: Sequence[Run]) -> dict[str, float]:
+    return _over_packings(runs, np.mean)
+
+
+def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
+    """Standard deviation over packings (one packing's scatter)."""
+    return _over_packings(runs, lambda v: np.std(v, ddof=1) if len(v) > 1 else float("nan"))
+
+
+def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
+    names = runs[0].observables()
+    return {n: float(statistic([run.observables()[n] for run in runs])) for n in names}
+
+
+def soil_json(soil: SoilParameters) -> dict[str, float]:
+    """All parameters by name, SI."""
+    return {name: float(getattr(soil, name)) for name in SoilParameters.__dataclass_fields__}

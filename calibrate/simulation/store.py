@@ -1,0 +1,178 @@
+"""The cache on disk: packings/ and runs/ by content, every entry whole, checked and written once.
+
+Runs are NetCDF, packings .npz, both with a seal (`calibrate.simulation.seal`).  An entry is
+written beside its place and renamed into it.  While an entry is made its lock in claims/ is
+held; the operating system frees it when the process dies, so no claim outlives its owner.
+
+Beds of the bundled soils ship with the package, so that a first simulation need not settle
+its own, and so that everybody's are the same.
+"""
+
+import errno
+import io
+import os
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import h5py
+import numpy as np
+import xarray as xr
+from filelock import BaseFileLock, FileLock, Timeout
+
+from calibrate.core.errors import CalibrationError
+from calibrate.simulation.run import Run
+from calibrate.simulation.seal import sealed, unsealed
+from jdem.packing.settling import Packing, load, save
+
+NETCDF = "h5netcdf"
+POLL = 0.2  # s between looks at a lock that another process holds
+ABANDONED = 3600.0  # s; a part file older than this has no writer any more
+
+
+@dataclass(frozen=True)
+class Store:
+    """The entries below one folder; nothing is created before something is kept."""
+
+    folder: Path
+
+    def packing_path(self, name: str) -> Path:
+        return self.folder / "packings" / f"{name}.npz"
+
+    def run_path(self, key: str) -> Path:
+        return self.folder / "runs" / f"{key}.nc"
+
+    def packing(self, name: str) -> Packing | None:
+        """The packing of this name; None where there is none or its file is damaged."""
+        path = self.packing_path(name)
+        if not path.exists():
+            return None
+        try:
+            unsealed(path.read_bytes())
+            return load(path)
+        except Exception:  # what a zip reader raises on damaged bytes is not a closed list
+            return None
+
+    def run(self, key: str) -> Run | None:
+        """The run of this key; None where there is none or its file is damaged."""
+        path = self.run_path(key)
+        if not path.exists():
+            return None
+        try:
+            return _run_of(*unsealed(path.read_bytes()))
+        except Exception:  # nor is what an HDF5 reader raises
+            return None
+
+    def keep_packing(self, name: str, packing: Packing) -> None:
+        path = self.packing_path(name)
+        draft = path.with_name(f"{name}.{uuid.uuid4().hex}.npz")
+        with _explained(self.folder):
+            try:
+                save(packing, draft)
+                _write(path, sealed(draft.read_bytes()))
+            finally:
+                for left in (draft, draft.with_suffix(".part.npz")):
+                    left.unlink(missing_ok=True)
+
+    def keep_run(self, key: str, run: Run) -> None:
+        with _explained(self.folder):
+            _write(self.run_path(key), sealed(_bytes_of(run)))
+
+    @contextmanager
+    def claim(self, name: str, patient: bool) -> Iterator[bool]:
+        """Whether the entry `name` is ours to make; with `patient`, waits until it is.
+
+        While it is, nobody else in this or another process makes it, unless the file system
+        has no locks: then it is made twice at worst, and both are whole.
+        """
+        path = self.folder / "claims" / f"{name}.lock"
+        lock = FileLock(path, timeout=-1 if patient else 0, thread_local=False)
+        with _explained(self.folder):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            ours = _acquired(lock)
+        try:
+            yield ours
+        finally:
+            if lock.is_locked:
+                path.unlink(missing_ok=True)  # while it is held: who waits opens a new one
+                lock.release()
+
+    def sweep(self) -> None:
+        """Removes part files that a killed process left behind."""
+        for path in self.folder.glob("*/*.part*"):
+            try:
+                if time.time() - path.stat().st_mtime > ABANDONED:
+                    path.unlink()
+            except OSError:  # somebody else was quicker, or may not
+                continue
+
+
+SHIPPED = Store(Path(str(resources.files("calibrate.simulation"))) / "beds")  # make beds
+
+
+def _acquired(lock: BaseFileLock) -> bool:
+    """Whether nobody else holds the lock; True too where there are no locks."""
+    try:
+        lock.acquire(poll_interval=POLL)
+    except Timeout:
+        return False
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
+            raise
+    return True
+
+
+@contextmanager
+def _explained(folder: Path) -> Iterator[None]:
+    """Turns what the file system refuses into one sentence."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CalibrationError(
+            f"{folder}: {reason}; make room or give another --out, then the same command goes on "
+            "from what is kept"
+        ) from None
+
+
+def _write(path: Path, data: bytes) -> None:
+    """The whole file or none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _bytes_of(run: Run) -> bytes:
+    data = xr.Dataset(
+        {
+            "confined": (("confined_point", "column"), run.confined),
+            "unconfined": (("unconfined_point", "column"), run.unconfined),
+        },
+        coords={"column": ["displacement_mm", "force_n"]},
+        attrs={**run.observables(), **run.quality, "failure": run.failure, "sealed": 1.0},
+    )
+    return bytes(data.to_netcdf(engine=NETCDF))
+
+
+def _run_of(content: bytes, had_seal: bool) -> Run:
+    """What `_bytes_of` wrote.  Entries made before there were seals do not ask for one."""
+    with h5py.File(io.BytesIO(content)):
+        pass  # what HDF5 cannot open makes h5netcdf complain on standard error
+    with xr.open_dataset(io.BytesIO(content), engine=NETCDF) as data:
+        attributes = {str(k): v for k, v in data.attrs.items()}
+        confined, unconfined = (np.array(data[name].values) for name in ("confined", "unconfined"))
+    if attributes.pop("sealed", 0.0) and not had_seal:
+        raise ValueError("the seal is gone")
+    depth = float(attributes.pop("depression_depth_mm"))
+    force = float(attributes.pop("crushing_force_n"))
+    failure = str(attributes.pop("failure"))
+    quality = {name: float(value) for name, value in attributes.items()}
+    return Run(depth, force, confined, unconfined, quality, failure)

@@ -1,0 +1,210 @@
+"""The laboratory of withheld cases: simulates specimens, measures them, writes their files.
+
+Reality here is this project's simulator with other numbers of spheres, other packings, next to
+no roundings and another settling friction than any bank; specimens of a case differ in
+packing, density and moisture.  What leaves the laboratory are records as machines write them:
+a way through the air before contact, any zero of displacement, noise, few digits.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.core.files import write_text
+from calibrate.discrepancy.comparison.features import vector
+from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
+from calibrate.discrepancy.library.store import TARGETS, curves_of, declared
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Run
+from calibrate.validation.outside import CARRIED, AggregateCrushing, air_force
+from calibrate.validation.plan import (
+    ACCEPTED_CRUSHING,
+    ACCEPTED_DEPTH,
+    PREPARATIONS,
+    SMOOTHING,
+    SPECIMENS,
+    SPHERES,
+    Case,
+)
+from jdem.effects.composite import EFFECTS
+
+DENSITY_SD = 0.004  # of density, from specimen to specimen
+MOISTURE_SD = 0.03  # of stiffness and surface energy together
+FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
+READINGS = 160  # of a curve
+GAP_MM = (0.3, 1.0)  # way through the air
+ZERO_MM = 0.5  # the displacement's zero lies within
+
+TOML = """[soil]
+name = "withheld {name}"
+density = [{density}]
+
+[specimen]
+diameter = "50 mm"
+height = "100 mm"
+mould_height = "150 mm"
+
+[confined]
+rate = "8 mm/s"
+force_low = "200 N"
+force_high = "400 N"
+greased = true
+
+[unconfined]
+rate = "0.01 mm/s"
+rest = "1 s"
+
+[particles]
+poisson_ratio = 0.3
+reference_diameter = "80 um"
+
+[parameters]
+{parameters}
+{curves}"""
+CURVE = """
+[[curves]]
+test = "{test}"
+file = "{test}_{number}.csv"
+displacement = {{ column = "displacement", unit = "mm" }}
+force = {{ column = "force", unit = "N" }}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """One specimen's records by test, arrays (readings, 2) in mm and N, and its density kg/m3."""
+
+    records: dict[str, np.ndarray]
+    density: float
+
+
+class Laboratory:
+    """Simulates and measures the specimens of cases; runs are cached in `folder`."""
+
+    def __init__(self, folder: Path, centre: dict[str, float]):
+        self.lab: Lab = load_lab(bundled_lab())
+        self.folder, self.centre = folder, centre
+        self._effects = {**EFFECTS, **CARRIED}
+        costly = (*COSTLY, AggregateCrushing)
+        self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
+
+    def specimens(self, case: Case, numbers: range = range(SPECIMENS)) -> list[Specimen] | None:
+        """The case's specimens, measured; None if one fails or, unless they are held back, they
+        lie out of range."""
+        measured, runs = [], []
+        for number in numbers:
+            run, density = self._specimen(case, number)
+            if run is None:
+                return None
+            runs.append(run)
+            measured.append(self._measured(case, number, run, density))
+        depth = float(np.mean([r.depression_depth_mm for r in runs]))
+        force = float(np.mean([r.crushing_force_n for r in runs]))
+        inside = ACCEPTED_DEPTH[0] <= depth <= ACCEPTED_DEPTH[1]
+        inside &= ACCEPTED_CRUSHING[0] <= force <= ACCEPTED_CRUSHING[1]
+        whole = numbers.start == 0 and len(numbers) >= SPECIMENS
+        return measured if inside or not whole else None
+
+    def changes(self, case: Case, numbers: range = range(SPECIMENS)) -> np.ndarray:
+        """What the hidden effects do to the features of the curves (n, m), on each of these of the
+        case's packings where both simulations have all of them."""
+        features = declared(self.lab.confined.force_high)[: -len(TARGETS)]
+        found = []
+        for number in numbers:
+            runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
+            if None not in runs:
+                with_, without = (vector(features, curves_of(run)) for run in runs if run)
+                found.append(with_ - without)
+        changes = np.array(found).reshape(-1, len(features))
+        return changes[np.isfinite(changes).all(axis=1)]
+
+    def _specimen(self, case: Case, number: int) -> tuple[Run | None, float]:
+        """The run of one specimen and its relative density error."""
+        random = np.random.default_rng([case.seed, number])
+        density, moisture = DENSITY_SD * random.standard_normal(), random.standard_normal()
+        strengths = {h.name: h.strength for h in case.hidden}
+        strengths["specimen_density"] = strengths.get("specimen_density", 0.0) + density
+        wet = float(np.exp(MOISTURE_SD * moisture))
+        values = dict(case.soil)
+        values |= {n: values[n] * wet for n in ("shear_modulus", "surface_energy")}
+        run = self._run(case, number, values, strengths)
+        share = strengths.get("trapped_air", 0.0)
+        if share and not run.failure:
+            run = self._with_air(case, number, values, strengths, run)
+        return (None if run.failure else run), density
+
+    def _run(self, case: Case, number: int, values, strengths) -> Run:
+        soil = with_values(base_soil(self.lab), {**self.centre, **values})
+        level = PREPARATIONS.index(case.preparation)
+        pool = 3 * SPHERES.index(case.spheres) + level
+        seed = case.first_seed + 1000 * pool + case.packings[number]
+        vector = [strengths.get(name, 0.0) for name in self._effects]
+        return self._simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
+
+    def _with_air(self, case: Case, number: int, values, strengths, run: Run) -> Run:
+        """Turned where soil and air together reach the target, air's force added."""
+        share, high = strengths["trapped_air"], self.lab.confined.force_high
+        top = int(run.confined[:, 0].argmax()) + 1
+        way, force = run.confined[:top].T
+        together = np.maximum.accumulate(force + self._air(way, share))
+        soil_share = float(np.interp(high, together, force))
+        early = {**strengths, "early_turn": high - soil_share}
+        turned = self._run(case, number, values, early)
+        confined = turned.confined.copy()
+        confined[:, 1] += self._air(confined[:, 0], share)
+        depth = np.interp([self.lab.confined.force_low, high], together, way)
+        return Run(float(depth[1] - depth[0]), turned.crushing_force_n, confined,
+                   turned.unconfined, turned.quality)  # fmt: skip
+
+    def _air(self, way, share: float) -> np.ndarray:
+        size = (self.lab.specimen.height, self.lab.specimen.diameter)
+        return np.asarray(air_force(way, *size, share))
+
+    def _measured(self, case: Case, number: int, run: Run, density: float) -> Specimen:
+        random = np.random.default_rng([case.seed, number, 1])
+        at_rest = sum(h.strength for h in case.hidden if h.name == "load_cell_offset")
+        records = {
+            test: recorded(curve, at_rest, random)
+            for test, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+        }
+        mass = 1 + 0.001 * random.standard_normal()
+        return Specimen(records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass))
+
+
+def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> np.ndarray:
+    """What the machine writes of a curve (points, 2): (READINGS, 2) in mm and N; `at_rest` is
+    the reading (N) before contact."""
+    gap = random.uniform(*GAP_MM)
+    way = np.concatenate([[0.0, gap - 1e-9], curve[:, 0] - curve[0, 0] + gap])
+    force = np.concatenate([[at_rest, at_rest], curve[:, 1]])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way)))])
+    ends = np.linspace(0.0, path[-1], READINGS + 1)
+    middle = (ends[1:] + ends[:-1]) / 2
+    x = np.interp(middle, path, way) + random.uniform(-ZERO_MM, ZERO_MM)
+    integral = np.concatenate([[0.0], np.cumsum(np.diff(path) * (force[1:] + force[:-1]) / 2)])
+    mean = np.diff(np.interp(ends, path, integral)) / np.diff(ends)
+    x = x + DISPLACEMENT_SD * random.standard_normal(READINGS)
+    mean = mean + FORCE_SD * random.standard_normal(READINGS)
+    return np.column_stack([np.round(x, 3), np.round(mean, 1)])
+
+
+def write_case(
+    name: str, specimens: list[Specimen], centre: dict[str, float], folder: Path
+) -> None:
+    """All files of a case, with the same form whatever it hides."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, specimen in enumerate(specimens, 1):
+        for test, record in specimen.records.items():
+            rows = [f"{x:.3f},{f:.1f}" for x, f in record]
+            text = "\n".join(["displacement,force", *rows]) + "\n"
+            write_text(folder / f"{test}_{number}.csv", text)
+    tests, numbers = ("confined", "unconfined"), range(1, len(specimens) + 1)
+    text = TOML.format(
+        name=name,
+        density=", ".join(f'"{s.density:.0f} kg/m^3"' for s in specimens),
+        parameters="\n".join(f"{n} = {v:g}" for n, v in centre.items()),
+        curves="".join(CURVE.format(test=t, number=n) for t in tests for n in numbers),
+    )
+    write_text(folder / "lab.toml", text)

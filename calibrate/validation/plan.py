@@ -1,0 +1,253 @@
+"""What the cases are: kind, effects and strengths, soil, packings; all from one secret seed.
+
+Strata are in projected signal-to-noise: what is left of an effect's signature once calibration
+has absorbed what it can, in units of the scatter of four specimens.  An effect that cannot
+reach its stratum within the strengths that the bank holds gives way to another one, and the
+stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
+signatures that the bank predicts, and prefers those that it takes for too large; what counts in
+the end is the change that the laboratory itself sees with and without the effect, shrunk towards
+the predicted one the more, the more packings differ (`told`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.generated import World
+from calibrate.discrepancy.comparison.noise import packing_covariance
+from calibrate.discrepancy.comparison.probability_calibration import NONE
+from calibrate.discrepancy.comparison.refit import refit, start_at
+from calibrate.discrepancy.library.description import Discrepancy, Ready, describe, point_of
+from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
+from calibrate.validation.outside import OUTSIDE
+
+STRATA: dict[str, tuple[float, float]] = {
+    "0.5-2": (0.5, 2.0),
+    "2-6": (2.0, 6.0),
+    "above 6": (6.0, 15.0),
+}
+COUNTS = {"none": 104, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
+SPECIMENS = 4
+PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specimens held back
+SPHERES = (130, 190)  # other numbers than the bank's
+PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
+SMOOTHING = -0.95  # roundings nearly gone
+POOL = 60  # packings of each number and preparation, from which cases draw
+FIRST_SEED = 1_900_000  # of packings
+ATTEMPTS = 6
+STARTS = 3  # of fits beside that from the soil itself
+FURTHEST = 2.0  # prior deviations of a soil
+ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means over specimens
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect at work; strength in SI, or in the unit that `outside` states."""
+
+    name: str
+    strength: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case; `soil` values by name in SI; `packings` of its specimens within their pool, those
+    that no diagnosis sees last, whose seeds begin at first_seed; snr as planned."""
+
+    name: str
+    kind: str
+    stratum: str
+    snr: float
+    hidden: tuple[Hidden, ...]
+    soil: dict[str, float]
+    spheres: int
+    preparation: float
+    packings: tuple[int, ...]
+    seed: int
+    nonce: str
+    first_seed: int = FIRST_SEED
+
+    def label(self, changes: np.ndarray) -> dict:
+        """What is sealed: the case, and what its hidden effects do to features (n, m)."""
+        told = asdict(self)
+        planned = told.pop("snr")
+        return {**told, "case": self.name, "planned_snr": planned, "changes": changes.tolist()}
+
+
+class Planner:
+    """Draws cases; the bank tells how visible an effect is at a soil."""
+
+    def __init__(self, ready: Ready, seed: int, first_seed: int = FIRST_SEED):
+        self.ready, self.first_seed = ready, first_seed
+        self.random = np.random.default_rng(seed)
+
+    def cases(self, counts: dict[str, int] | None = None) -> list[list[Case]]:
+        """For each case its attempts: the same effects in other soils and packings."""
+        kinds = [kind for kind, count in (counts or COUNTS).items() for _ in range(count)]
+        names = self.random.permutation(2**20)[: len(kinds)]
+        order = self.random.permutation(len(kinds))
+        return [self._attempts(f"{names[i]:05x}", kinds[k]) for i, k in enumerate(order)]
+
+    def _attempts(self, name: str, kind: str) -> list[Case]:
+        first = self._case(name, kind, None)
+        return [first, *(self._case(name, kind, first) for _ in range(ATTEMPTS - 1))]
+
+    def _case(self, name: str, kind: str, like: Case | None) -> Case:
+        soil = self._soil()
+        if like is not None:
+            hidden, snr = like.hidden, like.snr
+        else:
+            hidden, snr = self._hidden(kind, soil)
+        stratum = kind if kind in STRATA else ""
+        return Case(
+            name=name,
+            kind={"none": NONE, "outside": "outside", "two": "two"}.get(kind, "single"),
+            stratum=stratum,
+            snr=snr,
+            hidden=hidden,
+            soil=soil,
+            spheres=int(self.random.choice(SPHERES)),
+            preparation=float(self.random.choice(PREPARATIONS)),
+            packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
+            seed=int(self.random.integers(2**31)),
+            nonce=self.random.bytes(16).hex(),
+            first_seed=self.first_seed,
+        )
+
+    def _soil(self) -> dict[str, float]:
+        values = {}
+        for name, sd in SOIL_PRIOR_SD.items():
+            away = FURTHEST + 1
+            while abs(away) > FURTHEST:
+                away = self.random.standard_normal()
+            values[name] = float(CENTRE[name] * np.exp(sd * away))
+        values["plasticity_ratio"] = min(values["plasticity_ratio"], 0.82)
+        return values
+
+    def _hidden(self, kind: str, soil: dict[str, float]) -> tuple[tuple[Hidden, ...], float]:
+        if kind == "none":
+            return (), 0.0
+        if kind == "outside":
+            name = list(OUTSIDE)[int(self.random.integers(len(OUTSIDE)))]
+            low, high = OUTSIDE[name]
+            strength = float(low * (high / low) ** self.random.uniform())
+            sign = self.random.choice([-1.0, 1.0]) if name == "height_gradient" else 1.0
+            return (Hidden(name, sign * strength),), 0.0
+        visible = Visibility(self.ready, soil)
+        if kind == "two":
+            return self._two(visible)
+        while True:
+            snr = float(np.exp(self.random.uniform(*np.log(STRATA[kind]))))
+            found = self._one(visible, snr)
+            if found is not None:
+                return (found,), visible.snr({found.name: found.strength})
+
+    def _one(self, visible: "Visibility", snr: float, without: Sequence[str] = ()) -> Hidden | None:
+        name = str(self.random.choice([n for n in LIMITS if n not in without]))
+        low, high = LIMITS[name]
+        limit = high if low >= 0 or self.random.random() < 0.5 else low
+        strength = visible.strength(name, limit, snr)
+        return None if strength is None else Hidden(name, strength)
+
+    def _two(self, visible: "Visibility") -> tuple[tuple[Hidden, ...], float]:
+        found: list[Hidden] = []
+        while len(found) < 2:
+            snr = float(np.exp(self.random.uniform(*np.log((4.0, 12.0)))))
+            one = self._one(visible, snr, [h.name for h in found])
+            found += [one] if one is not None else []
+        return tuple(found), visible.snr({h.name: h.strength for h in found})
+
+
+def relative_error(
+    predicted: Sequence[float], scatter: Sequence[float], away: Sequence[float]
+) -> float:
+    """How wrong predicted changes are, as a share r^2 of their squared lengths |p_i|^2:
+
+        |c_i - p_i|^2 = r^2 |p_i|^2 + V_i         least squares, weights 1/(|p_i|^2 + V_i)^2
+
+    over cases with the same effects, c_i being mean changes that packings scatter by V_i
+    (empirical Bayes, Efron and Morris 1973: one case's own error is mostly chance, since often
+    one of four packings slips)."""
+    length, chance, apart = (np.array(each) for each in (predicted, scatter, away))
+    weight = (length + chance) ** -2.0
+    r2 = weight @ (length * (apart - chance)) / (weight @ length**2)
+    return max(float(r2), 0.0)
+
+
+class Visibility:
+    """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
+
+    def __init__(
+        self, ready: Ready, soil: dict[str, float], specimens: int = SPECIMENS,
+        discrepancy: Discrepancy | None = None,
+    ):  # fmt: skip
+        every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
+        point, design = point_of(ready.bank, soil), ready.bank.design
+        values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(design.limits)))[0]
+        self.description = describe(ready, point, values[every], every, discrepancy=discrepancy)
+        plan = np.ones((specimens, len(every)), bool)
+        self.world = World(self.description, plan, packing_covariance(self.description))
+        self.typical = dict(zip(design.effect_names, design.typical(), strict=True))
+
+    def snr(self, strengths: dict[str, float]) -> float:
+        """Signal-to-noise of effects of these strengths (SI) together."""
+        return float(self.world.snr(self.change(strengths)[:, None])[0])
+
+    def change(self, strengths: dict[str, float]) -> np.ndarray:
+        """What the bank says that these effects do to the features (m,)."""
+        d = self.description
+        given = np.array([strengths.get(n, 0.0) / self.typical[n] for n in d.effect_names])
+        zero = np.zeros(len(d.prior_sd))
+        return d.at(zero, given)[0] - d.at(zero, np.zeros(len(given)))[0]
+
+    def realised(self, changes: np.ndarray) -> float:
+        """Signal-to-noise of the change that changes (n, m) of the curves' features, one for each
+        of n packings, speak for: what calibration leaves of their mean, less what packings differ
+        by (jackknife)."""
+        count, whole = len(changes), self.left(changes.mean(axis=0)) ** 2
+        without = [self.left(np.delete(changes, i, axis=0).mean(axis=0)) ** 2 for i in range(count)]
+        return float(np.sqrt(max(whole - (count - 1) * (np.mean(without) - whole), 0.0)))
+
+    def told(self, changes: np.ndarray, predicted: np.ndarray, error: float) -> float:
+        """The same where a change p (m,) is predicted that may be wrong by a share r^2 = error of
+        its squared length (`relative_error`): what calibration leaves of the change to be expected
+        once the mean c of the simulated ones is known,
+
+            p + T/(T + V) (c - p)       T = r^2 |p|^2       V: `scatter`
+
+        What is known of it, and no more: the true change is longer by T V/(T + V) on average, in
+        square and but for calibration."""
+        wrong = error * self.length(predicted)
+        share = wrong / max(wrong + self.scatter(changes), 1e-300)
+        return self.left(predicted + share * (changes.mean(axis=0) - predicted))
+
+    def length(self, change: np.ndarray) -> float:
+        """Squared length of a change (m,), projected."""
+        return float((self.world.projected(change[:, None]) ** 2).sum())
+
+    def scatter(self, changes: np.ndarray) -> float:
+        """Sum of squares by which the mean of changes (n, m) is off as packings differ: V =
+        sum_i |c_i - c|^2/(n (n - 1)), projected."""
+        count = len(changes)
+        off = self.world.projected((changes - changes.mean(axis=0)).T)
+        return float((off**2).sum() / (count * (count - 1)))
+
+    def left(self, change: np.ndarray) -> float:
+        """What calibration leaves of a change (m,) of the features, in units of scatter: not as
+        far as slopes at the soil can mimic it, but as far as any soil can."""
+        d = self.description
+        values = d.at(np.zeros(len(d.prior_sd)), np.zeros(len(d.effects)))[0] + change
+        rng = np.random.default_rng(0)
+        away = [None, *(d.prior_sd * rng.standard_normal((STARTS, len(d.prior_sd))))]
+        fits = [refit(d, values, self.world.mean_covariance, (), start_at(d, x)) for x in away]
+        return float(np.sqrt(min(fit.objective for fit in fits)))
+
+    def strength(self, name: str, limit: float, snr: float) -> float | None:
+        """The strength (SI) towards `limit` with this signal-to-noise; None if out of reach."""
+        if self.snr({name: limit}) < snr:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(25):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.snr({name: middle * limit}) < snr else (low, middle)
+        return float(high * limit)

@@ -1,0 +1,244 @@
+"""A withheld benchmark from nothing to scores; every step is kept and none is repeated.
+
+DIR/cases/ID/         what a laboratory would hand over
+DIR/labels.sha256     stated before the first diagnosis
+DIR/sealed/           the labels; opened after DIR/verdicts.sha256 is written
+DIR/verdicts/ID.json  one a case
+DIR/withheld.json     scores
+"""
+
+import hashlib
+import json
+import secrets
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.core.files import write_json, write_text
+from calibrate.core.progress import AbstractProgress
+from calibrate.discrepancy.comparison.features import declare_before_contact, seen
+from calibrate.discrepancy.comparison.reduction import shrinkage
+from calibrate.discrepancy.library.description import Discrepancy, Ready
+from calibrate.discrepancy.library.design import CENTRE
+from calibrate.discrepancy.library.store import declared
+from calibrate.simulation import side_by_side
+from calibrate.validation import seal
+from calibrate.validation.canary import canary
+from calibrate.validation.elsewhere import in_our_words, with_visibility
+from calibrate.validation.laboratory import Laboratory, Specimen, write_case
+from calibrate.validation.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner
+from calibrate.validation.scores import Realised, Row, claims_shrinkage, row, scored
+from calibrate.validation.trial import (
+    Judges,
+    diagnose_all,
+    judges,
+    read_verdicts,
+    typical,
+    typical_case,
+)
+
+PLAN = "sealed/plan.json"
+VERDICTS = "verdicts"
+FEWEST_FRESH = 2  # up to which a shrinkage on fresh specimens has no error
+CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
+
+
+def generate(
+    out: Path, ready: Ready, counts: dict[str, int] | None, seed: int | None,
+    progress: AbstractProgress, first_seed: int = FIRST_SEED,
+) -> None:  # fmt: skip
+    """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
+    packings begin at first_seed."""
+    attempts = _plan(out, ready, counts, seed, first_seed)
+    laboratory = Laboratory(out / "simulated", CENTRE)
+
+    def label(number: int) -> list[dict]:
+        case = _made(out, laboratory, attempts[number])
+        return [case.label(laboratory.changes(case))] if case else []
+
+    labels = side_by_side(label, len(attempts), progress, "making cases")
+    seal.write_seal([one for made in labels for one in made], out)
+
+
+def _plan(
+    out: Path, ready: Ready, counts, seed: int | None, first_seed: int = FIRST_SEED
+) -> list[list[Case]]:
+    """The plan in `out`, drawn if there is none yet."""
+    path = out / PLAN
+    if not path.exists():
+        secret = secrets.randbits(62) if seed is None else seed
+        drawn = Planner(ready, secret, first_seed).cases(counts)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
+    return _planned(out)
+
+
+def _planned(out: Path) -> list[list[Case]]:
+    written = json.loads((out / PLAN).read_text())
+    return [[_case(entry) for entry in rows] for rows in written]
+
+
+def _case(entry: dict) -> Case:
+    hidden = tuple(Hidden(**h) for h in entry["hidden"])
+    return Case(**{**entry, "hidden": hidden, "packings": tuple(entry["packings"])})
+
+
+def _made(out: Path, laboratory: Laboratory, attempts: Sequence[Case]) -> Case | None:
+    """The first attempt whose specimens stand and lie in range, written; the rule is blind to
+    the effect."""
+    folder = out / "cases" / attempts[0].name
+    kept = out / "sealed" / f"{attempts[0].name}.attempt"
+    if kept.exists() and (folder / "lab.toml").exists():
+        number = int(kept.read_text())
+        return attempts[number] if number >= 0 else None
+    for number, case in enumerate(attempts):
+        specimens = laboratory.specimens(case)
+        if specimens is not None:
+            write_case(case.name, specimens, CENTRE, folder)
+            write_text(kept, str(number))
+            return case
+    write_text(kept, "-1")
+    return None
+
+
+def case_folders(out: Path) -> list[Path]:
+    """All cases, in the order of their meaningless names."""
+    found = sorted(path.parent for path in (out / "cases").glob("*/lab.toml"))
+    if not found:
+        raise InputError(str(out), "cases", "there are no cases here", "run without --given first")
+    return found
+
+
+def judge(
+    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress,
+    discrepancy: Discrepancy | None = None,
+) -> None:  # fmt: skip
+    """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
+    cases = case_folders(source)
+    progress.say("training rivals")
+    judge: Judges = judges(typical_case(typical(cases, ready), ready, seed, discrepancy), seed)
+    diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
+    _state(out)
+
+
+def opened(
+    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress, fresh: bool,
+    discrepancy: Discrepancy | None = None,
+) -> tuple[dict, list[Row]]:  # fmt: skip
+    """Opens the seal, checks both lists of hashes, scores; writes withheld.json."""
+    said, stated = read_verdicts(out / VERDICTS), _stated(out)
+    _check_unchanged(out, stated)
+    labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
+    if not set(said) == set(stated) == set(labels):
+        problem = f"{len(labels)} labels, {len(said)} verdicts"
+        raise InputError(str(out), VERDICTS, problem, "judge all cases first")
+    labels = with_visibility(labels, ready, discrepancy)
+    realised = _fresh(source, said, labels, progress) if fresh else {}
+    rows = [row(said[name], labels[name], realised.get(name)) for name in sorted(said)]
+    folders = [source / "cases" / r.case for r in rows]
+    result = {
+        **scored(rows, seed),
+        "other_code": not (source / PLAN).exists(),
+        "given_up": _given_up(source),
+        "canary": canary(folders, [r.kind for r in rows], seed),
+        "rows": [asdict(r) for r in rows],
+        "hidden": {name: labels[name]["hidden"] for name in sorted(said)},
+    }
+    write_json(out / "withheld.json", result)
+    return result, rows
+
+
+def _state(out: Path) -> None:
+    """Writes the hashes of all verdicts; those that were stated before must still hold."""
+    path = out / f"{VERDICTS}.sha256"
+    if path.exists():
+        _check_unchanged(out, _stated(out))
+    lines = [f"{_digest(path)}  {path.stem}" for path in sorted((out / VERDICTS).glob("*.json"))]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _stated(out: Path) -> dict[str, str]:
+    """The stated hash of each verdict."""
+    lines = (out / f"{VERDICTS}.sha256").read_text().splitlines()
+    return dict(line.split()[::-1] for line in lines)
+
+
+def _check_unchanged(out: Path, stated: dict[str, str]) -> None:
+    for name, digest in stated.items():
+        path = out / VERDICTS / f"{name}.json"
+        if not path.exists() or _digest(path) != digest:
+            problem = "the verdict was changed after it was stated"
+            raise InputError(
+                str(out / VERDICTS), name, problem, "judge the cases in another folder"
+            )
+
+
+def _given_up(source: Path) -> int:
+    """How many planned cases were not made, because no attempt was acceptable."""
+    kept = (source / "sealed").glob("*.attempt")
+    return sum(path.read_text().strip() == "-1" for path in kept)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _fresh(
+    source: Path, said: dict, labels: dict, progress: AbstractProgress
+) -> dict[str, Realised]:
+    """Shrinkages on fresh specimens of the same soils, where one was claimed."""
+    laboratory = Laboratory(source / "simulated", CENTRE)
+    plans = {rows[0].name: rows for rows in _planned(source)}
+    names = [
+        name for name, verdict in said.items()
+        if claims_shrinkage(verdict) and labels[name]["kind"] == "single"
+        and labels[name]["snr"] >= CHECKED_SNR
+    ]  # fmt: skip
+
+    def of(number: int) -> Realised | None:
+        name = names[number]
+        attempt = int((source / "sealed" / f"{name}.attempt").read_text())
+        case = plans[name][attempt]
+        specimens = [
+            one for number in range(SPECIMENS, len(case.packings))
+            for one in laboratory.specimens(case, range(number, number + 1)) or []
+        ]  # fmt: skip
+        enough = len(specimens) >= FEWEST_FRESH
+        return realised_shrinkage(said[name]["fits"], specimens) if enough else None
+
+    found = side_by_side(of, len(names), progress, "simulating fresh specimens")
+    return {name: one for name, one in zip(names, found, strict=True) if one}
+
+
+def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
+    """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off; its
+    standard error by leaving out one specimen after the other (jackknife)."""
+    features = {f.name: f for f in (*declared(400.0), *declare_before_contact())}
+    keep = [i for i, name in enumerate(fits["features"]) if name in features]
+    chosen = [features[fits["features"][i]] for i in keep]
+    values = np.array([
+        seen(chosen, {test: (r[:, 0], r[:, 1]) for test, r in s.records.items()})
+        for s in specimens
+    ])  # fmt: skip
+    weight = np.array(fits["weight"])[keep]
+    weight = weight / weight.sum() * np.sum(fits["weight"])
+    models = [np.array(fits[which])[keep] for which in ("base", "best")]
+    error = jackknife(values, models, weight) if len(values) > FEWEST_FRESH else None
+    return Realised(_shrunk(values, models, weight), error)
+
+
+def jackknife(values: np.ndarray, models: Sequence[np.ndarray], weight: np.ndarray) -> float:
+    """Standard error of the shrinkage of two models (m,) on specimens (n, m)."""
+    n = len(values)
+    without = [_shrunk(np.delete(values, i, axis=0), models, weight) for i in range(n)]
+    return float(np.sqrt((n - 1) * np.var(without)))
+
+
+def _shrunk(values: np.ndarray, models: Sequence[np.ndarray], weight: np.ndarray) -> float:
+    """The shrinkage of two models (m,) on specimens (n, m)."""
+    mean, variance = np.nanmean(values, axis=0), np.nanvar(values, axis=0, ddof=1)
+    count = np.isfinite(values).sum(axis=0)
+    return shrinkage(*(float(weight @ ((mean - m) ** 2 - variance / count)) for m in models))

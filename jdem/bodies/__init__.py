@@ -1,0 +1,1 @@
+"""What a bed is made of, one kind of body per file."""

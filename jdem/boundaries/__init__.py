@@ -1,0 +1,1 @@
+"""What stands around a bed, one kind of boundary per file."""

@@ -1,0 +1,127 @@
+"""One kernel: what is computed entry by entry runs as one compiled function, block by block.
+
+XLA's CPU runtime executes a program loop by loop and hands the loops from thread to thread;
+at some hundred spheres that takes as long as the arithmetic.  A call marked
+`xla_cpu_small_call` is compiled as one function instead, and within it a block of entries
+goes through all loops while it is in the processor's cache (docs/decisions.md has timings).
+
+The mark is for elementary operations only.  A law of a user that does something else, and
+other backends than the CPU, compute as if there were no mark.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import compress
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+from jax import Array
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun, subjaxprs
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from jdem.core.fusion import bounded, once
+
+Tree = TypeVar("Tree")
+
+BLOCK = 128  # entries that go through all loops together
+
+_ELEMENTWISE = (
+    "abs add add_any and atan2 bitcast_convert_type clamp convert_element_type copy cos div eq "
+    "exp exp2 floor ge gt integer_pow is_finite le log log1p expm1 logistic lt max min mul ne neg "
+    "not or pow rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin "
+    "sqrt square stop_gradient sub tan tanh xor"
+)
+_ARRANGING = (
+    "broadcast_in_dim concatenate gather optimization_barrier reshape slice split squeeze stack "
+    "transpose"
+)
+_ENCLOSING = "closed_call custom_jvp_call jit scan"
+_COMPILABLE = frozenset(f"{_ELEMENTWISE} {_ARRANGING} {_ENCLOSING}".split())
+
+
+def entrywise(function: Callable[[Any, Any], Tree], shared: Any, entries: Any) -> Tree:
+    """function(shared, entries), where row k of a result depends on `shared` and on entry k.
+
+    `entries`, and what the function returns, are trees of arrays whose first axis counts the
+    entries; it is called with some of them at a time.  Derivatives pass in forward mode.
+    """
+    if not bounded():
+        return function(shared, entries)
+    first, *_ = jax.tree.leaves(entries)
+    count = block_count(first.shape[0])
+    kernel = _Kernel(
+        function if count == 1 else partial(_blockwise, function, count), shared, entries
+    )
+    return kernel() if kernel.possible else function(shared, entries)
+
+
+def block_count(length: int) -> int:
+    """Blocks of BLOCK entries that a list is taken in: 1 unless they are whole."""
+    return max(1, length // BLOCK) if length % BLOCK == 0 else 1
+
+
+def in_blocks(capacity: int) -> int:
+    """The least capacity from `capacity` on that divides into whole blocks, if more than one."""
+    return capacity if capacity <= BLOCK else -(-capacity // BLOCK) * BLOCK
+
+
+def _blockwise(function: Callable, count: int, shared, entries):
+    """function(shared, entries), equally long blocks of the entries after each other."""
+
+    def split(leaf: Array) -> Array:
+        return leaf.reshape(count, -1, *leaf.shape[1:])
+
+    def joined(leaf: Array) -> Array:
+        return leaf.reshape(-1, *leaf.shape[2:])
+
+    def one(none, block):
+        return none, function(shared, block)
+
+    return jax.tree.map(joined, jax.lax.scan(one, None, jax.tree.map(split, entries))[1])
+
+
+class _Kernel:
+    """A function's call with these arguments as one kernel.
+
+    XLA stops the process where a marked call does not use an argument, or where it knows an
+    argument's value at compile time.  So what no result needs is left out first, the rest is
+    used by `once` whatever becomes of it, and a barrier hides values from the call.
+    """
+
+    def __init__(self, function: Callable, *arguments):
+        arrays, static = eqx.partition(arguments, eqx.is_array)
+        leaves, structure = jax.tree.flatten(arrays)
+
+        def flat(*leaves):
+            return function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
+
+        traced, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+        needed, used = dce_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
+        self._structure = jax.tree.structure(shapes)
+        self._operands = [*traced.consts, *compress(leaves, used)]
+        self._function = partial(_evaluated, needed, len(traced.consts))
+        self.possible = _compilable(needed)
+
+    def __call__(self):
+        """The function's results."""
+        return jax.tree.unflatten(self._structure, jax.jit(self._marked)(*self._operands))
+
+    def _marked(self, *operands):
+        """Traced before the mark is set, because a mark holds for everything traced inside."""
+        operands = jax.lax.optimization_barrier(operands)
+        (call,) = jax.make_jaxpr(jax.jit(self._function))(*operands).eqns
+        with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
+            return call.primitive.bind(*operands, **call.params)
+
+
+def _evaluated(jaxpr: Jaxpr, constants: int, *operands):
+    operands = once(operands)
+    return jaxpr_as_fun(ClosedJaxpr(jaxpr, operands[:constants]))(*operands[constants:])
+
+
+def _compilable(jaxpr: Jaxpr) -> bool:
+    """Whether one kernel can hold all operations."""
+    known = all(equation.primitive.name in _COMPILABLE for equation in jaxpr.eqns)
+    return known and all(map(_compilable, subjaxprs(jaxpr)))

@@ -1,0 +1,1 @@
+"""How a bed is advanced: contact lists, one time step, the one loop."""

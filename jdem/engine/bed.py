@@ -1,0 +1,127 @@
+"""From spheres and soil to a bed that can be advanced: laws, time step, list capacities.
+
+dt = safety * min over contacts of sqrt(m*/k),   k the stiffest tangent (k2, wall or pair)
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jdem.bodies.spheres import Spheres
+from jdem.core.kernel import in_blocks
+from jdem.core.quantity import cast
+from jdem.core.smooth import Smoothing
+from jdem.engine.loop import Segment
+from jdem.engine.neighbors import Grid
+from jdem.engine.step import Bed
+from jdem.materials.soil import SoilParameters, particle_law, wall_law
+
+MOST_SPHERES = 46_000
+PAIRS_GROW = 4  # power of the listing distance with which the number of listed pairs grows
+
+
+class Numerics(eqx.Module):
+    """Choices of the method, not of the soil.
+
+    safety (-) scales the time step; sample_time (s) is the interval of output and of list
+    rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere,
+    wall_layer (wall contacts = wall_layer x spheres x diameter / width) and per_cell set
+    list capacities; dtype is "float64" or "float32";
+    """
+
+    safety: float = eqx.field(static=True, default=0.3)
+    sample_time: float = eqx.field(static=True, default=2.5e-4)
+    skin: float = eqx.field(static=True, default=0.08)
+    pairs_per_sphere: float = eqx.field(static=True, default=3.3)
+    wall_layer: float = eqx.field(static=True, default=4.5)
+    per_cell: int = eqx.field(static=True, default=8)
+    dtype: str = eqx.field(static=True, default="float64")
+    smoothing: Smoothing = eqx.field(default_factory=Smoothing)
+
+
+def build_bed(
+    spheres: Spheres,
+    soil: SoilParameters,
+    grid: Grid,
+    numerics: Numerics,
+    time_step: Array | None = None,
+) -> Bed:
+    """A bed in the wanted precision.
+
+    `time_step` (s) overrides the one from the stiffness.  Surface energy is scaled to
+    the spheres' mean diameter.
+    """
+    mean_diameter = 2 * jnp.mean(spheres.radius)
+    between = particle_law(soil, mean_diameter, numerics.smoothing)
+    walls = wall_law(soil, mean_diameter, numerics.smoothing)
+    if time_step is None:
+        time_step = stable_time_step(spheres, between, walls, numerics.safety)
+    bed = Bed(
+        spheres=spheres,
+        particle_law=between,
+        wall_law=walls,
+        friction=soil.static_friction,
+        wall_friction=friction_of_walls(soil),
+        time_step=time_step,
+        roll_width=numerics.smoothing.roll,
+        grid=grid,
+    )
+    return cast(bed, jnp.dtype(numerics.dtype))
+
+
+def friction_of_walls(soil: SoilParameters) -> Array:
+    """Friction coefficients (-) of base, platen and mould, shape (3,)."""
+    return jnp.stack([soil.platen_friction, soil.platen_friction, soil.wall_friction])
+
+
+def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
+    """Time step (s) from the stiffest contact; no derivative passes through it."""
+    radius, mass = spheres.radius, spheres.mass
+    pair = jnp.min(0.5 * mass / between.stiffness_bound(0.5 * radius))
+    wall = jnp.min(mass / walls.stiffness_bound(radius))
+    return jax.lax.stop_gradient(safety * jnp.sqrt(jnp.minimum(pair, wall)))
+
+
+def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:
+    """Whole number of time steps in one sampling interval, an array (never compiled in)."""
+    return jnp.maximum(jnp.round(numerics.sample_time / bed.time_step), 1.0).astype(jnp.int32)
+
+
+def sample_capacity(programme: Segment, numerics: Numerics) -> int:
+    """Samples that the longest possible programme takes, with room for whole time steps:
+    an interval of a whole number of steps may be a third shorter than asked for."""
+    durations = np.asarray(programme.duration)
+    return int(np.sum(np.ceil(1.5 * durations / numerics.sample_time))) + 2 * durations.size
+
+
+def plan_grid(
+    count: int,
+    mean_radius: float,
+    max_radius: float,
+    extent: tuple[float, float],
+    numerics: Numerics,
+    reach: float = 0.0,
+) -> Grid:
+    """The neighbour search for spheres of these sizes (m).
+
+    `extent` is the width and height (m) that the search grid covers before it wraps; `reach`
+    (m) is the gap across which forces act.
+    """
+    if count > MOST_SPHERES:
+        raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
+    skin = numerics.skin * 2 * mean_radius
+    cell = 2 * max_radius + skin + reach
+    pairs_per_sphere = numerics.pairs_per_sphere * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
+    layer = numerics.wall_layer * 2 * mean_radius / extent[0]
+    across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
+    return Grid(
+        shape=(across, across, up),
+        per_cell=numerics.per_cell,
+        pairs=in_blocks(int(np.ceil(pairs_per_sphere * count))),
+        wall_contacts=in_blocks(int(np.ceil(layer * count)) + 16),
+        cell=cell,
+        skin=skin,
+        reach=reach,
+    )

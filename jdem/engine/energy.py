@@ -1,0 +1,71 @@
+"""Energy by channel: where the work of platen, mould and gravity went.
+
+    W_platen + W_mould + W_gravity = dK + sum of what springs, dashpots, rolling and the
+                                     background absorbed
+
+Power of contacts and gravity is evaluated at the start of a step.  What that misses,
+because velocities change within the step, is kept as `integration`: an error of first
+order in the time step, and the reason why the balance closes to round-off.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.boundaries.walls import MOULD, PLATEN, Walls
+
+
+class Ledger(eqx.Module):
+    """Work (J) since the start; springs hold what they store and what they dissipate."""
+
+    platen: Array
+    mould: Array
+    gravity: Array
+    normal_spring: Array
+    normal_dashpot: Array
+    tangential_spring: Array
+    tangential_dashpot: Array
+    rolling: Array
+    background: Array
+    integration: Array
+
+    @staticmethod
+    def zeros(dtype) -> "Ledger":
+        return Ledger(*[jnp.zeros((), dtype) for _ in range(10)])
+
+    def __add__(self, other: "Ledger") -> "Ledger":
+        return jax.tree.map(jnp.add, self, other)
+
+    def supplied(self) -> Array:
+        """Work of platen, mould, gravity, and of the integration error."""
+        return self.platen + self.mould + self.gravity + self.integration
+
+    def absorbed(self) -> Array:
+        """Work that went into springs, dashpots, rolling and background damping."""
+        springs = self.normal_spring + self.tangential_spring
+        dashpots = self.normal_dashpot + self.tangential_dashpot
+        return springs + dashpots + self.rolling + self.background
+
+    @staticmethod
+    def of_step(
+        contacts: Array,
+        walls: Array,
+        absorbed: Array,
+        gravity: Array,
+        walls_moving: Walls,
+        time_step,
+    ) -> "Ledger":
+        """One step: contact power (4,) in W, forces on walls (N), energies absorbed (3,) in J."""
+        return Ledger(
+            platen=-walls[PLATEN] * walls_moving.platen_speed * time_step,
+            mould=-walls[MOULD] * walls_moving.mould_speed * time_step,
+            gravity=gravity * time_step,
+            normal_spring=contacts[0] * time_step,
+            normal_dashpot=contacts[1] * time_step,
+            tangential_spring=contacts[2] * time_step,
+            tangential_dashpot=contacts[3] * time_step,
+            rolling=absorbed[1],
+            background=absorbed[0],
+            integration=absorbed[2],
+        )

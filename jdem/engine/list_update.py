@@ -1,0 +1,89 @@
+"""When to rebuild the contact lists: before anything can have crossed their skin.
+
+    motion = the two largest motions of spheres since the rebuild + the walls' motion
+
+Lists are complete while motion < skin. They are rebuilt before an interval in which motion
+could exceed it if everything went on as in the last interval, with as much again in
+reserve; the largest motion that did occur is kept, so that a surprise is reported.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.boundaries.walls import Walls
+from jdem.core import smooth
+from jdem.core.vector import Vector
+from jdem.engine.neighbors import Demand, rebuild
+from jdem.engine.step import Bed, BedState
+
+RESERVE = 0.25  # of the skin, kept for motion that sets in within an interval
+
+
+class Upkeep(eqx.Module):
+    """Where everything was at the last rebuild (m), and what the lists demanded so far.
+
+    latest is the motion within the last interval, largest the most since any rebuild (m).
+    """
+
+    position: Vector
+    walls: Walls
+    latest: Array
+    largest: Array
+    demand: Demand
+
+    @staticmethod
+    def begin(state: BedState) -> "Upkeep":
+        """Makes sure that the first interval starts with a rebuild."""
+        zero = jnp.zeros_like(state.time)
+        position = jax.lax.stop_gradient(state.motion.position)
+        return Upkeep(position, state.walls, zero + jnp.inf, zero, Demand.none())
+
+
+def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upkeep, Array]:
+    """The state with lists that will last an interval, and the motion that they have seen."""
+    motion = _motion(state, upkeep)
+    reserve = jnp.maximum(2 * upkeep.latest, RESERVE * bed.grid.skin)
+    due = motion + reserve > bed.grid.skin
+
+    def renew(state: BedState):
+        lists = (state.pairs, state.wall_contacts)
+        return rebuild(bed.grid, bed.spheres, state.walls, state.motion.position, *lists)
+
+    def keep(state: BedState):
+        return state.pairs, state.wall_contacts, Demand.none()
+
+    pairs, contacts, demand = jax.lax.cond(due, renew, keep, state)
+    origin = jax.tree.map(
+        lambda now, then: jnp.where(due, now, then),
+        (state.motion.position, state.walls),
+        (upkeep.position, upkeep.walls),
+    )
+    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+    demand = upkeep.demand.including(demand)
+    position, walls = jax.lax.stop_gradient(origin)
+    upkeep = Upkeep(position, walls, upkeep.latest, upkeep.largest, demand)
+    return state, upkeep, jnp.where(due, 0.0, motion)
+
+
+def checked(state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
+    """After an interval that began with the motion `before` (m)."""
+    motion = _motion(state, upkeep)
+    largest = jnp.maximum(upkeep.largest, motion)
+    return Upkeep(upkeep.position, upkeep.walls, motion - before, largest, upkeep.demand)
+
+
+def _motion(state: BedState, upkeep: Upkeep) -> Array:
+    """Motion since the last rebuild, m; no derivative passes through it."""
+    position = jax.lax.stop_gradient(state.motion.position)
+    spheres = _sum_of_two_largest(smooth.norm(position - upkeep.position))
+    platen = state.walls.platen_height - upkeep.walls.platen_height
+    mould = state.walls.mould_radius - upkeep.walls.mould_radius
+    return spheres + jax.lax.stop_gradient(jnp.abs(platen) + jnp.abs(mould))
+
+
+def _sum_of_two_largest(lengths: Array) -> Array:
+    """Of lengths (N,); XLA's `top_k` sorts them all, at every interval."""
+    farthest = jnp.argmax(lengths)
+    return lengths[farthest] + jnp.max(lengths.at[farthest].set(0.0))

@@ -1,0 +1,176 @@
+"""Fixed-capacity lists of pairs and of wall contacts; history travels with its pair.
+
+Candidates come from a grid of cells as wide as the largest sphere plus the skin, and
+are packed into a list sorted by a unique key.  On a rebuild each new entry takes over
+the history of the old entry with the same key.  A list that is too small is reported
+with the capacity that would do; it is never silent.  Keys are 32-bit: up to 46 000
+spheres.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jdem.bodies.spheres import Spheres
+from jdem.boundaries import walls as wall_module
+from jdem.boundaries.walls import Walls
+from jdem.core.vector import Vector
+from jdem.mechanics.contact import ContactHistory
+
+_FORWARD = np.array(
+    [(dx, dy, dz) for dx in (-1, 0, 1) for dy in (-1, 0, 1) for dz in (-1, 0, 1)][14:]
+)
+
+
+class Grid(eqx.Module):
+    """Capacities of the search; static, because arrays take their shapes from it.
+
+    `shape` counts cells along x, y, z (three at least: space is wrapped around the grid,
+    so spheres may leave it); `cell` (m) is a cell's edge.  Pairs are listed up to a gap of
+    `skin` + `reach` (m): spheres may move by the skin between rebuilds, and forces act across
+    gaps up to the reach.
+    """
+
+    shape: tuple[int, int, int] = eqx.field(static=True)
+    per_cell: int = eqx.field(static=True)
+    pairs: int = eqx.field(static=True)
+    wall_contacts: int = eqx.field(static=True)
+    cell: float = eqx.field(static=True)
+    skin: float = eqx.field(static=True)
+    reach: float = eqx.field(static=True, default=0.0)
+
+
+class ContactList(eqx.Module):
+    """Entries sorted by key; unused ones stand at the end and have `alive` 0.
+
+    For pairs, `second` is a sphere; for wall contacts it is the wall's number.
+    """
+
+    key: Array
+    first: Array
+    second: Array
+    alive: Array
+    history: ContactHistory
+
+    @staticmethod
+    def empty(capacity: int, dtype, extra: tuple = ()) -> "ContactList":
+        """Without entries; `extra` is what its law remembers beyond the base model."""
+        zero = jnp.zeros(capacity, jnp.int32)
+        key = jnp.full(capacity, _NO_KEY, jnp.int32)
+        history = ContactHistory.zeros(capacity, dtype, extra)
+        return ContactList(key, zero, zero, jnp.zeros(capacity, dtype), history)
+
+
+class Demand(eqx.Module):
+    """Largest capacity that any rebuild so far asked for."""
+
+    pairs: Array
+    wall_contacts: Array
+    per_cell: Array
+
+    @staticmethod
+    def none() -> "Demand":
+        zero = jnp.zeros((), jnp.int32)
+        return Demand(zero, zero, zero)
+
+    def including(self, other: "Demand") -> "Demand":
+        return jax.tree.map(jnp.maximum, self, other)
+
+    def exceeds(self, grid: Grid) -> Array:
+        """True where a list was too small."""
+        return (
+            (self.pairs > grid.pairs)
+            | (self.wall_contacts > grid.wall_contacts)
+            | (self.per_cell > grid.per_cell)
+        )
+
+
+_NO_KEY = np.iinfo(np.int32).max
+
+
+def rebuild(
+    grid: Grid,
+    spheres: Spheres,
+    walls: Walls,
+    position: Vector,
+    pairs: ContactList,
+    contacts: ContactList,
+) -> tuple[ContactList, ContactList, Demand]:
+    """Both lists for the spheres' present places, with the histories of the old lists."""
+    candidates, valid, fullest = _cell_candidates(grid, spheres, position)
+    new_pairs, pair_count = _packed(candidates, valid, spheres.count, grid.pairs, pairs)
+    near = _near_walls(grid, spheres, walls, position)
+    new_contacts, wall_count = _packed(*near, wall_module.COUNT, grid.wall_contacts, contacts)
+    return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest)
+
+
+def _cell_candidates(grid: Grid, spheres: Spheres, position: Vector):
+    """All pairs within a cell and with half of its neighbours: ((i, j), valid, fullest cell)."""
+    count = spheres.count
+    place = _cell_index(grid, position)
+    flat = _flat(grid, place)
+    order = jnp.argsort(flat)
+    sorted_cells = flat[order]
+    cells = int(np.prod(grid.shape))
+    start = jnp.searchsorted(sorted_cells, jnp.arange(cells + 1)).astype(jnp.int32)
+    rank = jnp.arange(count) - start[sorted_cells]
+    table = jnp.full((cells, grid.per_cell), count, jnp.int32)
+    table = table.at[sorted_cells, rank].set(order.astype(jnp.int32), mode="drop")
+
+    shift = (place[:, None, :] + _FORWARD[None]) % np.array(grid.shape)
+    theirs = table[_flat(grid, shift)]
+    own = table[flat]
+    own = jnp.where(own > jnp.arange(count)[:, None], own, count)
+    second = jnp.concatenate([own, theirs.reshape(count, -1)], axis=1)
+    first = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], second.shape)
+    valid = (second < count) & _close(grid, spheres, position, second)
+    low, high = jnp.minimum(first, second), jnp.maximum(first, second)
+    return (low.ravel(), high.ravel()), valid.ravel(), jnp.max(start[1:] - start[:-1])
+
+
+def _cell_index(grid: Grid, position: Vector):
+    """Cell of each point on the wrapped grid, shape (N, 3)."""
+    return jnp.floor(position.stack() / grid.cell).astype(jnp.int32) % np.array(grid.shape)
+
+
+def _flat(grid: Grid, place):
+    return (place[..., 0] * grid.shape[1] + place[..., 1]) * grid.shape[2] + place[..., 2]
+
+
+def _close(grid: Grid, spheres: Spheres, position: Vector, second):
+    """Whether each sphere is within reach of those in its row of `second` (N, candidates)."""
+    other = jnp.minimum(second, spheres.count - 1)
+    offset = jax.tree.map(lambda axis: axis[:, None], position) - position.at(other)
+    reach = spheres.radius[:, None] + spheres.radius[other] + (grid.skin + grid.reach)
+    return offset.dot(offset) < reach * reach
+
+
+def _near_walls(grid: Grid, spheres: Spheres, walls: Walls, position: Vector):
+    """Every sphere with every wall: ((sphere, wall), valid)."""
+    gap = wall_module.distances(walls, position) - spheres.radius[:, None]
+    first = jnp.broadcast_to(jnp.arange(spheres.count)[:, None], gap.shape)
+    second = jnp.broadcast_to(jnp.arange(wall_module.COUNT)[None], gap.shape)
+    return (first.ravel(), second.ravel()), (gap < grid.skin).ravel()
+
+
+def _packed(candidates, valid, stride, capacity, old: ContactList):
+    """Valid candidates sorted by key in a list of fixed length, and how many there were."""
+    first, second = candidates
+    key = jnp.where(valid, first * stride + second, _NO_KEY).astype(jnp.int32)
+    count = jnp.sum(valid).astype(jnp.int32)
+    slot = jnp.where(valid, jnp.cumsum(valid) - 1, capacity)
+    packed = jnp.full(capacity, _NO_KEY, jnp.int32).at[slot].set(key, mode="drop")
+    key = jnp.sort(packed)
+    alive = (key != _NO_KEY).astype(old.alive.dtype)
+    used = jnp.where(key != _NO_KEY, key, 0)
+    history = _inherited(key, old)
+    return ContactList(key, used // stride, used % stride, alive, history), count
+
+
+def _inherited(key, old: ContactList) -> ContactHistory:
+    """Histories of the old entries with the same keys, zero for new entries."""
+    place = jnp.clip(jnp.searchsorted(old.key, key), 0, old.key.shape[0] - 1)
+    same = ((old.key[place] == key) & (key != _NO_KEY)).astype(old.alive.dtype)
+    return jax.tree.map(lambda leaf: leaf[place], old.history).kept_while(same)

@@ -1,0 +1,1 @@
+"""The virtual laboratory: tests, effects and numerics around one specimen."""

@@ -1,0 +1,1 @@
+"""A soil: its parameters, and the laws that they belong to."""

@@ -1,0 +1,1 @@
+"""One contact: its nouns, its elasticity, its dashpot."""

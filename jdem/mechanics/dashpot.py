@@ -1,0 +1,23 @@
+"""Dashpot of a linear spring that rebounds with a given speed ratio.
+
+    beta = sqrt(4 m* k / (1 + (pi / ln e)^2))
+
+Thakur et al. 2014, Granular Matter 16, 383, eq. (8).  With plastic or adhesive
+springs the rebound is slower still: e is the dashpot's share only.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.core.quantity import Real
+
+
+def dashpot_constant(restitution: Real, mass: Array, stiffness: Array) -> Array:
+    """beta, N s/m, for 0 < restitution <= 1, effective mass (kg) and stiffness (N/m)."""
+    log = jnp.log(jnp.asarray(restitution))
+    return 2 * jnp.sqrt(mass * stiffness) * damping_ratio(log)
+
+
+def damping_ratio(log_restitution: Array) -> Array:
+    """-ln e / sqrt(pi^2 + ln^2 e): fraction of critical damping, dimensionless."""
+    return -log_restitution / jnp.sqrt(jnp.pi**2 + log_restitution**2)

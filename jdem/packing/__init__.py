@@ -1,0 +1,1 @@
+"""How beds are made, one preparation per file."""
