@@ -9,11 +9,13 @@ from functools import cache
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import CONFINED, declare, tests_of
-from calibrate.discrepancy.comparison.linear import Effect, Linearised, simple
+from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised, simple
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
+from calibrate.discrepancy.features.base import UsualSizes
+from calibrate.discrepancy.features.confined import NAME as CONFINED
+from calibrate.discrepancy.features.curves import declare, tests_of
 
-FEATURES = declare(400.0, 6.0, 200.0)
+FEATURES = declare(UsualSizes(400.0, 6.0, 200.0))
 CONFINED_ONES = tests_of(FEATURES) == CONFINED
 PLACE = np.array([f.position for f in FEATURES]) + 1.5 * ~CONFINED_ONES
 UNIT = np.where([f.unit == "mm" for f in FEATURES], 0.1, 10.0)
@@ -47,7 +49,7 @@ def description(seed: int = 0) -> Linearised:
     shapes[1::4] *= ~CONFINED_ONES
     slopes = 2 * UNIT * draws(correlation(0.5), 5, 2)
     simulated = draws(scatter(), SIMULATED, 100 + seed)
-    effects = [(Effect(f"e{k}", k % 2 == 0, 1.0), shape) for k, shape in enumerate(shapes)]
+    effects = [(EffectCandidate(f"e{k}", k % 2 == 0, 1.0), shape) for k, shape in enumerate(shapes)]
     base = {f"b{i}": (slope, 0.5) for i, slope in enumerate(slopes)}
     mean = simulated.mean(axis=0)
     return simple(FEATURES, mean, base, effects, simulated - mean)

@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from calibrate.validation.laboratory import Specimen, recorded
+from calibrate.validation.laboratory import SpecimenRecords, recorded
 
 CLASSES = [["seating_gap", "load_frame_compliance"], ["wall_friction"], ["acquisition_lag"]]
 SEAT = "seating_gap / load_frame_compliance"
@@ -17,13 +17,13 @@ def there_and_back() -> np.ndarray:
     return np.vstack([up, down[1:]])
 
 
-def specimens(seed: int, stiff: float = 1.0, count: int = 4) -> list[Specimen]:
+def specimens(seed: int, stiff: float = 1.0, count: int = 4) -> list[SpecimenRecords]:
     """Specimens by formula; the second test rises to a peak at 4 mm and softens."""
     random = np.random.default_rng(seed)
     way = np.linspace(0, 12, 300)
     crushed = np.column_stack([way, 200 * stiff * way / 4 * np.exp(1 - way / 4)])
     return [
-        Specimen(
+        SpecimenRecords(
             {
                 "confined": recorded(there_and_back() * np.array([1 / stiff, 1.0]), 0.0, random),
                 "unconfined": recorded(crushed, 0.0, random),

@@ -1,4 +1,4 @@
-"""`calibrate diagnose` on a bank of formulas: what it writes, shows, escapes and refuses."""
+"""`calibrate diagnose` on a library of formulas: what it writes, shows, escapes and refuses."""
 
 import html
 import json
@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import jax
 import numpy as np
 import pytest
-import toy_bank
+import toy_library
 
 from calibrate import cli
 from calibrate.core.errors import InputError
-from calibrate.discrepancy import infill as nearby
+from calibrate.discrepancy import infill
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.reports import diagnosis as report
@@ -34,10 +34,10 @@ CONTRACT = {
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Path:
-    """A folder with bank.nc and a laboratory whose load cell reads OFFSET too much."""
+    """A folder with library.nc and a laboratory whose load cell reads OFFSET too much."""
     folder = tmp_path_factory.mktemp("diagnose")
-    toy_bank.write_bank(folder / "bank.nc")
-    toy_bank.write_lab(folder / "lab", HOSTILE, OFFSET)
+    toy_library.write_library(folder / "library.nc")
+    toy_library.write_lab(folder / "lab", HOSTILE, OFFSET)
     return folder
 
 
@@ -60,8 +60,8 @@ def call(*arguments: object) -> int:
 @pytest.fixture(scope="module")
 def done(place) -> Path:
     """The folder that a diagnosis wrote."""
-    out, bank = place / "out", place / "bank.nc"
-    options = ("--bank", bank, "--out", out, "--json", place / "copy.json")
+    out, library = place / "out", place / "library.nc"
+    options = ("--library", library, "--out", out, "--json", place / "copy.json")
     assert call("diagnose", place / "lab" / "lab.toml", *options) == 0
     return out
 
@@ -84,7 +84,7 @@ def test_probabilities_add_up(done):
     assert sum(found["probability_by_class"].values()) == pytest.approx(1.0)
 
 
-def test_the_hidden_error_is_seen_where_it_is(done):
+def test_the_hidden_error_is_localised(done):
     """The offset shows before contact in both tests, within four of its standard errors."""
     rows = [s for s in result(done)["where"] if s["segment"] == "before contact"]
     assert [s["test"] for s in rows] == ["confined", "unconfined"]
@@ -142,21 +142,21 @@ def test_every_effect_of_the_library_has_plain_words():
 
 
 @pytest.mark.parametrize(
-    "wrong", ["no bank", "no lab", "lab as bank", "bank as lab", "other shape"]
+    "wrong", ["no library", "no lab", "lab as library", "library as lab", "other shape"]
 )
 def test_wrong_input_is_one_sentence(place, capfd, wrong):
-    lab, bank = place / "lab" / "lab.toml", place / "bank.nc"
+    lab, library = place / "lab" / "lab.toml", place / "library.nc"
     if wrong == "other shape":
         text = lab.read_text().replace('height = "100 mm"', 'height = "60 mm"')
         (place / "lab" / "short.toml").write_text(text)
     pair = {
-        "no bank": (lab, place / "missing.nc"),
-        "no lab": (place / "missing.toml", bank),
-        "lab as bank": (lab, lab),
-        "bank as lab": (bank, bank),
-        "other shape": (place / "lab" / "short.toml", bank),
+        "no library": (lab, place / "missing.nc"),
+        "no lab": (place / "missing.toml", library),
+        "lab as library": (lab, lab),
+        "library as lab": (library, library),
+        "other shape": (place / "lab" / "short.toml", library),
     }[wrong]
-    status = call("diagnose", pair[0], "--bank", pair[1], "--out", place / "refused")
+    status = call("diagnose", pair[0], "--library", pair[1], "--out", place / "refused")
     said = capfd.readouterr().err
     assert status == 2
     last = said.strip().splitlines()[-1]
@@ -164,13 +164,13 @@ def test_wrong_input_is_one_sentence(place, capfd, wrong):
     assert pair[0].name in last or pair[1].name in last
 
 
-def test_simulations_about_explanations_join_the_bank(place, monkeypatch):
-    monkeypatch.setattr(nearby, "run_points", toy_bank.run_points)
-    out, bank = place / "near", place / "bank.nc"
+def test_infill_runs_join_the_library(place, monkeypatch):
+    monkeypatch.setattr(infill, "run_points", toy_library.run_points)
+    out, library = place / "infill", place / "library.nc"
     lab = place / "lab" / "lab.toml"
-    assert call("diagnose", lab, "--bank", bank, "--simulate", 4, "--out", out) == 0
+    assert call("diagnose", lab, "--library", library, "--simulate", 4, "--out", out) == 0
     settings = result(out)["settings"]
-    assert settings["simulations"] == len(toy_bank.bank().values)
+    assert settings["simulations"] == len(toy_library.library().values)
     assert settings["simulated_about_this_lab"] >= 4 * 3  # none, an effect, a pair
 
 
@@ -185,7 +185,7 @@ scatter = "0.1 mm"
 repeats = 3
 """
     lab.write_text(text + targets)
-    assert call("diagnose", lab, "--bank", place / "bank.nc", "--out", out) == 0
+    assert call("diagnose", lab, "--library", place / "library.nc", "--out", out) == 0
     said = report.page(out / "result.json").sentence
     assert said.startswith("One number without curves")
     assert "record force and displacement" in said
@@ -229,7 +229,7 @@ def test_that_nothing_is_named_has_three_reasons(done):
     vague = nothing_named(done, 0.02, {"none": 0.3, "unknown": 0.3, "wall_friction": 0.4})
     assert title("wall_friction") in vague and "40 %" in vague and "30 %" in vague
     other = nothing_named(done, 0.2, {"none": 0.4, "unknown": 0.6})
-    assert "something that the library does not hold" in other
+    assert "something that the library of effects does not hold" in other
 
 
 def test_of_a_pair_that_is_named_both_effects_count(done):
@@ -239,8 +239,8 @@ def test_of_a_pair_that_is_named_both_effects_count(done):
     pair = ["wall_friction", "seating_gap"]
     which = found.which.model_copy(update={"verdict": "seating_gap + wall_friction"})
     for best, alone in ((pair, False), (pair[:1], True)):
-        seen = found.model_copy(update={"which": which, "how_far": far, "best": best})
-        assert ("second effect is not counted" in shrinkage(seen)) == alone
+        drawn_from = found.model_copy(update={"which": which, "how_far": far, "best": best})
+        assert ("second effect is not counted" in shrinkage(drawn_from)) == alone
 
 
 def test_a_damaged_result_is_refused(done, tmp_path):

@@ -9,53 +9,56 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
-import diagnosis_world as world
+import diagnosis_world as generator
 import numpy as np
 import pytest
 from scipy import stats
 
-from calibrate.discrepancy.comparison.compare import Prepared, Which, diagnose, label, prepare
+from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
 from calibrate.discrepancy.comparison.examples import generated_case
-from calibrate.discrepancy.comparison.features import CONFINED, UNCONFINED, declare_targets
 from calibrate.discrepancy.comparison.fits import covariance_at, fitted_base
 from calibrate.discrepancy.comparison.generated import plan_of
-from calibrate.discrepancy.comparison.linear import Effect, simple
-from calibrate.discrepancy.comparison.localise import where
+from calibrate.discrepancy.comparison.linear import EffectCandidate, simple
+from calibrate.discrepancy.comparison.localise import localise
 from calibrate.discrepancy.comparison.next_test import FurtherTest, next_tests
-from calibrate.discrepancy.comparison.probability_calibration import Opinion
+from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
 from calibrate.discrepancy.comparison.reduction import (
     distortions,
+    estimate_reduction,
     feature_weights,
-    fresh_gap,
-    how_far,
     shrinkage,
 )
-from calibrate.discrepancy.comparison.refit import hollows, refit, start_at
+from calibrate.discrepancy.comparison.refit import local_minima, refit, start_at
 from calibrate.discrepancy.comparison.repeats import from_targets, from_vectors
-from calibrate.discrepancy.comparison.verdict import as_json, reports, status
+from calibrate.discrepancy.comparison.verdict import as_json, effect_estimates, status
+from calibrate.discrepancy.features.confined import NAME as CONFINED
+from calibrate.discrepancy.features.curves import declare_targets
+from calibrate.discrepancy.features.unconfined import NAME as UNCONFINED
 
-KNOWN = world.description()
+KNOWN = generator.description()
 NULLS, STRONG = 60, 24
 
 
 @cache
-def prepared() -> Prepared:
-    return prepare(KNOWN, world.PLAN, seed=1, draws=120)
+def with_nulls() -> Prepared:
+    return prepare(KNOWN, generator.PLAN, seed=1, draws=120)
 
 
 def gap_of(effect: int, snr: float) -> np.ndarray:
     """What one effect does at a signal-to-noise."""
-    return prepared().world.strength_of(effect, snr) * KNOWN.effect_slopes[:, effect]
+    return with_nulls().generator.strength_of(effect, snr) * KNOWN.effect_slopes[:, effect]
 
 
-def base_of(ready: Prepared, sample):
+def base_of(prepared: Prepared, sample):
     """The noise of a sample and the fit without effects."""
-    return fitted_base(ready.description, sample, ready.world.packing, ready.null.inflation)
+    return fitted_base(
+        prepared.description, sample, prepared.generator.packing, prepared.null.inflation
+    )
 
 
 @cache
-def answered(effect: int, snr: float, seed: int) -> Which:
-    return diagnose(prepared(), world.case(seed, gap_of(effect, snr)))
+def answered(effect: int, snr: float, seed: int) -> Comparison:
+    return compare(with_nulls(), generator.case(seed, gap_of(effect, snr)))
 
 
 # ------------------------------------------------------------------ which
@@ -63,24 +66,24 @@ def answered(effect: int, snr: float, seed: int) -> Which:
 
 def test_false_alarms_stay_near_five_per_cent():
     """At most what 5 % would give in 999 of 1000 such tests."""
-    alarms = sum(diagnose(prepared(), world.case(s)).verdict != "none" for s in range(NULLS))
+    alarms = sum(compare(with_nulls(), generator.case(s)).verdict != "none" for s in range(NULLS))
     assert alarms <= stats.binom.ppf(0.999, NULLS, 0.05)
 
 
 def test_strong_effects_are_named():
     right = 0
     for seed in range(STRONG):
-        effect = seed % world.EFFECTS
+        effect = seed % generator.EFFECTS
         found = answered(effect, 12.0, 500 + seed)
-        right += found.verdict == label(prepared().classes, (f"e{effect}",))
+        right += found.verdict == label(with_nulls().classes, (f"e{effect}",))
     assert right >= stats.binom.ppf(0.01, STRONG, 0.85)
 
 
 def test_a_gap_that_no_effect_makes_is_not_called_an_effect():
     """A narrow dent in both curves, at a signal-to-noise of 20."""
-    dent = world.UNIT * np.exp(-0.5 * ((world.PLACE % 1.5 - 0.45) / 0.03) ** 2)
-    dent *= 20 / prepared().world.snr(dent[:, None])[0]
-    verdicts = [diagnose(prepared(), world.case(900 + s, dent)).verdict for s in range(6)]
+    dent = generator.UNIT * np.exp(-0.5 * ((generator.PLACE % 1.5 - 0.45) / 0.03) ** 2)
+    dent *= 20 / with_nulls().generator.snr(dent[:, None])[0]
+    verdicts = [compare(with_nulls(), generator.case(900 + s, dent)).verdict for s in range(6)]
     assert verdicts.count("unknown") >= 4
 
 
@@ -92,32 +95,35 @@ def test_probabilities_are_whole_and_the_set_holds_the_verdict():
     assert {"none", "unknown", "e0 + e1"} <= set(found.probability)
 
 
-def test_an_effect_left_out_of_the_library_is_not_named():
-    fewer = prepared().without(["e2"])
+def test_an_effect_that_is_no_candidate_is_not_named():
+    fewer = with_nulls().without(["e2"])
     assert "e2" not in fewer.description.effect_names
-    found = diagnose(fewer, world.case(3, gap_of(2, 20.0)))
+    found = compare(fewer, generator.case(3, gap_of(2, 20.0)))
     assert "e2" not in found.probability
     assert found.verdict != "none"
 
 
 def test_the_gap_is_said_to_shrink_by_the_effect_that_is_named():
-    """Not by that with the largest evidence, where the opinion prefers another one."""
+    """Not by that with the largest evidence, where the calibration prefers another one."""
     plain = answered(2, 12.0, 1)
-    names, classes = KNOWN.effect_names, prepared().classes
+    names, classes = KNOWN.effect_names, with_nulls().classes
     others = [k for (k, *more) in plain.refits if not more and names[k] not in classes.of("e2")]
     assert plain.best == (2,) and others
-    ready = replace(prepared(), opinion=Opinion(pair=-200.0, habits={names[others[0]]: 90.0}))
-    found = diagnose(ready, world.case(1, gap_of(2, 12.0)))
+    prepared = replace(
+        with_nulls(),
+        calibration=ProbabilityCalibration(pair=-200.0, class_bias={names[others[0]]: 90.0}),
+    )
+    found = compare(prepared, generator.case(1, gap_of(2, 12.0)))
     assert found.verdict == label(classes, (names[others[0]],))
     assert found.best == (others[0],)
 
 
 def test_generated_cases_hold_what_they_say():
-    pair = generated_case(prepared(), np.random.default_rng(1), "pair")
-    assert len(pair.truth) == 2 and not pair.left_out
-    other = [generated_case(prepared(), np.random.default_rng(s), "unknown") for s in range(8)]
+    pair = generated_case(with_nulls(), np.random.default_rng(1), "pair")
+    assert len(pair.truth) == 2 and not pair.excluded_effects
+    other = [generated_case(with_nulls(), np.random.default_rng(s), "unknown") for s in range(8)]
     assert {case.truth for case in other} == {("unknown",)}
-    assert any(case.left_out for case in other)
+    assert any(case.excluded_effects for case in other)
 
 
 def test_scalar_targets_alone_get_an_honest_answer():
@@ -125,15 +131,17 @@ def test_scalar_targets_alone_get_an_honest_answer():
     features = declare_targets(["depression_depth_mm", "crushing_force_n"])
     rng = np.random.default_rng(4)
     base = {f"b{i}": (rng.standard_normal(2) * [1.0, 60.0], 0.5) for i in range(7)}
-    effects = [(Effect(f"e{k}", True, 1.0), rng.standard_normal(2) * [0.3, 20]) for k in range(3)]
+    effects = [
+        (EffectCandidate(f"e{k}", True, 1.0), rng.standard_normal(2) * [0.3, 20]) for k in range(3)
+    ]
     residuals = rng.standard_normal((30, 2)) * [0.3, 20]
     known = simple(features, np.array([3.4, 200.0]), base, effects, residuals)
     values = {"depression_depth_mm": (3.36, 0.3, 4), "crushing_force_n": (206.0, 20.0, 4)}
     sample = from_targets(features, values)
-    ready = prepare(known, plan_of(sample), seed=2, draws=60)
-    found = diagnose(ready, sample)
+    prepared = prepare(known, plan_of(sample), seed=2, draws=60)
+    found = compare(prepared, sample)
     assert found.verdict == "none"
-    assert {r.status for r in reports(ready, found)} <= {"inconclusive", "absent"}
+    assert {r.status for r in effect_estimates(prepared, found)} <= {"inconclusive", "absent"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,11 +164,13 @@ def test_an_emulator_that_is_linear_changes_nothing():
         return values, KNOWN.base_slopes, KNOWN.effect_slopes
 
     bent = replace(KNOWN, emulator=Formula(at))
-    ready = replace(prepared(), world=replace(prepared().world, description=bent))
-    sample = world.case(7, gap_of(5, 8.0))
-    one, other = diagnose(prepared(), sample), diagnose(ready, sample)
+    bent_one = replace(with_nulls(), generator=replace(with_nulls().generator, description=bent))
+    sample = generator.case(7, gap_of(5, 8.0))
+    one, other = compare(with_nulls(), sample), compare(bent_one, sample)
     assert one.verdict == other.verdict
-    np.testing.assert_allclose(one.facts.evidence.singles, other.facts.evidence.singles, atol=0.02)
+    np.testing.assert_allclose(
+        one.summary.evidence.singles, other.summary.evidence.singles, atol=0.02
+    )
 
 
 def test_a_fit_finds_a_bent_truth():
@@ -172,10 +182,10 @@ def test_a_fit_finds_a_bent_truth():
         return values, KNOWN.base_slopes, slopes
 
     bent = replace(KNOWN, emulator=Formula(at))
-    strengths = np.zeros(world.EFFECTS)
+    strengths = np.zeros(generator.EFFECTS)
     strengths[2] = 1.5
     truth = at(np.zeros(5), strengths)[0]
-    found = refit(bent, truth, 1e-4 * world.scatter(), [2])
+    found = refit(bent, truth, 1e-4 * generator.scatter(), [2])
     assert found.strengths[2] == pytest.approx(1.5, abs=0.01)
 
 
@@ -191,9 +201,9 @@ def test_a_fit_follows_a_bent_valley_to_its_end():
         return values, base, effects
 
     bent = replace(KNOWN, emulator=Formula(at))
-    truth = at(np.eye(5)[0], np.eye(world.EFFECTS)[2])[0]
+    truth = at(np.eye(5)[0], np.eye(generator.EFFECTS)[2])[0]
     start = start_at(bent, -3 * np.eye(5)[0], 2, 9.0)
-    found = refit(bent, truth, 1e-4 * world.scatter(), [2], start)
+    found = refit(bent, truth, 1e-4 * generator.scatter(), [2], start)
     assert found.delta[0] == pytest.approx(1.0, abs=0.01)
     assert found.strengths[2] == pytest.approx(1.0, abs=0.01)
 
@@ -210,10 +220,10 @@ def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_
 
     positive = tuple(replace(effect, one_sided=True) for effect in KNOWN.effects)
     bent = replace(KNOWN, emulator=Formula(at), effects=positive)
-    truth = at(np.zeros(5), np.eye(world.EFFECTS)[2] * 2.0)[0]
+    truth = at(np.zeros(5), np.eye(generator.EFFECTS)[2] * 2.0)[0]
     near, far = start_at(bent), start_at(bent, effect=2, strength=3.0)
-    stuck = refit(bent, truth, world.scatter(), [2], near)
-    found, other = hollows(bent, truth, world.scatter(), [2], [near, far, far])
+    stuck = refit(bent, truth, generator.scatter(), [2], near)
+    found, other = local_minima(bent, truth, generator.scatter(), [2], [near, far, far])
     assert stuck.strengths[2] == other.strengths[2] == 0.0
     assert found.strengths[2] == pytest.approx(2.0, abs=0.1)
     assert found.objective < 0.5 * stuck.objective
@@ -230,9 +240,9 @@ def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
         return 10 * strengths[2] * KNOWN.effect_slopes[:, [2]]
 
     bent = replace(KNOWN, emulator=Formula(at, errors))
-    ready = replace(prepared(), world=replace(prepared().world, description=bent))
-    sample = world.case(7, gap_of(2, 12.0))
-    known, vague = diagnose(prepared(), sample), diagnose(ready, sample)
+    bent_one = replace(with_nulls(), generator=replace(with_nulls().generator, description=bent))
+    sample = generator.case(7, gap_of(2, 12.0))
+    known, vague = compare(with_nulls(), sample), compare(bent_one, sample)
     fit = vague.refits[(2,)]
     excess = fit.covariance - vague.noise.mean
     shape = np.outer(KNOWN.effect_slopes[:, 2], KNOWN.effect_slopes[:, 2])
@@ -240,7 +250,7 @@ def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
     assert np.trace(excess) > np.trace(shape)
     where_it_ends = covariance_at(bent, vague.noise, fit)
     np.testing.assert_allclose(fit.covariance, where_it_ends, rtol=1e-9)
-    assert vague.facts.evidence.singles[2] < known.facts.evidence.singles[2]
+    assert vague.summary.evidence.singles[2] < known.summary.evidence.singles[2]
 
 
 # ------------------------------------------------------------------ where
@@ -248,10 +258,10 @@ def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
 
 def test_the_segment_that_differs_is_flagged_and_holds_the_share():
     """A toe of the unconfined test that is off by six deviations of the mean."""
-    toe = np.array([f.test == UNCONFINED and f.segment == "toe" for f in world.FEATURES])
-    sample = world.case(21, 30.0 * toe)
-    noise, base = base_of(prepared(), sample)
-    found = where(KNOWN, sample, noise, base, seed=0)
+    toe = np.array([f.test == UNCONFINED and f.segment == "toe" for f in generator.FEATURES])
+    sample = generator.case(21, 30.0 * toe)
+    noise, base = base_of(with_nulls(), sample)
+    found = localise(KNOWN, sample, noise, base, seed=0)
     rows = {(s.test, s.segment): s for s in found.segments}
     assert rows[UNCONFINED, "toe"].outside
     assert rows[UNCONFINED, "toe"].share > 3 * rows[UNCONFINED, "toe"].share_by_chance
@@ -262,21 +272,21 @@ def test_the_segment_that_differs_is_flagged_and_holds_the_share():
 def test_bands_hold_everything_at_once():
     outside = 0
     for seed in range(NULLS):
-        sample = world.case(seed)
-        noise, base = base_of(prepared(), sample)
-        found = where(KNOWN, sample, noise, base, seed=seed)
+        sample = generator.case(seed)
+        noise, base = base_of(with_nulls(), sample)
+        found = localise(KNOWN, sample, noise, base, seed=seed)
         outside += bool((np.abs(found.residual) > found.band).any())
     assert outside <= stats.binom.ppf(0.999, NULLS, 0.05)
 
 
 def test_a_factor_on_one_test_shows_across_tests():
     """Base parameters nearly known, so that one test says what the other should be."""
-    known = replace(KNOWN, mean=KNOWN.mean + 10 * world.UNIT, prior_sd=np.full(5, 0.01))
-    ready = prepare(known, world.PLAN, seed=1, draws=30)
-    weaker = np.where(world.CONFINED_ONES, 0.0, 2.0 * world.UNIT)
-    sample = world.case(31, 10 * world.UNIT + weaker, off_centre=0.0)
-    noise, base = base_of(ready, sample)
-    across = {c.predicted: c for c in where(known, sample, noise, base, seed=0).across}
+    known = replace(KNOWN, mean=KNOWN.mean + 10 * generator.UNIT, prior_sd=np.full(5, 0.01))
+    prepared = prepare(known, generator.PLAN, seed=1, draws=30)
+    weaker = np.where(generator.CONFINED_ONES, 0.0, 2.0 * generator.UNIT)
+    sample = generator.case(31, 10 * generator.UNIT + weaker, off_centre=0.0)
+    noise, base = base_of(prepared, sample)
+    across = {c.predicted: c for c in localise(known, sample, noise, base, seed=0).across}
     assert abs(across[UNCONFINED].factor - 1.2) < 4 * across[UNCONFINED].factor_se
     assert abs(across[CONFINED].factor - 1.0) < 4 * across[CONFINED].factor_se
 
@@ -285,17 +295,17 @@ def test_the_force_at_which_the_machine_turns_hides_no_factor_of_displacements()
     turn = [i for i, f in enumerate(KNOWN.features) if f.kind == "largest force"]
     quiet = np.where(np.isin(np.arange(len(KNOWN.mean)), turn), 1e-3, 1.0)
     d = replace(
-        KNOWN, mean=KNOWN.mean + 10 * world.UNIT, prior_sd=np.full(5, 0.01),
+        KNOWN, mean=KNOWN.mean + 10 * generator.UNIT, prior_sd=np.full(5, 0.01),
         base_slopes=KNOWN.base_slopes * quiet[:, None],
         packing_residuals=KNOWN.packing_residuals * quiet,
     )  # fmt: skip
-    longer = np.where(world.CONFINED_ONES & (quiet == 1), 2.0 * world.UNIT, 0.0)
-    sample = world.case(31, 10 * world.UNIT + longer, off_centre=0.0)
+    longer = np.where(generator.CONFINED_ONES & (quiet == 1), 2.0 * generator.UNIT, 0.0)
+    sample = generator.case(31, 10 * generator.UNIT + longer, off_centre=0.0)
     sample = from_vectors(
         d.features, d.mean + longer + quiet * (sample.specimens - d.mean - longer)
     )
-    noise, base = base_of(prepare(d, world.PLAN, seed=1, draws=30), sample)
-    across = {c.predicted: c for c in where(d, sample, noise, base, seed=0).across}
+    noise, base = base_of(prepare(d, generator.PLAN, seed=1, draws=30), sample)
+    across = {c.predicted: c for c in localise(d, sample, noise, base, seed=0).across}
     assert len(turn) == 1 and across[CONFINED].factor_se < 0.05
     assert abs(across[CONFINED].factor - 1.2) < 4 * across[CONFINED].factor_se
 
@@ -307,29 +317,27 @@ def test_claimed_shrinkage_is_that_on_fresh_specimens():
     """Median error below ten points over strong effects, against 2000 fresh specimens' mean."""
     errors = []
     for seed in range(10):
-        effect = seed % world.EFFECTS
+        effect = seed % generator.EFFECTS
         gap = gap_of(effect, 12.0)
-        sample = world.case(700 + seed, gap)
-        found = diagnose(prepared(), sample)
+        sample = generator.case(700 + seed, gap)
+        found = compare(with_nulls(), sample)
         fit = found.refits[(effect,)] if (effect,) in found.refits else found.refits[found.best]
-        far = how_far(KNOWN, sample, found.noise, found.base, fit, seed=0)
+        far = estimate_reduction(KNOWN, sample, found.noise, found.base, fit, seed=0)
         delta = KNOWN.prior_sd * np.random.default_rng(700 + seed).standard_normal(5)
-        truth = (KNOWN.base_slopes @ delta + gap)[None, :]
+        truth = KNOWN.base_slopes @ delta + gap
         weight = feature_weights(KNOWN, found.noise)
-        real = shrinkage(
-            fresh_gap(found.base.values, truth, weight), fresh_gap(fit.values, truth, weight)
-        )
+        real = shrinkage(*(weight @ (f.values - truth) ** 2 for f in (found.base, fit)))
         errors.append(abs(far.shrinkage - real))
         assert far.before >= far.floor and far.low <= far.high
-        assert far.left_out is not None
+        assert far.cross_validated is not None
         assert all(c >= far.shrinkage for c in far.ceilings.values())
     assert np.median(errors) < 0.10
 
 
 def test_distortions_of_displacement_act_alike_in_both_tests():
-    columns = distortions(KNOWN, world.case(1))
-    assert columns.shape[0] == len(world.FEATURES)
-    assert (np.abs(columns[world.CONFINED_ONES]).max(axis=0) > 0).all()
+    columns = distortions(KNOWN, generator.case(1))
+    assert columns.shape[0] == len(generator.FEATURES)
+    assert (np.abs(columns[generator.CONFINED_ONES]).max(axis=0) > 0).all()
 
 
 # ------------------------------------------------------------------ next test
@@ -355,14 +363,14 @@ def test_the_test_that_differs_between_explanations_is_proposed():
 
 
 def test_the_report_has_the_contract_s_keys_and_is_json():
-    sample = world.case(51, gap_of(3, 12.0))
-    found = diagnose(prepared(), sample)
+    sample = generator.case(51, gap_of(3, 12.0))
+    found = compare(with_nulls(), sample)
     fit = found.refits[found.best]
     content = as_json(
-        prepared(),
-        where(KNOWN, sample, found.noise, found.base, seed=0),
+        with_nulls(),
+        localise(KNOWN, sample, found.noise, found.base, seed=0),
         found,
-        how_far(KNOWN, sample, found.noise, found.base, fit, seed=0),
+        estimate_reduction(KNOWN, sample, found.noise, found.base, fit, seed=0),
         [],
     )
     again = json.loads(json.dumps(content, allow_nan=False))

@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 
-import diagnosis_world as world
+import diagnosis_world as generator
 import numpy as np
 import pytest
 
 from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.repeats import from_vectors
 
-KNOWN = world.description()
-SAMPLE = world.case(61, 4.0 * KNOWN.effect_slopes[:, 3])
+KNOWN = generator.description()
+SAMPLE = generator.case(61, 4.0 * KNOWN.effect_slopes[:, 3])
 
 
 def test_baselines_answer_in_the_same_words():

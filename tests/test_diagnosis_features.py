@@ -3,17 +3,11 @@
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.comparison.features import (
-    CONFINED,
-    UNCONFINED,
-    declare,
-    declare_targets,
-    force_before_contact,
-    readings_before_contact,
-    seen,
-    segments_of,
-    tared_rows,
-    vector,
+from calibrate.discrepancy.comparison.recording import (
+    Channel,
+    recording,
+    recording_shift,
+    through_air,
 )
 from calibrate.discrepancy.comparison.repeats import (
     from_curves,
@@ -21,9 +15,20 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.comparison.sensor import Channel, recording, recording_shift, through_air
+from calibrate.discrepancy.features.base import UsualSizes
+from calibrate.discrepancy.features.confined import NAME as CONFINED
+from calibrate.discrepancy.features.contact import force_before_contact, readings_before_contact
+from calibrate.discrepancy.features.curves import (
+    declare,
+    declare_targets,
+    feature_values,
+    recorded_feature_values,
+    segments_of,
+    tared_rows,
+)
+from calibrate.discrepancy.features.unconfined import NAME as UNCONFINED
 
-FEATURES = declare(400.0, 6.0, 200.0)
+FEATURES = declare(UsualSizes(400.0, 6.0, 200.0))
 PEAK = [f.kind for f in FEATURES].index("peak force")
 
 
@@ -54,7 +59,7 @@ def test_there_are_about_fifty_features_in_named_segments():
 
 
 def test_displacements_on_loading_and_unloading_are_those_of_the_formula():
-    values = vector(FEATURES, both())
+    values = feature_values(FEATURES, both())
     for feature, value in zip(FEATURES, values, strict=True):
         if feature.kind == "loading":
             assert value == pytest.approx(0.3 * (feature.abscissa**0.5 - 200**0.5), abs=2e-3)
@@ -67,7 +72,7 @@ def test_forces_in_crushing_count_from_the_seating_force():
     """Seating at 4 N lies where 1 - (1 - x)^2 = 0.02; a line through a window of a parabola
     is off by its curvature times a third of the half-width squared: 0.1 N here."""
     seat = 6 * (1 - np.sqrt(1 - 0.02))
-    values = vector(FEATURES, both())
+    values = feature_values(FEATURES, both())
     for feature, value in zip(FEATURES, values, strict=True):
         if feature.kind == "crushing" and 0.5 < feature.abscissa < 11:
             exact = 200 * (1 - ((feature.abscissa + seat) / 6 - 1) ** 2)
@@ -78,7 +83,9 @@ def test_forces_in_crushing_count_from_the_seating_force():
 @pytest.mark.parametrize("zero", [-7.0, 0.0, 120.0])
 def test_the_zero_of_displacement_drops_out(zero):
     moved = {test: (x + zero, f) for test, (x, f) in both().items()}
-    np.testing.assert_allclose(vector(FEATURES, moved), vector(FEATURES, both()), atol=1e-9)
+    np.testing.assert_allclose(
+        feature_values(FEATURES, moved), feature_values(FEATURES, both()), atol=1e-9
+    )
 
 
 def test_noise_and_coarse_sampling_move_features_by_little():
@@ -89,7 +96,7 @@ def test_noise_and_coarse_sampling_move_features_by_little():
         test: (x + 0.005 * rng.standard_normal(len(x)), f + rng.standard_normal(len(f)))
         for test, (x, f) in both(150).items()
     }
-    apart = np.abs(vector(FEATURES, noisy) - vector(FEATURES, both()))
+    apart = np.abs(feature_values(FEATURES, noisy) - feature_values(FEATURES, both()))
     ranges = np.array([6.0 if f.unit == "mm" else 200.0 for f in FEATURES])
     special = np.array([f.kind == "peak displacement" for f in FEATURES])
     assert (apart / ranges)[~special].max() < 0.02
@@ -99,7 +106,7 @@ def test_what_a_curve_does_not_reach_is_missing_and_can_be_dropped():
     x, f = confined()
     top = int(np.argmax(f))
     short = {CONFINED: (x[: top + 1], f[: top + 1])}
-    values = vector(FEATURES, short)
+    values = feature_values(FEATURES, short)
     kinds = np.array([feature.kind for feature in FEATURES])
     assert np.isfinite(values[kinds == "loading"]).all()
     assert np.isnan(values[kinds == "unloading"][1:]).all()
@@ -109,7 +116,7 @@ def test_what_a_curve_does_not_reach_is_missing_and_can_be_dropped():
 
 
 def test_a_curve_of_seven_points_can_be_read():
-    values = vector(FEATURES, both(7))
+    values = feature_values(FEATURES, both(7))
     assert np.isfinite(values).all()
 
 
@@ -158,7 +165,10 @@ def through(way: float, offset: float = 0.0):
 
 def test_an_offset_that_was_seen_before_contact_is_taken_off_where_the_turn_does_not_matter():
     rows = tared_rows(FEATURES)
-    tared, untared = seen(FEATURES, through(0.8)), seen(FEATURES, through(0.8, 25.0))
+    tared, untared = (
+        recorded_feature_values(FEATURES, through(0.8)),
+        recorded_feature_values(FEATURES, through(0.8, 25.0)),
+    )
     np.testing.assert_allclose(untared[rows], tared[rows], atol=0.02)
     largest = [f.kind for f in FEATURES].index("largest force")
     assert not rows[largest]
@@ -171,7 +181,9 @@ def test_a_loading_that_ends_too_early_once_tared_lacks_its_last_features():
     air = np.linspace(-0.8, -0.01, 20)
     on = force <= 375
     curves = {CONFINED: (np.append(air, x[on]), np.append(0 * air, force[on]) + 25.0)}
-    values = dict(zip([f.name for f in FEATURES], seen(FEATURES, curves), strict=True))
+    values = dict(
+        zip([f.name for f in FEATURES], recorded_feature_values(FEATURES, curves), strict=True)
+    )
     assert np.isnan(values["displacement at 380 N, loading"])
     assert np.isnan(values["displacement at 396 N, loading"])
     assert np.isfinite(values["displacement at 350 N, loading"])
@@ -181,9 +193,11 @@ def test_a_loading_that_ends_too_early_once_tared_lacks_its_last_features():
 def test_what_another_curve_shows_before_contact_serves_one_that_does_not():
     x, force = unconfined()
     alone = {UNCONFINED: (x, force + 25.0)}
-    values = seen(FEATURES, alone, {UNCONFINED: 25.0})
-    np.testing.assert_allclose(values[PEAK], vector(FEATURES, both())[PEAK], atol=0.1)
-    assert seen(FEATURES, alone)[PEAK] == pytest.approx(values[PEAK] + 25.0, abs=0.5)
+    values = recorded_feature_values(FEATURES, alone, {UNCONFINED: 25.0})
+    np.testing.assert_allclose(values[PEAK], feature_values(FEATURES, both())[PEAK], atol=0.1)
+    assert recorded_feature_values(FEATURES, alone)[PEAK] == pytest.approx(
+        values[PEAK] + 25.0, abs=0.5
+    )
 
 
 def test_a_soft_beginning_is_not_taken_for_air():

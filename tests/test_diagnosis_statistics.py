@@ -4,20 +4,12 @@ Closed forms against the formulas in the files; rates by simulation in a made-up
 (`diagnosis_world`), with bounds from the binomial distribution.
 """
 
-import diagnosis_world as world
+import diagnosis_world as generator
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from calibrate.discrepancy.comparison.classes import classes, separable, separation
-from calibrate.discrepancy.comparison.discrepancy import (
-    AMPLITUDES,
-    kernel_factors,
-    log_bayes_factor,
-    projected,
-    rough,
-    spectrum,
-)
 from calibrate.discrepancy.comparison.evidence import (
     SCALES,
     Evidence,
@@ -25,8 +17,8 @@ from calibrate.discrepancy.comparison.evidence import (
     pairs,
     singles,
 )
-from calibrate.discrepancy.comparison.generated import World
-from calibrate.discrepancy.comparison.lack_of_fit import statistics, table
+from calibrate.discrepancy.comparison.generated import SampleGenerator
+from calibrate.discrepancy.comparison.lack_of_fit import null_distribution, statistics
 from calibrate.discrepancy.comparison.noise import (
     PRIOR_SD_LN_AMPLITUDE,
     Shape,
@@ -36,9 +28,9 @@ from calibrate.discrepancy.comparison.noise import (
     packing_covariance,
 )
 from calibrate.discrepancy.comparison.probability_calibration import (
-    Facts,
-    Opinion,
-    fitted,
+    EvidenceSummary,
+    ProbabilityCalibration,
+    fit_calibration,
     log_probabilities,
 )
 from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project
@@ -46,10 +38,18 @@ from calibrate.discrepancy.comparison.refit import best_strengths
 from calibrate.discrepancy.comparison.repeats import Scatter, from_vectors
 from calibrate.discrepancy.comparison.score import scores
 from calibrate.discrepancy.comparison.sets import explanations, threshold
+from calibrate.discrepancy.comparison.unspecified_gap import (
+    AMPLITUDES,
+    kernel_factors,
+    log_bayes_factor,
+    projected,
+    rough,
+    spectrum,
+)
 
-M = len(world.FEATURES)
-KNOWN = world.description()
-MEAN_COVARIANCE = world.scatter() / 4 * (world.PLAN.astype(float).T @ world.PLAN > 0)
+M = len(generator.FEATURES)
+KNOWN = generator.description()
+MEAN_COVARIANCE = generator.scatter() / 4 * (generator.PLAN.astype(float).T @ generator.PLAN > 0)
 
 
 def plain(residual=None) -> Projected:
@@ -62,9 +62,9 @@ def plain(residual=None) -> Projected:
 
 def test_the_shape_that_predicts_best_beats_the_raw_covariance():
     """Distance to the true covariance, whitened by it, from thirty specimens of 51 features."""
-    samples = world.draws(world.scatter(), 30, 5)
+    samples = generator.draws(generator.scatter(), 30, 5)
     samples = samples - samples.mean(axis=0)
-    root = np.linalg.inv(np.linalg.cholesky(world.scatter()))
+    root = np.linalg.inv(np.linalg.cholesky(generator.scatter()))
 
     def loss(covariance):
         white = root @ covariance @ root.T
@@ -76,7 +76,7 @@ def test_the_shape_that_predicts_best_beats_the_raw_covariance():
 
 
 def test_a_shape_keeps_every_variance():
-    samples = world.draws(world.scatter(), 60, 6)
+    samples = generator.draws(generator.scatter(), 60, 6)
     samples = samples - samples.mean(axis=0)
     for shape in (Shape(factors=3), Shape(weight=0.2)):
         np.testing.assert_allclose(
@@ -87,11 +87,11 @@ def test_a_shape_keeps_every_variance():
 @pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
 def test_the_amplitude_comes_back_from_repeats(true):
     """Twelve specimens outweigh the prior about 1."""
-    covariance = world.scatter()
+    covariance = generator.scatter()
     tiny = 1e-6 * np.diag(np.diag(covariance))
     found = []
     for seed in range(30):
-        rows = true * world.draws(covariance, 12, seed)
+        rows = true * generator.draws(covariance, 12, seed)
         rows = rows - rows.mean(axis=0)
         found.append(amplitude_of(covariance, tiny, Scatter(rows.T @ rows, 11)))
     ln, sd = np.log([a for a, _ in found]), np.mean([s for _, s in found])
@@ -100,14 +100,14 @@ def test_the_amplitude_comes_back_from_repeats(true):
 
 
 def test_without_repeats_the_amplitude_is_the_prior():
-    value, sd = amplitude_of(world.scatter(), np.zeros((M, M)), None)
+    value, sd = amplitude_of(generator.scatter(), np.zeros((M, M)), None)
     assert value == pytest.approx(1.0, abs=1e-6)
     assert sd == pytest.approx(PRIOR_SD_LN_AMPLITUDE, abs=0.02)
 
 
 def test_the_mean_of_four_and_the_simulated_mean_add_up():
     packing = packing_covariance(KNOWN)
-    noise = estimate(KNOWN, world.case(1), packing, np.zeros(5))
+    noise = estimate(KNOWN, generator.case(1), packing, np.zeros(5))
     expected = noise.specimen[0, 0] / 4 + packing[0, 0] / KNOWN.mean_specimens
     assert noise.mean[0, 0] == pytest.approx(expected, rel=1e-9)
 
@@ -116,16 +116,16 @@ def test_a_mean_that_one_slipping_specimen_pulled_is_no_gap():
     """Eight deviations of one of four specimens: four of the mean, less once repeats have spoken;
     directions along which nobody slips keep about their variance."""
     packing = packing_covariance(KNOWN)
-    mine = np.flatnonzero(world.CONFINED_ONES)
+    mine = np.flatnonzero(generator.CONFINED_ONES)
     sd = np.sqrt(np.diag(packing))[mine]
     values, axes = np.linalg.eigh(packing[np.ix_(mine, mine)] / np.outer(sd, sd))
     local, broad = (np.zeros(M), np.zeros(M))
     local[mine], broad[mine] = (sd * axes[:, i] * np.sqrt(values[i]) for i in (2, -1))
 
     def deviations(slip: float) -> np.ndarray:
-        rows = KNOWN.mean + world.draws(packing, 4, 3)
+        rows = KNOWN.mean + generator.draws(packing, 4, 3)
         rows[0] += slip * local
-        noise = estimate(KNOWN, from_vectors(world.FEATURES, rows), packing, np.zeros(5))
+        noise = estimate(KNOWN, from_vectors(generator.FEATURES, rows), packing, np.zeros(5))
         inverse = np.linalg.inv(noise.specimen / 4)
         return np.array([1 / np.sqrt(d @ inverse @ d) for d in (local, broad)])
 
@@ -162,7 +162,7 @@ def test_an_effect_that_base_parameters_mimic_is_invisible():
 def test_one_step_strength_is_the_refitted_strength():
     """In a linear world the score's one step is the joint least-squares solution."""
     gap = 1.3 * KNOWN.effect_slopes[:, 3]
-    residual = world.draws(MEAN_COVARIANCE, 1, 8)[0] + gap
+    residual = generator.draws(MEAN_COVARIANCE, 1, 8)[0] + gap
     found = scores(plain(residual), KNOWN.effect_slopes, MEAN_COVARIANCE)
     slopes = np.hstack([KNOWN.base_slopes, KNOWN.effect_slopes[:, [3]]])
     joint, _ = fitted_shift(residual, slopes, np.append(KNOWN.prior_sd, 1e6), MEAN_COVARIANCE)
@@ -171,7 +171,7 @@ def test_one_step_strength_is_the_refitted_strength():
 
 def test_scores_of_points_taken_as_independent_do_not_hold_their_rate():
     """Why the covariance of specimens matters: the same test with points as the sample."""
-    draws = world.draws(MEAN_COVARIANCE, 400, 9)
+    draws = generator.draws(MEAN_COVARIANCE, 400, 9)
     independent = np.diag(np.diag(MEAN_COVARIANCE))
     rates = []
     for covariance in (MEAN_COVARIANCE, independent):
@@ -189,7 +189,7 @@ def test_scores_of_points_taken_as_independent_do_not_hold_their_rate():
 
 def test_the_smallest_p_value_of_three_is_itself_a_p_value():
     rng = np.random.default_rng(2)
-    known = table(rng.standard_normal((500, 3)))
+    known = null_distribution(rng.standard_normal((500, 3)))
     p = [known.p_value(rng.standard_normal(3)) for _ in range(400)]
     low, high = stats.binom.ppf([0.001, 0.999], 400, 0.1) / 400
     assert low - 0.02 <= np.mean(np.array(p) <= 0.1) <= high + 0.02
@@ -197,7 +197,7 @@ def test_the_smallest_p_value_of_three_is_itself_a_p_value():
 
 def test_statistics_see_an_effect():
     design = plain(5 * KNOWN.effect_slopes[:, 2])
-    kernel = projected(kernel_factors(world.FEATURES, world.scatter()), design.operator)
+    kernel = projected(kernel_factors(generator.FEATURES, generator.scatter()), design.operator)
     quiet = statistics(np.zeros(M), design.effects, KNOWN.one_sided, kernel)
     loud = statistics(design.residual, design.effects, KNOWN.one_sided, kernel)
     assert (loud > quiet).all()
@@ -280,7 +280,7 @@ def test_a_rough_discrepancy_is_noise_of_another_size():
     assert log_bayes_factor([rough(residual)]) == pytest.approx(exact, abs=1e-8)
 
 
-# ------------------------------------------------------------------ classes, refit, opinion, sets
+# -------------------------------------------- classes, refit, probability calibration, sets
 
 
 def test_classes_join_what_is_alike_and_respect_signs():
@@ -301,13 +301,13 @@ def test_strengths_at_the_bound():
     np.testing.assert_allclose(free, np.linalg.solve(gram, pull))
 
 
-def facts(singles_, unknown=0.0, p_before=0.5) -> Facts:
+def summary(singles_, unknown=0.0, p_before=0.5) -> EvidenceSummary:
     found = Evidence(np.array(singles_), np.zeros(1), np.array([[0, 1]]), unknown)
-    return Facts(("a", "b"), found, p_before, 0.5)
+    return EvidenceSummary(("a", "b"), found, p_before, 0.5)
 
 
 def test_probabilities_sum_to_one_and_follow_evidence():
-    p = np.exp(log_probabilities(facts([0.4, 0.1]), Opinion()))
+    p = np.exp(log_probabilities(summary([0.4, 0.1]), ProbabilityCalibration()))
     assert p.sum() == pytest.approx(1.0)
     assert p[1] > p[2] and p[1] / p[2] == pytest.approx(np.exp(0.3), rel=0.01)
 
@@ -320,9 +320,9 @@ def test_overconfident_evidence_is_tempered():
         gain = rng.normal(0, 1.5, 2)
         odds = np.exp(np.array([-20.0, *gain]))
         truth = rng.choice(3, p=odds / odds.sum())
-        cases.append(facts(3 * gain, unknown=-60.0))
+        cases.append(summary(3 * gain, unknown=-60.0))
         truths.append(np.arange(5) == truth)
-    assert 1 / fitted(cases, truths).sharpness == pytest.approx(3.0, rel=0.35)
+    assert 1 / fit_calibration(cases, truths).sharpness == pytest.approx(3.0, rel=0.35)
 
 
 def test_an_effect_for_which_evidence_speaks_too_readily_is_found_out():
@@ -333,31 +333,34 @@ def test_an_effect_for_which_evidence_speaks_too_readily_is_found_out():
         gain = rng.normal(0, 1.5, 2)
         odds = np.exp(np.array([0.0, *(gain - np.log(2))]))
         truth = rng.choice(3, p=odds / odds.sum())
-        cases.append(facts(gain + np.array([2.0, 0.0]), unknown=-60.0))
+        cases.append(summary(gain + np.array([2.0, 0.0]), unknown=-60.0))
         truths.append(np.arange(5) == truth)
-    habits = fitted(cases, truths).habits
-    assert habits["b"] - habits["a"] == pytest.approx(2.0, abs=0.5)
+    class_bias = fit_calibration(cases, truths).class_bias
+    assert class_bias["b"] - class_bias["a"] == pytest.approx(2.0, abs=0.5)
 
 
 def test_one_case_that_nobody_could_foresee_does_not_decide():
-    def learned_from(absurd: int) -> Opinion:
-        right = [(facts([4.0, 0.0]), np.arange(5) == 1), (facts([-1.0, -1.0]), np.arange(5) == 0)]
-        wrong = [(facts([900.0, 0.0]), np.arange(5) == 0)]
+    def learned_from(absurd: int) -> ProbabilityCalibration:
+        right = [
+            (summary([4.0, 0.0]), np.arange(5) == 1),
+            (summary([-1.0, -1.0]), np.arange(5) == 0),
+        ]
+        wrong = [(summary([900.0, 0.0]), np.arange(5) == 0)]
         cases, truths = zip(*(right * 40 + wrong * absurd), strict=True)
-        return fitted(cases, truths)
+        return fit_calibration(cases, truths)
 
     assert learned_from(1).sharpness == pytest.approx(learned_from(0).sharpness, rel=0.1)
 
 
 def test_an_explanation_that_could_not_be_fitted_is_none():
-    p = np.exp(log_probabilities(facts([np.nan, 3.0], unknown=-np.inf), Opinion()))
+    p = np.exp(log_probabilities(summary([np.nan, 3.0], unknown=-np.inf), ProbabilityCalibration()))
     assert p.sum() == pytest.approx(1.0)
     assert p[1] < 1e-9 and p[2] > 0.9 * p[2:].sum()
 
 
 def test_much_evidence_counts_less_than_in_proportion():
     def odds(first: float, second: float) -> float:
-        p = log_probabilities(facts([first, second]), Opinion())
+        p = log_probabilities(summary([first, second]), ProbabilityCalibration())
         return p[1] - p[2]
 
     assert odds(0.3, 0.0) == pytest.approx(0.3, rel=0.01)
@@ -380,7 +383,7 @@ def test_sets_cover_as_stated():
 
 
 def test_the_generated_world_has_the_covariance_that_the_noise_states():
-    generated = World(KNOWN, world.PLAN, packing_covariance(KNOWN))
+    generated = SampleGenerator(KNOWN, generator.PLAN, packing_covariance(KNOWN))
     rng = np.random.default_rng(8)
     drawn = np.array([generated.measured(rng).mean for _ in range(400)]) - KNOWN.mean
     prior = np.diag(KNOWN.prior_sd**2)

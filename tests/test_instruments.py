@@ -6,10 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.comparison.features import declare
-from calibrate.discrepancy.comparison.sensor import Channel, recording
-from calibrate.discrepancy.library.instruments import LAGS, AsRecorded, Recorded, Tared, late
-from calibrate.discrepancy.library.lab import LabCurves
+from calibrate.discrepancy.comparison.recording import Channel, recording
+from calibrate.discrepancy.features.base import UsualSizes
+from calibrate.discrepancy.features.curves import declare
+from calibrate.discrepancy.library.instruments import (
+    LAGS,
+    RecordedEmulator,
+    RecordingShift,
+    TaredEmulator,
+    lagged,
+)
+from calibrate.discrepancy.library.measurements import ScaledMeasurements
 
 FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
 
@@ -22,10 +29,10 @@ def ramp(points: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("points", [9, 2001])
-def test_a_late_reading_of_a_ramp_is_the_closed_form(points):
+def test_a_lagged_ramp_is_the_closed_form(points):
     """R = s (x - l (1 - exp(-x/l))) on the way up, whatever the spacing, and then stretched."""
     length = 8.0 * 0.05
-    x, force = late({"confined": tuple(ramp(points))}, FOUND, 0.05)["confined"]
+    x, force = lagged({"confined": tuple(ramp(points))}, FOUND, 0.05)["confined"]
     rising = 50 * (x - length * -np.expm1(-x / length))
     factor = force[points - 1] / rising[points - 1]
     assert force[:points] == pytest.approx(factor * rising[:points], abs=1e-9)
@@ -35,19 +42,19 @@ def test_a_late_reading_of_a_ramp_is_the_closed_form(points):
 
 def test_without_lag_nothing_changes_and_a_slow_test_hardly():
     curves = {"unconfined": tuple(ramp(400))}
-    assert late(curves, FOUND, 0.0) is curves
-    force = late(curves, FOUND, 0.1)["unconfined"][1]
+    assert lagged(curves, FOUND, 0.0) is curves
+    force = lagged(curves, FOUND, 0.1)["unconfined"][1]
     assert np.abs(force - ramp(400)[1]).max() < 0.5
 
 
-def test_a_late_reading_loses_less_at_the_turn():
+def test_a_lagged_recording_loses_less_at_the_turn():
     """Coarse recording of a sharp turn misses it; that of a round one does not."""
-    features = [f for f in declare(400.0, 4.0, 250.0) if f.test == "confined"]
+    features = [f for f in declare(UsualSizes(400.0, 4.0, 250.0)) if f.test == "confined"]
     at = [f.name for f in features].index("travel at the top, confined")
     channels = {"confined": Channel(0.1, 0.1, 1e-3)}
     curves = {"confined": tuple(ramp(2000))}
     lost = [
-        recording(features, late(curves, FOUND, lag), channels, np.random.default_rng(0), 40)[0]
+        recording(features, lagged(curves, FOUND, lag), channels, np.random.default_rng(0), 40)[0]
         for lag in (0.0, 0.1)
     ]
     assert abs(lost[1][at]) < 0.6 * abs(lost[0][at])
@@ -55,7 +62,7 @@ def test_a_late_reading_loses_less_at_the_turn():
 
 def test_shifts_go_smoothly_between_lags_and_slopes_are_theirs():
     rows = np.random.default_rng(1).normal(size=(len(LAGS), 3))
-    read = Recorded(1, rows, 2 * rows)
+    read = RecordingShift(1, rows, 2 * rows)
     for number, lag in enumerate(LAGS):
         at, beside = (np.array([9.0, lag + step]) for step in (0.0, 1e-9))
         assert read.shift(at) == pytest.approx(rows[number])
@@ -78,7 +85,7 @@ def test_an_emulator_as_recorded_adds_shift_slope_and_half_difference():
             return np.zeros((3, 0))
 
     rows = np.arange(3.0 * len(LAGS)).reshape(len(LAGS), 3)
-    read = AsRecorded(Still(), Recorded(0, rows, rows))
+    read = RecordedEmulator(Still(), RecordingShift(0, rows, rows))
     at = np.array([LAGS[1], 0.0])
     values, _, effects = read(np.zeros(1), at)
     assert values == pytest.approx(1 + rows[1])
@@ -89,7 +96,7 @@ def test_an_emulator_as_recorded_adds_shift_slope_and_half_difference():
 
 def test_an_effectless_library_has_one_shift():
     rows = np.array([[1.0, 2.0]])
-    read = Recorded(None, rows, rows)
+    read = RecordingShift(None, rows, rows)
     assert read.shift(np.zeros(0)) == pytest.approx([1.0, 2.0])
     assert read.slopes(np.zeros(3)).shape == (2, 3)
 
@@ -108,7 +115,7 @@ class Affine:
 
 def test_features_of_tared_curves_do_not_see_the_offset():
     rows = np.array([True, False, True])
-    tared, at = Tared(Affine(), 1, rows), np.array([1.0, 2.0, 3.0])
+    tared, at = TaredEmulator(Affine(), 1, rows), np.array([1.0, 2.0, 3.0])
     values, base, effects = tared(np.zeros(1), at)
     without = Affine.slopes @ np.array([1.0, 0.0, 3.0])
     assert values == pytest.approx(np.where(rows, without, Affine.slopes @ at))
@@ -130,4 +137,4 @@ def test_features_of_tared_curves_do_not_see_the_offset():
 )
 def test_tests_are_tared_where_a_force_before_contact_is_known(before, tests):
     nothing: Any = None
-    assert LabCurves(nothing, nothing, before, {}, (), {}).tared == tests
+    assert ScaledMeasurements(nothing, nothing, before, {}, (), {}).tared == tests

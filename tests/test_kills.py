@@ -80,14 +80,14 @@ def test_an_end_that_differs_is_told_from_one_that_does_not(folder):
     assert not whole.equals("fit", folder)
 
 
-def test_banks_are_compared_by_their_numbers(tmp_path):
+def test_libraries_are_compared_by_their_numbers(tmp_path):
     from calibrate.discrepancy.library import store
 
-    bank = store.load(store.bundled_bank())
-    store.save(bank, tmp_path / "bank.nc")
-    found = kills.result_of(tmp_path / "bank.nc")
-    store.save(bank, tmp_path / "bank.nc")
-    assert found == kills.result_of(tmp_path / "bank.nc")
-    bank.values[0, 0] = np.nextafter(np.float32(bank.values[0, 0]), np.float32(np.inf))
-    store.save(bank, tmp_path / "bank.nc")
-    assert found != kills.result_of(tmp_path / "bank.nc")
+    library = store.load(store.bundled_library())
+    store.save(library, tmp_path / "library.nc")
+    found = kills.result_of(tmp_path / "library.nc")
+    store.save(library, tmp_path / "library.nc")
+    assert found == kills.result_of(tmp_path / "library.nc")
+    library.values[0, 0] = np.nextafter(np.float32(library.values[0, 0]), np.float32(np.inf))
+    store.save(library, tmp_path / "library.nc")
+    assert found != kills.result_of(tmp_path / "library.nc")

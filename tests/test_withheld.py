@@ -14,21 +14,21 @@ from typing import Any, cast
 import formulas
 import numpy as np
 import pytest
-import toy_bank
+import toy_library
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
-from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.discrepancy.library.store import declared
+from calibrate.discrepancy.library.run_library import declared
 from calibrate.io.lab import load_lab
 from calibrate.validation import laboratory, run
 from calibrate.validation.canary import canary
-from calibrate.validation.elsewhere import with_visibility
+from calibrate.validation.labels import with_visibility
 from calibrate.validation.laboratory import READINGS, recorded, write_case
 from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
-from calibrate.validation.plan import Case, Hidden, Visibility, relative_error
+from calibrate.validation.plan import Hidden, Visibility, WithheldCase, relative_error
 from calibrate.validation.seal import HASHES, LABELS, digest, open_seal, write_seal
 
 # ---------------------------------------------------------------- recording
@@ -121,7 +121,7 @@ def test_specimens_held_back_have_packings_of_their_own(tmp_path, monkeypatch):
             return None if numbers.start == 7 else specimens(1, count=len(numbers))  # one collapses
 
     monkeypatch.setattr(run, "Laboratory", Standing)
-    planned = run._plan(tmp_path, cast(Ready, None), {"none": 2}, 1)
+    planned = run._plan(tmp_path, cast(EmulatedLibrary, None), {"none": 2}, 1)
     names = [attempts[0].name for attempts in planned]
     for name in names:
         (tmp_path / "sealed" / f"{name}.attempt").write_text("0")
@@ -159,7 +159,7 @@ def test_a_seal_without_a_file_is_refused_in_one_sentence(missing, tmp_path):
         open_seal(tmp_path)
 
 
-def test_a_label_left_out_is_refused(tmp_path):
+def test_a_missing_label_is_refused(tmp_path):
     write_seal([label("a", "none"), label("b", "none")], tmp_path)
     (tmp_path / LABELS).write_text(json.dumps([label("a", "none")]))
     with pytest.raises(InputError, match="do not match"):
@@ -187,11 +187,11 @@ def judged(tmp_path) -> Path:
     return tmp_path
 
 
-NO_BANK: Any = None  # labels with a signal-to-noise need none
+NO_LIBRARY: Any = None  # labels with a signal-to-noise need none
 
 
 def test_opening_scores_what_was_judged(judged):
-    result, rows = run.opened(judged, judged, NO_BANK, 0, Silent(), fresh=False)
+    result, rows = run.opened(judged, judged, NO_LIBRARY, 0, Silent(), fresh=False)
     assert [r.verdict == r.truth for r in rows] == [True, False, True]
     assert result["accuracy_by_snr"]["above 6"]["value"] == 1.0
     assert result["false_alarm"]["value"] == 1.0 and result["unknown_recall"]["value"] == 1.0
@@ -203,7 +203,7 @@ def test_a_changed_verdict_is_refused(judged):
     path = judged / "verdicts" / "00002.json"
     path.write_text(path.read_text().replace("wall_friction", "none"))
     with pytest.raises(InputError, match="changed after it was stated"):
-        run.opened(judged, judged, NO_BANK, 0, Silent(), fresh=False)
+        run.opened(judged, judged, NO_LIBRARY, 0, Silent(), fresh=False)
     with pytest.raises(InputError, match="changed after it was stated"):
         run._state(judged)  # what `judge` ends with
 
@@ -240,17 +240,17 @@ def test_the_canary_finds_a_planted_leak_and_no_other(tmp_path):
 
 def nothing_absorbed() -> Any:
     """A soil at which calibration absorbs nothing, features in units of scatter."""
-    world = SimpleNamespace(projected=lambda changes: changes)
-    plain: Any = SimpleNamespace(world=world, left=np.linalg.norm)
+    generator = SimpleNamespace(projected=lambda changes: changes)
+    plain: Any = SimpleNamespace(generator=generator, left=np.linalg.norm)
     plain.scatter = lambda changes: Visibility.scatter(plain, changes)
     plain.length = lambda change: Visibility.length(plain, change)
     return plain
 
 
 def test_calibration_leaves_less_of_a_change_that_another_soil_makes():
-    """A change to what the bank says of another soil is absorbed, but for its prior; a bent
+    """A change to what the library says of another soil is absorbed, but for its prior; a bent
     one is not absorbed by a line."""
-    visible = Visibility(Ready.of(toy_bank.bank()), toy_bank.CENTRE)
+    visible = Visibility(EmulatedLibrary.of(toy_library.library()), toy_library.CENTRE)
     d, none = visible.description, np.zeros(3)
     here = d.at(np.zeros(len(d.prior_sd)), none)[0]
     shift = np.zeros(len(d.prior_sd))
@@ -286,7 +286,7 @@ def drawn_changes(slips: float, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("slips", [0.0, 20.0])
-def test_a_told_signal_lies_between_the_predicted_and_the_true_one_whatever_packings_do(slips):
+def test_an_expected_signal_lies_between_the_predicted_and_the_true_one_whatever_packings_do(slips):
     rng, plain = np.random.default_rng(3), nothing_absorbed()
     cases = [drawn_changes(slips, rng) for _ in range(300)]
     length = [Visibility.length(plain, p) for p, _, _ in cases]
@@ -294,32 +294,33 @@ def test_a_told_signal_lies_between_the_predicted_and_the_true_one_whatever_pack
     away = [Visibility.length(plain, c.mean(axis=0) - p) for p, _, c in cases]
     error = relative_error(length, scatter, away)
     assert error == pytest.approx(0.8**2, rel=0.1)
-    told = np.array([Visibility.told(plain, c, p, error) for p, _, c in cases])
+    estimated = np.array([Visibility.expected_snr(plain, c, p, error) for p, _, c in cases])
     plainly = np.array([np.linalg.norm(c.mean(axis=0)) for _, _, c in cases])
     true = np.array([np.linalg.norm(t) for _, t, _ in cases])
     wrong = error * 25
     expected = 25 + wrong**2 / (wrong + np.array(scatter))  # the share of the error that is known
-    assert np.mean(told**2) == pytest.approx(np.mean(expected), rel=0.05)
-    assert 5 < np.sqrt(np.mean(told**2)) < np.sqrt(np.mean(true**2))
-    assert np.abs(told - true).max() < 3
+    assert np.mean(estimated**2) == pytest.approx(np.mean(expected), rel=0.05)
+    assert 5 < np.sqrt(np.mean(estimated**2)) < np.sqrt(np.mean(true**2))
+    assert np.abs(estimated - true).max() < 3
     if slips:
         assert np.abs(plainly - true).max() > 30
 
 
-def test_without_scatter_the_simulated_change_is_told_and_without_error_the_predicted_one():
+def test_without_scatter_the_simulated_change_is_expected_and_without_error_the_predicted_one():
     predicted, simulated = np.array([3.0, 4.0]), np.array([[6.0, 8.0]] * 3)
     plain = nothing_absorbed()
     assert Visibility.scatter(plain, simulated) == 0.0
-    assert Visibility.told(plain, simulated, predicted, 0.5) == pytest.approx(10.0)
-    assert Visibility.told(plain, simulated, predicted, 0.0) == pytest.approx(5.0)
+    assert Visibility.expected_snr(plain, simulated, predicted, 0.5) == pytest.approx(10.0)
+    assert Visibility.expected_snr(plain, simulated, predicted, 0.0) == pytest.approx(5.0)
     assert relative_error([25.0], [9.0], [4.0]) == 0.0
 
 
 def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monkeypatch):
     """An effect that doubles all forces; one packing does not stand without it."""
     made = laboratory.Laboratory(tmp_path, CENTRE)
-    case = Case("a", "single", "2-6", 3.0, (Hidden("load_cell_gain", 1.0),), dict(CENTRE), 130, 0.0,
-                tuple(range(8)), 1, "")  # fmt: skip
+    hidden = (Hidden("load_cell_gain", 1.0),)
+    case = WithheldCase("a", "single", "2-6", 3.0, hidden, dict(CENTRE), 130, 0.0,
+                        tuple(range(8)), 1, "")  # fmt: skip
 
     def specimen(case, number):
         run = formulas.specimen(formulas.BASE, number)
@@ -337,12 +338,12 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
 
 
 def test_a_label_with_changes_tells_how_visible_its_effect_was():
-    ready, strengths = Ready.of(toy_bank.bank()), {"load_cell_gain": 0.1}
-    visible = Visibility(ready, toy_bank.CENTRE)
+    emulated, strengths = EmulatedLibrary.of(toy_library.library()), {"load_cell_gain": 0.1}
+    visible = Visibility(emulated, toy_library.CENTRE)
     change = visible.change(strengths)
     hidden = [{"name": name, "strength": value} for name, value in strengths.items()]
     air = [{"name": "trapped_air", "strength": 0.5}]
-    label = {"kind": "single", "soil": toy_bank.CENTRE, "planned_snr": 3.0}
+    label = {"kind": "single", "soil": toy_library.CENTRE, "planned_snr": 3.0}
     found = with_visibility(
         {
             "as predicted": {**label, "hidden": hidden, "changes": [change.tolist()] * 3},
@@ -354,27 +355,30 @@ def test_a_label_with_changes_tells_how_visible_its_effect_was():
             "nothing": {**label, "hidden": [], "changes": [(0 * change).tolist()] * 3},
             "told": {**label, "snr": 7.0, "hidden": hidden},
         },
-        ready,
+        emulated,
         None,
     )
-    told = {name: entry["snr"] for name, entry in found.items()}
-    assert told["as predicted"] == pytest.approx(visible.left(change)) and told["as predicted"] > 1
-    assert (told["one packing"], told["nothing"], told["told"]) == (3.0, 0.0, 7.0)
-    assert (told["no packing"], told["outside of another code"]) == (3.0, 0.0)
-    assert told["outside"] == pytest.approx(visible.left(2 * change))
-    assert 1 < told["another code"] < told["as predicted"]  # three specimens
+    estimated = {name: entry["snr"] for name, entry in found.items()}
+    assert (
+        estimated["as predicted"] == pytest.approx(visible.left(change))
+        and estimated["as predicted"] > 1
+    )
+    assert (estimated["one packing"], estimated["nothing"], estimated["told"]) == (3.0, 0.0, 7.0)
+    assert (estimated["no packing"], estimated["outside of another code"]) == (3.0, 0.0)
+    assert estimated["outside"] == pytest.approx(visible.left(2 * change))
+    assert 1 < estimated["another code"] < estimated["as predicted"]  # three specimens
 
 
-def test_cases_with_the_same_effect_tell_together_how_wrong_the_bank_is():
-    """Four packings that show twice what the bank predicts, scattering; a sixth case is quiet."""
-    ready, strengths = Ready.of(toy_bank.bank()), {"load_cell_gain": 0.1}
-    visible, rng = Visibility(ready, toy_bank.CENTRE), np.random.default_rng(1)
+def test_cases_with_the_same_effect_are_pooled_for_the_error_of_predictions():
+    """Four packings show twice what the library predicts, scattering; a sixth case is quiet."""
+    emulated, strengths = EmulatedLibrary.of(toy_library.library()), {"load_cell_gain": 0.1}
+    visible, rng = Visibility(emulated, toy_library.CENTRE), np.random.default_rng(1)
     change = visible.change(strengths)
     hidden = [{"name": name, "strength": value} for name, value in strengths.items()]
-    label = {"kind": "single", "soil": toy_bank.CENTRE, "planned_snr": 3.0, "hidden": hidden}
+    label = {"kind": "single", "soil": toy_library.CENTRE, "planned_snr": 3.0, "hidden": hidden}
     twice = [2 * change * (1 + 0.05 * rng.standard_normal((4, 1))) for _ in range(5)]
     labels = {str(i): {**label, "changes": rows.tolist()} for i, rows in enumerate(twice)}
     few = {name: labels[name] for name in "0123"}
-    alone, told = (with_visibility(some, ready, None) for some in (few, labels))
+    alone, estimated = (with_visibility(some, emulated, None) for some in (few, labels))
     assert alone["0"]["snr"] == pytest.approx(visible.left(change), rel=1e-3)
-    assert told["0"]["snr"] == pytest.approx(visible.left(2 * change), rel=0.1)
+    assert estimated["0"]["snr"] == pytest.approx(visible.left(2 * change), rel=0.1)

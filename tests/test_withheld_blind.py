@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import diagnosis_world as world
+import diagnosis_world as generator
 import numpy as np
 import pytest
 from test_architecture import Module, read_modules
@@ -21,10 +21,10 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.compare import prepare
-from calibrate.discrepancy.diagnosis import Manner
+from calibrate.discrepancy.diagnosis import InferenceSetup
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.validation import trial
-from calibrate.validation.laboratory import Specimen, write_case
+from calibrate.validation.laboratory import SpecimenRecords, write_case
 from calibrate.validation.seal import open_seal, write_seal
 
 ROOTS = ("calibrate.validation.trial", "calibrate.discrepancy.diagnosis")
@@ -110,14 +110,14 @@ def sealed_folders_refused() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def judge() -> trial.Judges:
+def judge() -> trial.TrainedBaselines:
     """Everything that is made before a case is seen, in the world of formulas."""
-    known = world.description()
-    prepared = prepare(known, world.PLAN, seed=1, draws=16)
+    known = generator.description()
+    prepared = prepare(known, generator.PLAN, seed=1, draws=16)
     inputs = np.random.default_rng(0).standard_normal((8, 3))
-    return trial.Judges(
-        Manner(prepared.opinion, {world.PLAN.shape: prepared.null}), ("none of ours",), 3.0,
-        "e1",
+    return trial.TrainedBaselines(
+        InferenceSetup(prepared.calibration, {generator.PLAN.shape: prepared.null}),
+        ("none of ours",), 3.0, "e1",
         baselines.train(inputs, ["none", "e1"] * 4),
     )  # fmt: skip
 
@@ -127,12 +127,14 @@ def sealed_case(tmp_path, monkeypatch) -> Path:
     """A case with its seal; what its files say is read, what it hides is the formulas' e1."""
     way = np.linspace(0, 12, 160)
     records = {t: np.column_stack([way, 50 * way]) for t in ("confined", "unconfined")}
-    write_case("0abcd", [Specimen(records, 1830.0)] * 4, CENTRE, tmp_path / "cases" / "0abcd")
+    write_case(
+        "0abcd", [SpecimenRecords(records, 1830.0)] * 4, CENTRE, tmp_path / "cases" / "0abcd"
+    )
     write_seal([{"case": "0abcd", "kind": "single", "nonce": "1"}], tmp_path)
-    known = world.description()
-    measured = world.case(3, 8 * known.effect_slopes[:, 1])
+    known = generator.description()
+    measured = generator.case(3, 8 * known.effect_slopes[:, 1])
 
-    def described(lab, ready, seed, discrepancy=None):
+    def described(lab, emulated, seed, discrepancy=None):
         assert len(lab.curves) == 8
         return None, known, measured
 
@@ -140,7 +142,7 @@ def sealed_case(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def verdict_in(folder: Path, out: str, judge: trial.Judges) -> dict:
+def verdict_in(folder: Path, out: str, judge: trial.TrainedBaselines) -> dict:
     """The verdict file on the one case."""
     cases = [folder / "cases" / "0abcd"]
     trial.diagnose_all(cases, folder / out, None, judge, 0, Silent())  # pyright: ignore
@@ -171,6 +173,6 @@ def test_a_case_that_is_refused_is_a_wrong_verdict_and_not_the_end(sealed_case, 
 def test_rivals_are_trained_about_a_case_that_shows_what_most_show(monkeypatch):
     shown = {"less": (0,), "whole": (0, 1), "other": (0, 1), "broken": ()}
     cases = [Path(name) for name in shown]
-    monkeypatch.setattr(trial, "_shown", lambda case, ready: shown[case.name])
+    monkeypatch.setattr(trial, "_shown", lambda case, emulated: shown[case.name])
     assert trial.typical(cases, None) == Path("whole")
     assert trial.typical(cases[-1:], None) == Path("broken")

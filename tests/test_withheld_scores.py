@@ -1,4 +1,4 @@
-"""Withheld cases: scores, targets, report.
+"""Withheld cases: scores, criteria, report.
 
 Verdicts and labels are written by hand.
 """
@@ -14,16 +14,17 @@ from judged_cases import CLASSES, SEAT, label, specimens, verdict
 from rich.console import Console
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.comparison.features import seen
 from calibrate.discrepancy.comparison.probability_calibration import NONE
-from calibrate.discrepancy.library.store import declared
+from calibrate.discrepancy.features.curves import recorded_feature_values
+from calibrate.discrepancy.library.run_library import declared
 from calibrate.reports import kinds
 from calibrate.reports import withheld as report
-from calibrate.reports.withheld_words import found as told
+from calibrate.reports.withheld_words import found as found_words
 from calibrate.reports.withheld_words import percent
 from calibrate.validation import run
-from calibrate.validation.elsewhere import in_our_words
-from calibrate.validation.named import BOTH, FAILED, OTHERS, named
+from calibrate.validation.confusion import BOTH, FAILED, OTHERS, confusion_matrix
+from calibrate.validation.criteria import AT_LEAST, AT_MOST, BELOW, Criterion, Standing, criteria
+from calibrate.validation.labels import normalised
 from calibrate.validation.scores import (
     Realised,
     Row,
@@ -35,7 +36,6 @@ from calibrate.validation.scores import (
     share,
     truth_of,
 )
-from calibrate.validation.targets import AT_LEAST, AT_MOST, BELOW, Standing, Target, targets
 
 # ---------------------------------------------------------------- scores
 
@@ -57,8 +57,8 @@ def test_truth_is_said_in_the_case_s_own_classes():
 def test_scatter_between_specimens_is_no_gap_and_hides_no_effect():
     scatter = {"name": "density_scatter", "strength": 1.0, "unit": "ln"}
     seat = {"name": "seating", "strength": 1.0, "unit": "mm"}
-    alone = in_our_words({"kind": "library", "effects": [scatter]})
-    beside = in_our_words({"kind": "two", "effects": [scatter, seat]})
+    alone = normalised({"kind": "library", "effects": [scatter]})
+    beside = normalised({"kind": "two", "effects": [scatter, seat]})
     assert (alone["kind"], truth_of(alone, CLASSES)) == ("scatter", NONE)
     assert (beside["kind"], truth_of(beside, CLASSES)) == ("single", SEAT)
     said = [row(verdict("a", NONE), {**alone, "snr": 0.0})]
@@ -235,7 +235,9 @@ def test_shrinkage_on_fresh_specimens_by_hand():
     """Specimens all alike, so no scatter is taken off: d^2 of 3 shrinks to 5/4, E of 2 to 1.5."""
     features = declared(400.0)[:-2]
     fresh = specimens(3, count=1) * 2
-    true = seen(features, {t: (r[:, 0], r[:, 1]) for t, r in fresh[0].records.items()})
+    true = recorded_feature_values(
+        features, {t: (r[:, 0], r[:, 1]) for t, r in fresh[0].records.items()}
+    )
     keep = np.flatnonzero(np.isfinite(true))
     assert len(keep) > 20
     fits = {
@@ -270,7 +272,7 @@ def test_the_error_of_a_shrinkage_is_what_it_scatters_by():
     assert np.median(stated) == pytest.approx(scatter, rel=0.3)
 
 
-# ---------------------------------------------------------------- targets and report
+# ---------------------------------------------------------------- criteria and report
 
 
 @pytest.mark.parametrize(
@@ -286,8 +288,8 @@ def test_the_error_of_a_shrinkage_is_what_it_scatters_by():
     ],
 )
 def test_standing_of_a_target(sense, value, low, high, standing):
-    assert Target("", sense, 0.90, "share", value, low, high, 50).standing == standing
-    assert Target("", sense, 0.90, "share", None, None, None, 0).standing == Standing.NO_CASES
+    assert Criterion("", sense, 0.90, "share", value, low, high, 50).standing == standing
+    assert Criterion("", sense, 0.90, "share", None, None, None, 0).standing == Standing.NO_CASES
 
 
 def result_of(rows: list[Row]) -> dict:
@@ -305,20 +307,20 @@ def result_of(rows: list[Row]) -> dict:
 
 
 def test_targets_are_those_that_were_asked():
-    asked = {t.words: t for t in targets(result_of(hand_made()))}
+    asked = {t.words: t for t in criteria(result_of(hand_made()))}
     bounds = [(t.sense, t.bound) for t in asked.values() if t.unit == "share"]
     assert bounds == [(AT_LEAST, 0.9), (AT_LEAST, 0.7), (AT_MOST, 0.05), (AT_LEAST, 0.7),
                       (AT_MOST, 0.1), (BELOW, 0.05), (AT_LEAST, 0.8)]  # fmt: skip
     assert all(t.standing == Standing.MISSED for t in asked.values() if t.unit == "cases")
-    other = [t.bound for t in targets({**result_of(hand_made()), "other_code": True})]
+    other = [t.bound for t in criteria({**result_of(hand_made()), "other_code": True})]
     assert other[:4] == [40, 0.8, 0.7, 0.1]
 
 
 def test_being_better_needs_points_and_significance():
     rows = [replace(ROW, case=str(n), rivals={"bic": "none"}) for n in range(4)]
-    few = next(t for t in targets(result_of(rows)) if "BIC" in t.words)
+    few = next(t for t in criteria(result_of(rows)) if "BIC" in t.words)
     assert few.value == 100.0 and few.standing == Standing.MISSED  # p = 1/8
-    many = next(t for t in targets(result_of(5 * rows)) if "BIC" in t.words)
+    many = next(t for t in criteria(result_of(5 * rows)) if "BIC" in t.words)
     assert many.standing == Standing.MET
 
 
@@ -326,7 +328,7 @@ def test_what_was_named_stands_beside_what_was_hidden():
     rows = hand_made()
     rows += [replace(rows[6], case="x", verdict=f"{SEAT} + wall_friction"),
              replace(ROW, case="y", verdict="failed")]  # fmt: skip
-    table = named(result_of(rows), rows)
+    table = confusion_matrix(result_of(rows), rows)
     assert table.counts.sum() == len(rows)
     cell = dict(zip(table.columns, table.counts[table.rows.index("wall friction")], strict=True))
     assert cell["wall friction"] == 1 and cell["seating gap"] == 1 and cell[FAILED] == 1
@@ -353,13 +355,13 @@ def test_the_page_leads_with_the_answer_and_escapes(tmp_path):
     assert "<b>" not in page and "&lt;b&gt;" in page
     assert not re.search(r'(src|href)="(?!data:)', page) and "StrictUndefined" not in page
     assert page.count('class="missed"') == sum(
-        t.standing == Standing.MISSED for t in targets(result)
+        t.standing == Standing.MISSED for t in criteria(result)
     )
     figures = sorted(path.stem for path in (tmp_path / "figures").glob("*.svg"))
     assert figures == ["accuracy", "false_alarms", "named", "reliability", "shrinkage"]
     assert json.loads((tmp_path / "copy.json").read_text())["cases"] == 10
     text = (tmp_path / "withheld.md").read_text()
-    assert all(target.words in text for target in targets(result))
+    assert all(target.words in text for target in criteria(result))
 
 
 def test_a_page_is_made_again_from_the_file(tmp_path):
@@ -417,5 +419,5 @@ def test_the_earliest_scores_are_among_them():
 
 @pytest.mark.parametrize(("value", "text"), [(35 / 39, "89.7 %"), (0.9, "90 %"), (0.86, "86 %")])
 def test_a_share_that_misses_its_bound_never_reads_like_it(value, text):
-    target = Target("right", AT_LEAST, 0.9, "share", value, n=39)
-    assert told(target).replace("\N{NO-BREAK SPACE}", " ") == text
+    target = Criterion("right", AT_LEAST, 0.9, "share", value, n=39)
+    assert found_words(target).replace("\N{NO-BREAK SPACE}", " ") == text

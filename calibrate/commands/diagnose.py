@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calibrate.commands.options import DiscrepancyFile, LibraryFile
+
 if TYPE_CHECKING:
-    from calibrate.discrepancy.library.store import Bank
+    from calibrate.discrepancy.library.run_library import RunLibrary
 
 
 def register(app: typer.Typer) -> None:
@@ -16,12 +18,8 @@ def register(app: typer.Typer) -> None:
 
 def diagnose_command(
     lab: Annotated[Path, typer.Argument(metavar="LAB.toml", help="Lab file with curves.")],
-    bank: Annotated[
-        Path | None, typer.Option("--bank", help="Bank of simulations; default: the bundled one.")
-    ] = None,
-    mismatch: Annotated[
-        Path | None, typer.Option("--mismatch", help="What `calibrate mismatch` wrote.")
-    ] = None,
+    library: LibraryFile = None,
+    discrepancy: DiscrepancyFile = None,
     simulate: Annotated[
         int,
         typer.Option(
@@ -29,7 +27,7 @@ def diagnose_command(
             min=0,
             max=400,
             metavar="N",
-            help="Simulate the leading explanations on N more packings; 0: the bank alone.",
+            help="Simulate the leading explanations on N more packings; 0: none.",
         ),
     ] = 0,
     seed: Annotated[
@@ -46,39 +44,39 @@ def diagnose_command(
     from calibrate.core.files import check_writable
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.diagnosis import diagnosed
-    from calibrate.discrepancy.infill import Nearby, refined
-    from calibrate.discrepancy.library.description import Ready
-    from calibrate.discrepancy.library.store import bundled_bank, load
-    from calibrate.discrepancy.mismatch import load as load_mismatch
+    from calibrate.discrepancy.infill import InfillPlan, with_infill_runs
+    from calibrate.discrepancy.library.description import EmulatedLibrary
+    from calibrate.discrepancy.library.store import bundled_library, load
+    from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
     from calibrate.reports import diagnosis as report
     from calibrate.simulation.session import Session, origin_of
 
     check_writable(json)
-    source = bank or bundled_bank()
+    source = library or bundled_library()
     session = Session.open(lab, "quick", out)
     simulated = load(source)
     say = for_terminal().say
-    say(f"bank of {len(simulated.values)} simulations: preparing its emulator")
-    ready = Ready.of(simulated)
-    known = None if mismatch is None else load_mismatch(mismatch, ready)
+    say(f"library of {len(simulated.values)} runs: preparing its emulator")
+    emulated = EmulatedLibrary.of(simulated)
+    estimated = None if discrepancy is None else load_discrepancy(discrepancy, emulated)
     if simulate:
-        how = Nearby(simulate, out / RUNS, for_terminal())
-        ready = refined(session.lab, ready, seed, how, known, say)
-    found = diagnosed(session.lab, ready, seed, discrepancy=known, say=say)
-    settings = {"bank": source.name, **_size(simulated, ready.bank), "seed": seed}
+        plan = InfillPlan(simulate, out / RUNS, for_terminal())
+        emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
+    found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say)
+    settings = {"library": source.name, **_size(simulated, emulated.library), "seed": seed}
     origin = {**origin_of(session), "preset": NO_PRESET, "settings": settings}
     report.show(report.write(out, found, origin, json), Console())
     print(f"result.json, {report.PAGE} and figures are in {out}")
 
 
-def _size(bank: "Bank", used: "Bank") -> dict[str, int]:
-    """How many simulations the bank holds, and how many were added about this lab."""
+def _size(library: "RunLibrary", used: "RunLibrary") -> dict[str, int]:
+    """How many simulations the library holds, and how many infill runs were added for this lab."""
     return {
-        "simulations": len(bank.values),
-        "simulated_about_this_lab": len(used.values) - len(bank.values),
-        "packings": len(set(bank.packing.tolist())),
+        "simulations": len(library.values),
+        "simulated_about_this_lab": len(used.values) - len(library.values),
+        "packings": len(set(library.packing.tolist())),
     }
 
 
 RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder
-NO_PRESET = "none: a bank stands for simulations"
+NO_PRESET = "none: a library of runs stands for simulations"

@@ -3,7 +3,9 @@
 Options that are wrong raise `InputError` with the option's name as the field.
 """
 
-from collections.abc import Sequence
+import functools
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +29,25 @@ Dask = Annotated[
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
 ]
+LibraryFile = Annotated[
+    Path | None,
+    typer.Option("--library", "--bank", help="Library of runs; default: the bundled one."),
+]
+DiscrepancyFile = Annotated[
+    Path | None,
+    typer.Option("--discrepancy", "--mismatch", help="What `calibrate discrepancy` wrote."),
+]
+
+
+def renamed(command: Callable[..., None], old: str, new: str) -> Callable[..., None]:
+    """The command of the verb `new` under its `old` name, with a line that says so."""
+
+    @functools.wraps(command)
+    def with_notice(*arguments, **options) -> None:
+        print(f"`calibrate {old}` is now `calibrate {new}`", file=sys.stderr)
+        command(*arguments, **options)
+
+    return with_notice
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, float]:

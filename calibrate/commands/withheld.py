@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from calibrate.commands.options import DiscrepancyFile, LibraryFile
+
 
 def register(app: typer.Typer) -> None:
     """Adds `calibrate withheld`."""
@@ -15,10 +17,8 @@ def withheld_command(
     given: Annotated[
         Path | None, typer.Option("--given", help="Folder of sealed cases; default: make them.")
     ] = None,
-    bank: Annotated[Path | None, typer.Option("--bank", help="The bank's file.")] = None,
-    mismatch: Annotated[
-        Path | None, typer.Option("--mismatch", help="What `calibrate mismatch` wrote.")
-    ] = None,
+    library: LibraryFile = None,
+    discrepancy: DiscrepancyFile = None,
     share: Annotated[
         float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 309 cases.")
     ] = 1.0,
@@ -36,9 +36,9 @@ def withheld_command(
 
     from calibrate.core.files import check_writable, make_folder
     from calibrate.core.progress import for_terminal
-    from calibrate.discrepancy import mismatch as mismatches
     from calibrate.discrepancy.library import store
-    from calibrate.discrepancy.library.description import Ready
+    from calibrate.discrepancy.library.description import EmulatedLibrary
+    from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
     from calibrate.reports import withheld as report
     from calibrate.simulation.origin import made_by
     from calibrate.validation import run
@@ -47,15 +47,15 @@ def withheld_command(
     check_writable(json)
     make_folder(out)
     progress = for_terminal()
-    ready = Ready.of(store.load(bank or store.bundled_bank()))
-    discrepancy = None if mismatch is None else mismatches.load(mismatch, ready)
+    emulated = EmulatedLibrary.of(store.load(library or store.bundled_library()))
+    estimated = None if discrepancy is None else load_discrepancy(discrepancy, emulated)
     if given is None:
         counts = {kind: max(round(share * count), 1) for kind, count in COUNTS.items()}
-        run.generate(out, ready, counts, None, progress)
+        run.generate(out, emulated, counts, None, progress)
     source = out if given is None else given
-    run.judge(source, out, ready, seed, progress, discrepancy)
+    run.judge(source, out, emulated, seed, progress, estimated)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
-    result, _ = run.opened(source, out, ready, seed, progress, fresh and repeatable, discrepancy)
+    result, _ = run.opened(source, out, emulated, seed, progress, fresh and repeatable, estimated)
     result = {**made_by(), "seed": seed, **result}
     report.write(out, result, json)
     report.show(result, Console())

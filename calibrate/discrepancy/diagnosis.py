@@ -1,10 +1,10 @@
-"""`calibrate diagnose`: from a lab file and a bank to where, which, how far and the next test.
+"""`calibrate diagnose`: from a lab file and a library of runs to an explanation of the gap.
 
     curves -> features -> description about the best base fit -> null distributions
-           -> where, which, how far, next test
+           -> localisation, comparison of explanations, reduction of the gap, next test
 
-How probabilities are stated was learned once (`diagnosis.opinion`); null distributions depend on
-the plan of measurement and may be shared by labs with the same plan.
+The calibration of probabilities was fitted once (`comparison.probability_calibration`); null
+distributions depend on the plan of measurement and may be shared by labs with the same plan.
 """
 
 from collections.abc import Callable
@@ -13,33 +13,37 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibrate.discrepancy.comparison.compare import (
+    Comparison,
     Prepared,
-    Which,
+    compare,
     design_classes,
-    diagnose,
     prepare,
 )
-from calibrate.discrepancy.comparison.generated import World, plan_of
-from calibrate.discrepancy.comparison.lack_of_fit import NullTable
+from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
+from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.localise import Where, where
+from calibrate.discrepancy.comparison.localise import Localisation, localise
 from calibrate.discrepancy.comparison.next_test import Proposal, next_tests
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.outliers import robust, scatter_of
-from calibrate.discrepancy.comparison.probability_calibration import NONE, Opinion, learned
-from calibrate.discrepancy.comparison.reduction import HowFar, how_far
+from calibrate.discrepancy.comparison.probability_calibration import (
+    NONE,
+    ProbabilityCalibration,
+    bundled_calibration,
+)
+from calibrate.discrepancy.comparison.reduction import Reduction, estimate_reduction
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.verdict import as_json
 from calibrate.discrepancy.library.description import (
     DENSITY_SD,
-    Discrepancy,
-    Ready,
+    EmulatedLibrary,
+    ModelDiscrepancy,
     describe,
-    point_for,
+    soil_prior_for,
 )
 from calibrate.discrepancy.library.further_tests import menu
-from calibrate.discrepancy.library.instruments import with_baseline, with_instruments
-from calibrate.discrepancy.library.lab import LabCurves, read
+from calibrate.discrepancy.library.instruments import with_forces_before_contact, with_instruments
+from calibrate.discrepancy.library.measurements import ScaledMeasurements, read_measurements
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
@@ -49,17 +53,17 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Manner:
-    """How probabilities are stated; null distributions by plan of measurement (specimens,
-    features), to be shared by labs that have the same."""
+class InferenceSetup:
+    """The calibration of probabilities, and null distributions by plan of measurement
+    (specimens, features), to be shared by labs that have the same plan."""
 
-    opinion: Opinion = field(default_factory=learned)
-    nulls: dict[tuple[int, ...], NullTable] = field(default_factory=dict)
+    calibration: ProbabilityCalibration = field(default_factory=bundled_calibration)
+    nulls: dict[tuple[int, ...], NullDistributions] = field(default_factory=dict)
 
     @staticmethod
-    def neutral() -> "Manner":
+    def uncalibrated() -> "InferenceSetup":
         """Evidences as they are."""
-        return Manner(Opinion())
+        return InferenceSetup(ProbabilityCalibration())
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,86 +71,98 @@ class Diagnosis:
     """Everything that a report shows of one lab."""
 
     lab: Lab
-    found: LabCurves
+    found: ScaledMeasurements
     measured: Measured
     prepared: Prepared
-    where: Where
-    which: Which
-    far: HowFar | None
+    localisation: Localisation
+    comparison: Comparison
+    reduction: Reduction | None
     proposals: list[Proposal]
 
     def as_json(self) -> dict:
         """The contract's keys."""
-        return as_json(self.prepared, self.where, self.which, self.far, self.proposals)
+        return as_json(
+            self.prepared, self.localisation, self.comparison, self.reduction, self.proposals
+        )
 
 
 def described(
-    lab: Lab, ready: Ready, seed: int, discrepancy: Discrepancy | None = None, baseline: bool = True
-) -> tuple[LabCurves, Linearised, Measured]:
+    lab: Lab,
+    emulated: EmulatedLibrary,
+    seed: int,
+    discrepancy: ModelDiscrepancy | None = None,
+    before_contact: bool = True,
+) -> tuple[ScaledMeasurements, Linearised, Measured]:
     """What was measured, and the simulator about the best base fit to it; baseline: with the
     forces before contact."""
-    found = read(lab, ready.bank)
-    point = point_for(lab, ready.bank)
+    found = read_measurements(lab, emulated.library)
+    soil_prior = soil_prior_for(lab, emulated.library)
     density = lab.density_kg_m3
     scatter = float(np.std(density, ddof=1) / np.mean(density)) if len(density) > 1 else DENSITY_SD
     scatter = min(scatter, LARGEST_DENSITY_SD)
-    d = describe(ready, point, found.measured.mean, found.chosen, scatter, discrepancy)
-    d = with_instruments(d, found, ready.bank, seed)
-    d, measured = with_baseline(d, found) if baseline else (d, found.measured)
+    d = describe(emulated, soil_prior, found.measured.mean, found.chosen, scatter, discrepancy)
+    d = with_instruments(d, found, emulated.library, seed)
+    d, measured = with_forces_before_contact(d, found) if before_contact else (d, found.measured)
     return found, d, robust(measured, scatter_of(d))
 
 
 LARGEST_DENSITY_SD = 0.02  # of specimens in one mould; more is the field's scatter
 
 
-def ready_to_diagnose(
-    d: Linearised, measured: Measured, seed: int, manner: Manner | None = None, draws: int = DRAWS
+def prepared_diagnosis(
+    d: Linearised,
+    measured: Measured,
+    seed: int,
+    setup: InferenceSetup | None = None,
+    draws: int = DRAWS,
 ) -> Prepared:
     """Null distributions of the linear description; the emulator is put back for refits."""
-    manner = manner or Manner()
+    setup = setup or InferenceSetup()
     linear, plan = replace(d, emulator=None), plan_of(measured)
-    if plan.shape in manner.nulls:
-        world = World(linear, plan, packing_covariance(linear))
-        null = manner.nulls[plan.shape]
-        prepared = Prepared(world, null, design_classes(world), manner.opinion)
+    if plan.shape in setup.nulls:
+        generator = SampleGenerator(linear, plan, packing_covariance(linear))
+        null = setup.nulls[plan.shape]
+        prepared = Prepared(generator, null, design_classes(generator), setup.calibration)
     else:
-        prepared = prepare(linear, plan, seed, draws, manner.opinion)
-        manner.nulls[plan.shape] = prepared.null
-    return replace(prepared, world=replace(prepared.world, description=d))
+        prepared = prepare(linear, plan, seed, draws, setup.calibration)
+        setup.nulls[plan.shape] = prepared.null
+    return replace(prepared, generator=replace(prepared.generator, description=d))
 
 
 def diagnosed(
     lab: Lab,
-    ready: Ready,
+    emulated: EmulatedLibrary,
     seed: int = 0,
-    manner: Manner | None = None,
-    discrepancy: Discrepancy | None = None,
+    setup: InferenceSetup | None = None,
+    discrepancy: ModelDiscrepancy | None = None,
     say: Say = lambda text: None,
 ) -> Diagnosis:
     """The whole diagnosis of one lab."""
     say("reading curves, fitting the base model")
-    found, d, measured = described(lab, ready, seed, discrepancy)
+    found, d, measured = described(lab, emulated, seed, discrepancy)
     say("simulating null distributions")
-    prepared = ready_to_diagnose(d, measured, seed, manner)
+    prepared = prepared_diagnosis(d, measured, seed, setup)
     say("comparing explanations")
-    which = diagnose(prepared, measured)
-    place = where(d, measured, which.noise, which.base, seed)
-    far = None
-    if which.best and which.verdict != NONE:
+    comparison = compare(prepared, measured)
+    localisation = localise(d, measured, comparison.noise, comparison.base, seed)
+    reduction = None
+    if comparison.best and comparison.verdict != NONE:
         say("how far the gap shrinks")
-        far = how_far(d, measured, which.noise, which.base, which.refits[which.best], seed)
-    proposals = _proposals(d, which)
-    return Diagnosis(lab, found, measured, prepared, place, which, far, proposals)
+        reduction = estimate_reduction(
+            d, measured, comparison.noise, comparison.base, comparison.refits[comparison.best], seed
+        )
+    proposals = _proposals(d, comparison)
+    return Diagnosis(lab, found, measured, prepared, localisation, comparison, reduction, proposals)
 
 
-def _proposals(d: Linearised, which: Which) -> list[Proposal]:
+def _proposals(d: Linearised, comparison: Comparison) -> list[Proposal]:
     """Further tests between the leading single explanations."""
-    single = {n: p for n, p in which.probability.items() if n in d.effect_names}
+    single = {n: p for n, p in comparison.probability.items() if n in d.effect_names}
     order = sorted(single, key=lambda n: -single[n])[:LEADING]
     order = order[:1] + [n for n in order[1:] if single[n] >= LEAST_LIKELY]
     keys = [d.effect_names.index(n) for n in order]
-    leading = {k: which.refits[(k,)] for k in keys if (k,) in which.refits}
+    leading = {k: comparison.refits[(k,)] for k in keys if (k,) in comparison.refits}
     leading = {k: fit for k, fit in leading.items() if fit.strengths[k] != 0}
     if not leading:
         return []
-    return next_tests(d, which.noise, which.base, leading, menu(d, which.noise))
+    return next_tests(d, comparison.noise, comparison.base, leading, menu(d, comparison.noise))

@@ -14,21 +14,18 @@ from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 
+from calibrate.discrepancy.features.curves import TEST_FEATURES
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
 from calibrate.records.base import Test
-from calibrate.records.diagnosis import DiagnosisRecord, Effect, FeatureRow, NextTest
+from calibrate.records.diagnosis import DiagnosisRecord, EffectRow, FeatureRow, NextTestRecord
 
 SIZE = (4.9, 6.0)  # inches, of the first page's panels
 BARS = (4.9, 3.6)
 GREY = "0.62"
 BASE = {"color": DARK, "ls": "--", "marker": "s", "mfc": "white", "ms": 4.5, "lw": 1.3}
 BEST = {"color": MIDDLE, "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.3}
-AXES: dict[Test, str] = {
-    "confined": "displacement, 0 at half load (mm)",
-    "unconfined": "displacement, 0 at seating (mm)",
-}
 TICKS = (5.0, 20.0, 100.0, 1e3, 1e4)  # of compressed scales
-PLACES = 8  # of a further test that are drawn
+LOCATIONS = 8  # of a further test that are drawn
 STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
 Words = Callable[[str], str]
 
@@ -61,8 +58,8 @@ def _legend(figure: Figure) -> None:
     """One legend above all axes of a figure, where it hides nothing."""
     found = [axis.get_legend_handles_labels() for axis in figure.axes]
     named = {label: handle for pair in found for handle, label in zip(*pair, strict=True)}
-    place = {"loc": "outside upper center", "ncols": 2, "frameon": False, "fontsize": 7}
-    figure.legend(list(named.values()), list(named), **place)
+    style = {"loc": "outside upper center", "ncols": 2, "frameon": False, "fontsize": 7}
+    figure.legend(list(named.values()), list(named), **style)
 
 
 def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) -> None:
@@ -71,21 +68,21 @@ def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) ->
         axis.plot(*points, color=GREY, lw=0.7, label="measured" if number == 0 else None)
     for segment in _flagged(found, test):
         mine = [row for row in rows if row.segment == segment]
-        axis.plot(*_places(mine, "measured"), color=LIGHT, lw=9, alpha=0.6, zorder=0,
+        axis.plot(*_locations(mine, "measured"), color=LIGHT, lw=9, alpha=0.6, zorder=0,
                   solid_capstyle="round")  # fmt: skip
     if rows:
-        axis.plot(*_places(rows, "base"), **BASE, label="calibrated model")
+        axis.plot(*_locations(rows, "base"), **BASE, label="calibrated model")
         if label:
-            axis.plot(*_places(rows, "best"), **BEST, label=label)
-    axis.set(xlabel=AXES[test], ylabel="force (N)")
+            axis.plot(*_locations(rows, "best"), **BEST, label=label)
+    axis.set(xlabel=TEST_FEATURES[test].axis, ylabel="force (N)")
     axis.set_title(f"{test} compression", fontsize=9)
-    ends = [x for row in ("measured", "base") for x in _places(rows, row)[0]]
+    ends = [x for row in ("measured", "base") for x in _locations(rows, row)[0]]
     if ends:
         room = 0.06 * (max(ends) - min(ends))
         axis.set_xlim(min(ends) - room, max(ends) + room)
 
 
-def _places(rows: Sequence[FeatureRow], column: str) -> tuple[list[float], list[float]]:
+def _locations(rows: Sequence[FeatureRow], column: str) -> tuple[list[float], list[float]]:
     """Displacement (mm) and force (N) of features along a test, in its order."""
     value = {row.kind: getattr(row, column) for row in rows}
     points = []
@@ -107,7 +104,7 @@ def _flagged(found: DiagnosisRecord, test: Test) -> list[str]:
 def _residuals(axis: Axes, found: DiagnosisRecord, test: Test, rows: Sequence[FeatureRow]) -> None:
     """Measured minus simulated over its standard error, feature by feature, with the band."""
     order = list(dict.fromkeys(row.segment for row in rows))
-    first = {name: -1 if name == "before contact" else place for place, name in enumerate(order)}
+    first = {name: -1 if name == "before contact" else i for i, name in enumerate(order)}
     rows = sorted(rows, key=lambda row: first[row.segment])
     error, band = (np.array([getattr(r, name) for r in rows]) for name in ("error", "band"))
     edge = float(np.median(band / error)) if len(rows) else 1.0
@@ -169,13 +166,11 @@ def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) ->
 
 def _targets(axis: Axes, rows: Sequence[FeatureRow]) -> None:
     """Numbers without curves: measured with the scatter of one specimen, and the model."""
-    for place, row in enumerate(rows):
-        measured, model = (
-            ("measured ± one specimen", "calibrated model") if not place else (None,) * 2
-        )
+    for x, row in enumerate(rows):
+        measured, model = ("measured ± one specimen", "calibrated model") if not x else (None,) * 2
         bar = {"fmt": "D", "color": "0.35", "capsize": 4}
-        axis.errorbar(place - 0.1, row.measured, row.scatter, **bar, label=measured)
-        axis.plot(place + 0.1, row.base, **{**BASE, "ls": ""}, label=model)
+        axis.errorbar(x - 0.1, row.measured, row.scatter, **bar, label=measured)
+        axis.plot(x + 0.1, row.base, **{**BASE, "ls": ""}, label=model)
     names = [row.name.rsplit("_", 1)[0].replace("_", " ") for row in rows]
     axis.set_xticks(range(len(rows)), names)
     axis.set_xlim(-0.6, len(rows) - 0.4)
@@ -225,7 +220,7 @@ def effects_figure(found: DiagnosisRecord, words: Words) -> Figure:
     return figure
 
 
-def _mark(effect: Effect) -> dict:
+def _mark(effect: EffectRow) -> dict:
     """How an effect's status is drawn."""
     colour, fill, shape = {
         "found": (MIDDLE, MIDDLE, "o"),
@@ -236,15 +231,15 @@ def _mark(effect: Effect) -> dict:
     return {"color": colour, "mfc": fill, "marker": shape, "ms": 6, "ls": "", "zorder": 3}
 
 
-def next_figure(proposal: NextTest, units: Mapping[str, str], words: Words) -> Figure:
+def next_figure(proposal: NextTestRecord, units: Mapping[str, str], words: Words) -> Figure:
     """What the proposed test would show under each leading explanation, less their mean, at
-    the places that tell them apart best; units are those of its labels ("mm" or "N")."""
+    the locations that tell them apart best; units are those of its labels ("mm" or "N")."""
     values = np.array(list(proposal.predicted.values()))
     away, deviation = values - values.mean(axis=0), np.array(proposal.deviation)
-    places = np.sort(np.argsort(-np.ptp(away, axis=0) / deviation)[:PLACES])
-    groups = [[i for i in places if units[proposal.labels[i]] == unit] for unit in ("mm", "N")]
+    locations = np.sort(np.argsort(-np.ptp(away, axis=0) / deviation)[:LOCATIONS])
+    groups = [[i for i in locations if units[proposal.labels[i]] == unit] for unit in ("mm", "N")]
     groups = [group for group in groups if group]
-    size = (BARS[0], 1.4 + 0.32 * len(places) + 0.4 * len(groups))
+    size = (BARS[0], 1.4 + 0.32 * len(locations) + 0.4 * len(groups))
     figure = plt.figure(figsize=size, layout="constrained")
     axes = figure.subplots(len(groups), height_ratios=[len(g) + 1 for g in groups], squeeze=False)
     for axis, group in zip(axes[:, 0], groups, strict=True):
@@ -258,14 +253,14 @@ def next_figure(proposal: NextTest, units: Mapping[str, str], words: Words) -> F
 
 
 def _predictions(axis: Axes, names: Sequence[str], away: np.ndarray, deviation: np.ndarray) -> None:
-    """Predicted values (explanations, places) as one row of points a place."""
+    """Predicted values (explanations, locations) as one row of points a location."""
     rows = -np.arange(away.shape[1])
-    for place, name in enumerate(names):
-        mark, colour = STYLES[place % len(STYLES)]
+    for number, name in enumerate(names):
+        mark, colour = STYLES[number % len(STYLES)]
         style = {"fmt": mark, "color": colour, "ms": 4.5, "capsize": 2, "elinewidth": 1}
-        shift = 0.14 * (place - (len(names) - 1) / 2)
+        shift = 0.14 * (number - (len(names) - 1) / 2)
         label = _wrapped(name, 40)
-        axis.errorbar(away[place], rows - shift, xerr=deviation, label=label, **style)
+        axis.errorbar(away[number], rows - shift, xerr=deviation, label=label, **style)
     axis.axvline(0, color="0.7", lw=0.8, zorder=0)
 
 

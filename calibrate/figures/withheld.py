@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 from scipy import stats
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
-from calibrate.validation.named import Named
+from calibrate.validation.confusion import ConfusionMatrix
 
 SIZE = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 OURS = "this diagnosis"
@@ -87,7 +87,7 @@ def reliability_svg(bins: Sequence[Mapping]) -> str:
     return _svg(figure)
 
 
-def named_svg(table: Named) -> str:
+def named_svg(table: ConfusionMatrix) -> str:
     """What was named for what was hidden: shares of each row in grey, counts as numbers; right
     answers are framed, and cells without cases stay empty."""
     rows, columns = len(table.rows), len(table.columns)

@@ -1,21 +1,21 @@
 """The result of `calibrate diagnose` as a record: the contract's keys, and what figures need.
 
 `content` turns a diagnosis into plain data, `DiagnosisRecord` is that data read back.  Curves are
-at the bank's size and aligned as features read them: confined ones from the displacement at half
-the largest force on loading, unconfined ones from the seating force.
+at the size of the library of runs, aligned as features read them: confined ones from the
+displacement at half the largest force on loading, unconfined ones from the seating force.
 """
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AliasChoices, Field
 from pydantic import model_validator as check
-from scipy.optimize import isotonic_regression
 
 from calibrate.discrepancy.comparison.compare import label
-from calibrate.discrepancy.comparison.features import CONFINED, REFERENCE, Curves, Feature
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.discrepancy.features.base import Curves
+from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS
 from calibrate.discrepancy.library.further_tests import menu
 from calibrate.records.base import Curve, Number, Origin, Record, Test
 
@@ -23,7 +23,7 @@ MOST_POINTS = 300  # of a curve that is kept to be drawn
 Status = Literal["found", "trivial", "absent", "inconclusive"]
 
 
-class Segment(Record):
+class SegmentRow(Record):
     """Mean residual of a segment (measured minus simulated), over its standard error, and its
     share of the misfit."""
 
@@ -38,7 +38,7 @@ class Segment(Record):
     share_by_chance: Number
 
 
-class Across(Record):
+class CrossTestRow(Record):
     """One test predicted from the other."""
 
     predicted: Test
@@ -47,8 +47,8 @@ class Across(Record):
     factor_se: Number
 
 
-class Effect(Record):
-    """One effect by itself: one-step strength (SI), and whether it could have been seen."""
+class EffectRow(Record):
+    """One effect by itself: one-step strength (SI), and whether it could have been detected."""
 
     name: str
     status: Status
@@ -59,7 +59,7 @@ class Effect(Record):
     visibility: Number
 
 
-class Which(Record):
+class ComparisonRecord(Record):
     """Verdict, probabilities, classes."""
 
     verdict: str
@@ -70,10 +70,10 @@ class Which(Record):
     absorbed_by_calibration: list[str]
     p_gap: Number
     p_left_after_best: Number
-    effects: list[Effect]
+    effects: list[EffectRow]
 
 
-class HowFar(Record):
+class ReductionRecord(Record):
     """Gap in scatters of a specimen, before and after, how much of it goes, and whether the data
     can show that much."""
 
@@ -87,7 +87,7 @@ class HowFar(Record):
     ceiling: dict[str, Number]
 
 
-class Offer(Record):
+class ProposalRow(Record):
     """A further test with its cost (hours) and how far it separates the leading explanations."""
 
     name: str
@@ -95,7 +95,7 @@ class Offer(Record):
     separation: Number
 
 
-class NextTest(Record):
+class NextTestRecord(Record):
     """The further test that separates the leading explanations best."""
 
     name: str
@@ -104,13 +104,13 @@ class NextTest(Record):
     settles: bool
     hardest_pair: tuple[str, str]
     predicted: dict[str, list[Number]]
-    all: list[Offer]
+    all: list[ProposalRow]
     labels: list[str]
     deviation: list[Number]
 
 
 class FeatureRow(Record):
-    """One place on the curves: measured mean with the scatter of one specimen, the calibrated
+    """One location on the curves: measured mean with the scatter of one specimen, the calibrated
     model without and with the best explanation, standard error of the first difference and the
     half-width of its simultaneous band; all in `unit`."""
 
@@ -128,7 +128,7 @@ class FeatureRow(Record):
     band: Number
 
 
-class Explanation(Record):
+class ExplanationRow(Record):
     """A class of effects with its probability and the strengths (SI) of its best member's fit."""
 
     label: str
@@ -136,7 +136,7 @@ class Explanation(Record):
     strengths: dict[str, Number]
 
 
-class Shift(Record):
+class ParameterShift(Record):
     """Where calibration moved a base parameter: ln p over its prior deviation, and that."""
 
     name: str
@@ -144,33 +144,40 @@ class Shift(Record):
     prior_sd: Number
 
 
-class Settings(Record):
+class DiagnosisSettings(Record):
     """How it was done."""
 
-    bank: str
+    library: str = Field(validation_alias=AliasChoices("library", "bank"))
     simulations: int
     packings: int
     seed: int
-    confined: int = Field(ge=0)
-    unconfined: int = Field(ge=0)
+    repeats: dict[str, Annotated[int, Field(ge=0)]]
+
+    @check(mode="before")
+    @classmethod
+    def _of_each_test(cls, given: Any) -> Any:
+        """In the file, the repeats of a test stand under its name."""
+        if not isinstance(given, dict):
+            return given
+        return {**given, "repeats": {test: given[test] for test in TESTS if test in given}}
 
 
 class DiagnosisRecord(Origin):
     """Everything that figures and the report show."""
 
-    where: list[Segment]
-    across_tests: list[Across]
-    which: Which
-    how_far: HowFar | None
-    next_test: NextTest | None
+    where: list[SegmentRow]
+    across_tests: list[CrossTestRow]
+    which: ComparisonRecord
+    how_far: ReductionRecord | None
+    next_test: NextTestRecord | None
     features: list[FeatureRow]
     specimens: list[dict[Test, Curve]]
     specimen_weights: list[Number] = Field(default_factory=list)
     best: list[str]
-    explanations: list[Explanation]
-    base_parameters: list[Shift]
+    explanations: list[ExplanationRow]
+    base_parameters: list[ParameterShift]
     amplitudes: dict[Test, Number]
-    settings: Settings
+    settings: DiagnosisSettings
 
     @check(mode="after")
     def _has_features(self) -> "DiagnosisRecord":
@@ -185,11 +192,11 @@ class DiagnosisRecord(Origin):
 
 
 def content(diagnosis: Diagnosis, origin: dict) -> dict:
-    """Plain data of a diagnosis; `origin` has the keys of `Origin` and `settings` with bank,
+    """Plain data of a diagnosis; `origin` has the keys of `Origin` and `settings` with library,
     simulations, packings and seed."""
     found = diagnosis.as_json()
-    which, d = diagnosis.which, diagnosis.prepared.description
-    moved = which.base.delta / d.prior_sd
+    comparison, d = diagnosis.comparison, diagnosis.prepared.description
+    moved = comparison.base.delta / d.prior_sd
     return {
         **origin,
         **found,
@@ -197,13 +204,13 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         "features": _features(diagnosis),
         "specimens": [_aligned(diagnosis, curves) for curves in diagnosis.found.specimens],
         "specimen_weights": diagnosis.measured.weight.tolist(),
-        "best": [d.effect_names[k] for k in which.best],
+        "best": [d.effect_names[k] for k in comparison.best],
         "explanations": _explanations(diagnosis),
         "base_parameters": [
             {"name": name, "moved": float(by), "prior_sd": float(sd)}
             for name, by, sd in zip(d.base_names, moved, d.prior_sd, strict=True)
         ],
-        "amplitudes": {str(test): float(a) for test, a in which.noise.amplitudes.items()},
+        "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},
     }
 
@@ -214,7 +221,7 @@ def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
         test: int(
             max((c for c, f in zip(counts, features, strict=True) if f.test == test), default=0)
         )
-        for test in ("confined", "unconfined")
+        for test in TESTS
     }
 
 
@@ -223,17 +230,19 @@ def _labelled(diagnosis: Diagnosis, found: dict | None) -> dict | None:
     if found is None:
         return None
     best = diagnosis.proposals[0]
-    tests = menu(diagnosis.prepared.description, diagnosis.which.noise)
+    tests = menu(diagnosis.prepared.description, diagnosis.comparison.noise)
     labels = next((list(test.labels) for test in tests if test.name == best.name), [])
     return {**found, "labels": labels, "deviation": best.deviation.tolist()}
 
 
 def _features(diagnosis: Diagnosis) -> list[dict]:
-    which, place = diagnosis.which, diagnosis.where
-    base = which.base.values
-    best = which.refits[which.best].values if which.best else np.full(len(base), np.nan)
-    scatter = np.sqrt(np.diag(which.noise.specimen))
-    columns = (diagnosis.measured.mean, scatter, base, best, place.deviation, place.band)
+    comparison, localisation = diagnosis.comparison, diagnosis.localisation
+    base = comparison.base.values
+    fits, named = comparison.refits, comparison.best
+    best = fits[named].values if named else np.full(len(base), np.nan)
+    scatter = np.sqrt(np.diag(comparison.noise.specimen))
+    error, band = localisation.deviation, localisation.band
+    columns = (diagnosis.measured.mean, scatter, base, best, error, band)
     names = ("measured", "scatter", "base", "best", "error", "band")
     return [
         {
@@ -251,16 +260,16 @@ def _features(diagnosis: Diagnosis) -> list[dict]:
 def _explanations(diagnosis: Diagnosis) -> list[dict]:
     """Classes and pairs of classes, likeliest first, each with the strengths of the fit of its
     member (or pair) with the largest evidence, none where nothing was refitted."""
-    which, classes = diagnosis.which, diagnosis.prepared.classes
-    names, value = diagnosis.prepared.description.effect_names, which.facts.evidence.by_key()
+    comparison, classes = diagnosis.comparison, diagnosis.prepared.classes
+    names, value = diagnosis.prepared.description.effect_names, comparison.summary.evidence.by_key()
     best: dict[str, Refit] = {}
-    for key in sorted(which.refits, key=lambda key: -value[key]):
-        best.setdefault(label(classes, tuple(names[k] for k in key)), which.refits[key])
-    order = sorted(which.by_class, key=lambda name: -which.by_class[name])
+    for key in sorted(comparison.refits, key=lambda key: -value[key]):
+        best.setdefault(label(classes, tuple(names[k] for k in key)), comparison.refits[key])
+    order = sorted(comparison.by_class, key=lambda name: -comparison.by_class[name])
     return [
         {
             "label": name,
-            "probability": which.by_class[name],
+            "probability": comparison.by_class[name],
             "strengths": _strengths(diagnosis, best[name]) if name in best else {},
         }
         for name in order
@@ -278,19 +287,9 @@ def _aligned(diagnosis: Diagnosis, curves: Curves) -> dict[str, dict]:
     for test, (displacement, force) in curves.items():
         mine = [f for f in diagnosis.measured.features if f.test == test]
         if mine:
-            travel = displacement - _zero(mine, displacement, force)
+            travel = displacement - TEST_FEATURES[test].zero(mine[0], displacement, force)
             drawn[test] = {"displacement_mm": _thinned(travel), "force_n": _thinned(force)}
     return drawn
-
-
-def _zero(features: list[Feature], displacement: np.ndarray, force: np.ndarray) -> float:
-    """Displacement (mm) on a curve that its test's features count from."""
-    if features[0].test == CONFINED:
-        level, top = REFERENCE * features[0].scale, int(np.argmax(displacement))
-    else:
-        level, top = features[0].force, int(np.argmax(force))
-    rising = isotonic_regression(force[: top + 1]).x
-    return float(np.interp(level, rising, displacement[: top + 1]))
 
 
 def _thinned(values: np.ndarray) -> list[float]:

@@ -15,8 +15,8 @@ from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.records.base import TESTS, read, record
-from calibrate.records.diagnosis import DiagnosisRecord, Explanation, Segment, content
-from calibrate.reports.diagnosis_words import TEST_NAMES, amount, percent, sentence
+from calibrate.records.diagnosis import DiagnosisRecord, ExplanationRow, SegmentRow, content
+from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title
 from calibrate.reports.html import Page, Picture, Table, number, render, words
 
@@ -96,13 +96,11 @@ def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
             continue
         drawing = svg(plots.where_figure(found, test, title))
         caption = (
-            f"{TEST_NAMES[test].capitalize()}. Top: measured repeats, the calibrated model, the "
+            f"{label_of(test).capitalize()}. Top: measured repeats, the calibrated model, the "
             "model with the best explanation. Bottom: what is left, place by place; shaded parts "
             "leave the band that scatter fills in 95 of 100 laboratories."
         )
-        pictures[f"where_{test}"] = Picture(
-            drawing, f"{TEST_NAMES[test]} and its residuals", caption
-        )
+        pictures[f"where_{test}"] = Picture(drawing, f"{label_of(test)} and its residuals", caption)
     pictures["probability"] = Picture(
         svg(plots.probability_figure(found, title)), "Probabilities of explanations as bars",
         "How likely each explanation is. The set is to hold the right one in 90 of 100 cases.",
@@ -126,14 +124,14 @@ def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
 
 def _unit(found: DiagnosisRecord, label: str) -> str:
     """The unit of what a further test shows: that of the feature, or as its label says."""
-    known = {row.name: row.unit for row in found.features}
-    return known.get(label, "mm" if label.endswith(", mm") else "N")
+    units = {row.name: row.unit for row in found.features}
+    return units.get(label, "mm" if label.endswith(", mm") else "N")
 
 
 # ---------------------------------------------------------------- tables
 
 
-def _leading(found: DiagnosisRecord) -> list[Explanation]:
+def _leading(found: DiagnosisRecord) -> list[ExplanationRow]:
     """The likeliest explanations, none and unknown always among them."""
     every = found.explanations
     first = [e for e in every if e.label not in (NONE, UNKNOWN)][:FIRST]
@@ -153,7 +151,7 @@ def _answer(found: DiagnosisRecord) -> Table:
     return Table(["explanation", "probability", "strength if so", "what it means"], rows, text=True)
 
 
-def _if_so(explanation: Explanation) -> str:
+def _if_so(explanation: ExplanationRow) -> str:
     """Fitted strengths of an explanation's best member, named where that is not plain."""
     several = len([n for group in members(explanation.label) for n in group]) > 1
     return "; ".join(
@@ -165,7 +163,7 @@ def _if_so(explanation: Explanation) -> str:
 def _segments(found: DiagnosisRecord) -> Table:
     rows = [
         [
-            f"{TEST_NAMES[s.test]}, {s.segment}",
+            f"{label_of(s.test)}, {s.segment}",
             amount(s.gap, s.unit),
             number(s.z, 2),
             "● outside" if s.outside_band else "inside",
@@ -179,7 +177,7 @@ def _segments(found: DiagnosisRecord) -> Table:
     return Table(columns, rows)
 
 
-def _share(segment: Segment) -> str:
+def _share(segment: SegmentRow) -> str:
     low, high = (percent(end) for end in segment.share_interval)
     return f"{percent(segment.share)} ({low} to {high})"
 
@@ -265,16 +263,20 @@ def _predicted(found: DiagnosisRecord) -> Table | None:
 def _across(found: DiagnosisRecord) -> Table | None:
     if not found.across_tests:
         return None
-    other = dict(zip(TESTS, reversed(TESTS), strict=True))
     rows = [
         [
-            f"{TEST_NAMES[a.predicted]} from the {TEST_NAMES[other[a.predicted]]}",
+            f"{label_of(a.predicted)} from the {_others(a.predicted)}",
             f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}",
             percent(a.p_value),
         ]
         for a in found.across_tests
     ]
     return Table(["predicted", "measured over predicted", "chance of such a misfit"], rows)
+
+
+def _others(test: str) -> str:
+    """The tests but one, in words."""
+    return " and the ".join(label_of(other) for other in TESTS if other != test)
 
 
 def _moved(found: DiagnosisRecord) -> Table:
@@ -286,11 +288,11 @@ def _moved(found: DiagnosisRecord) -> Table:
 def _settings(found: DiagnosisRecord) -> dict[str, str]:
     used, repeats = found.settings, []
     for test in TESTS:
-        repeats.append(f"{getattr(used, test)} of the {TEST_NAMES[test]}")
-    scatter = [f"{number(a, 3)} ({TEST_NAMES[test]})" for test, a in found.amplitudes.items()]
+        repeats.append(f"{used.repeats.get(test, 0)} of the {label_of(test)}")
+    scatter = [f"{number(a, 3)} ({label_of(test)})" for test, a in found.amplitudes.items()]
     return {
         "specimens": _listed(repeats),
-        "bank": f"{used.bank}: {used.simulations} simulations of {used.packings} packings",
+        "library of runs": f"{used.library}: {used.simulations} runs of {used.packings} packings",
         "seed": str(used.seed),
         "scatter of repeats over that of simulated specimens": _listed(scatter),
         "chance of such a misfit without a gap": percent(found.which.p_gap),

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 from calibrate.discrepancy.comparison.classes import SEPARABLE, TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import ALPHA, NONE, UNKNOWN
-from calibrate.records.diagnosis import DiagnosisRecord, HowFar, NextTest, Segment
+from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS
+from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord, ReductionRecord, SegmentRow
 from calibrate.reports.effects import members, plain, title
 from calibrate.reports.html import number
 
@@ -18,25 +19,16 @@ SURE, LIKELY = 0.8, 0.5
 ODD = 0.6  # weight of a specimen below which the reader is told
 FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
 GAIN = 1.1  # of separation, below which a further test adds next to nothing
-TEST_NAMES = {"confined": "confined test", "unconfined": "crushing test"}
-PLACES = {
-    ("confined", "toe"): "first touch of the confined test",
-    ("confined", "loading"): "lower half of loading in the confined test",
-    ("confined", "200-400 N"): "upper half of loading in the confined test",
-    ("confined", "reversal"): "reversal at the top of the confined test",
-    ("confined", "unloading"): "unloading of the confined test",
-    ("confined", "before contact"): "reading before contact in the confined test",
-    ("unconfined", "before contact"): "reading before contact in the crushing test",
-    ("unconfined", "toe"): "first touch of the crushing test",
-    ("unconfined", "rise"): "rise of the crushing test",
-    ("unconfined", "peak"): "peak of the crushing test",
-    ("unconfined", "softening"): "softening after the peak of the crushing test",
-}
+
+
+def label_of(test: str) -> str:
+    """A test in words."""
+    return TEST_FEATURES[test].label
 
 
 def sentence(found: DiagnosisRecord) -> str:
     """The whole answer in one paragraph."""
-    parts = [verdict(found), place(found), shrinkage(found), todo(found), caution(found)]
+    parts = [verdict(found), localisation(found), shrinkage(found), todo(found), caution(found)]
     return " ".join(part for part in parts if part)
 
 
@@ -52,15 +44,15 @@ def verdict(found: DiagnosisRecord) -> str:
     groups = members(which.verdict)
     sentences = [plain(group[0]).sentence for group in groups if len(group) == 1]
     alike = any(len(group) > 1 for group in groups)
-    told = " These data cannot tell the alternatives apart." if alike else ""
-    return f"{what}. {' '.join(sentences)}".strip().rstrip(".") + "." + told
+    alternatives = " These data cannot tell the alternatives apart." if alike else ""
+    return f"{what}. {' '.join(sentences)}".strip().rstrip(".") + "." + alternatives
 
 
 def _not_in_library(found: DiagnosisRecord, stated: str) -> str:
     """No effect explains the gap; said with care where stated probabilities do not agree."""
     text = (
-        "The calibrated model lacks something that is not in the library: there is a gap, and no "
-        "effect or pair of effects explains all of it"
+        "The calibrated model lacks something that is not in the library of effects: there is a "
+        "gap, and no effect or pair of effects explains all of it"
     )
     first = found.explanations[0]
     if first.label == UNKNOWN:
@@ -113,7 +105,11 @@ def _not_named(found: DiagnosisRecord, first: str, stated: str, chance: str) -> 
             f"explanation (stated probability {stated}). More repeats would tell."
         )
     likeliest = percent(found.which.probability_by_class.get(first, 0.0))
-    what = "something that the library does not hold" if first == UNKNOWN else f"“{title(first)}”"
+    what = (
+        "something that the library of effects does not hold"
+        if first == UNKNOWN
+        else f"“{title(first)}”"
+    )
     return (
         f"No cause is named: {what} would be the likeliest one (stated probability {likeliest}), "
         f"but the model may as well lack nothing ({stated}; {scatter}). More repeats would tell."
@@ -124,7 +120,7 @@ def _count(count: int) -> str:
     return {1: "One number", 2: "Two numbers"}.get(count, f"{count} numbers")
 
 
-def place(found: DiagnosisRecord) -> str:
+def localisation(found: DiagnosisRecord) -> str:
     """The segments that leave the band, largest score first."""
     if found.which.verdict == NONE:
         return ""
@@ -134,10 +130,10 @@ def place(found: DiagnosisRecord) -> str:
     return f"The gap shows most at the {'; then at the '.join(_lies(s) for s in flagged[:2])}."
 
 
-def _lies(segment: Segment) -> str:
+def _lies(segment: SegmentRow) -> str:
     """Where a segment's measured curve runs, seen from the model's."""
-    name = PLACES.get((segment.test, segment.segment))
-    name = name or f"{segment.segment} of the {TEST_NAMES[segment.test]}"
+    name = TEST_FEATURES[segment.test].segments.get(segment.segment)
+    name = name or f"{segment.segment} of the {label_of(segment.test)}"
     words = ("right of", "left of") if segment.unit == "mm" else ("above", "below")
     side = words[0] if segment.gap > 0 else words[1]
     by = amount(abs(segment.gap), segment.unit)
@@ -173,7 +169,7 @@ def _why_outside(found: DiagnosisRecord) -> str:
     return "no interval: the gap is hardly larger than the scatter of specimens"
 
 
-def _fresh(far: HowFar) -> str:
+def _fresh(far: ReductionRecord) -> str:
     if far.shrinkage_left_out != far.shrinkage_left_out:
         return ""
     return f"; {percent(far.shrinkage_left_out)} on specimens left out of the fit"
@@ -186,7 +182,7 @@ def todo(found: DiagnosisRecord) -> str:
             "Next: record force and displacement of both tests, on at least three specimens each."
         )
     if found.which.verdict == NONE:
-        return _unseen(found)
+        return _undetectable(found)
     if found.next_test is None:
         return ""
     if found.which.verdict == UNKNOWN:
@@ -197,7 +193,7 @@ def todo(found: DiagnosisRecord) -> str:
     return _proposed(found.next_test)
 
 
-def _proposed(test: NextTest) -> str:
+def _proposed(test: NextTestRecord) -> str:
     cost = next((offer.cost for offer in test.all if offer.name == test.name), float("nan"))
     what = f"{test.name} (about {number(cost, 2)} h)"
     pair = [plain(name).name for name in test.hardest_pair]
@@ -211,7 +207,7 @@ def _proposed(test: NextTest) -> str:
     return f"Next: {what}; it helps most, but would not yet tell {between} for certain."
 
 
-def _unseen(found: DiagnosisRecord) -> str:
+def _undetectable(found: DiagnosisRecord) -> str:
     """Effects that could hide in data without a gap."""
     hidden = [plain(e.name).name for e in found.which.effects if e.status == "inconclusive"]
     if not hidden:
@@ -223,10 +219,10 @@ def _unseen(found: DiagnosisRecord) -> str:
 
 def caution(found: DiagnosisRecord) -> str:
     """What weakens the answer: few repeats, odd ones, an effect that calibration mimics."""
-    few = [TEST_NAMES[test] for test in ("confined", "unconfined")
-           if 0 < getattr(found.settings, test) < FEW and not found.targets_only]  # fmt: skip
-    absent = [TEST_NAMES[test] for test in ("confined", "unconfined")
-              if getattr(found.settings, test) == 0]  # fmt: skip
+    few = [label_of(test) for test in TESTS
+           if 0 < found.settings.repeats.get(test, 0) < FEW and not found.targets_only]  # fmt: skip
+    absent = [label_of(test) for test in TESTS
+              if found.settings.repeats.get(test, 0) == 0]  # fmt: skip
     parts = [*_odd(found.specimen_weights)]
     if few:
         parts.append(f"With fewer than {FEW} specimens in the {' and the '.join(few)}, scatter is "

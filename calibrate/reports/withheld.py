@@ -20,9 +20,9 @@ from calibrate.records.withheld import WithheldRecord
 from calibrate.reports import withheld_words as words
 from calibrate.reports.html import Page, Picture, render
 from calibrate.reports.withheld_words import markdown
-from calibrate.validation.named import named
+from calibrate.validation.confusion import confusion_matrix
+from calibrate.validation.criteria import RIVALS, Standing, criteria, other_code
 from calibrate.validation.scores import CLOSE, Row, share
-from calibrate.validation.targets import RIVALS, Standing, other_code, targets
 
 __all__ = ["markdown", "page", "show", "write"]
 PAGE = "withheld.html"
@@ -57,7 +57,7 @@ def _page(found: WithheldRecord, pictures: Mapping[str, Picture]) -> Page:
         result=result,
         rows=found.rows,
         pictures=pictures,
-        targets=targets(result),
+        criteria=criteria(result),
         missed=Standing.MISSED,
         RIVALS=RIVALS,
         other=other_code(result),
@@ -67,16 +67,16 @@ def _page(found: WithheldRecord, pictures: Mapping[str, Picture]) -> Page:
 
 
 def show(result: dict, console: Console) -> None:
-    """The sentence, then every target, on the terminal."""
+    """The sentence, then every criterion, on the terminal."""
     console.print(words.sentence(result), markup=False, highlight=False)
     table = Table(title="asked and found", title_justify="left", box=None, pad_edge=False)
     table.add_column("")
     for column in ("asked", "found", "95 %", "of", ""):
         table.add_column(column, no_wrap=True)
-    for target in targets(result):
-        cells = [words.asked(target), words.found(target), words.interval(target)]
-        mark = words.MARKS[target.standing]
-        table.add_row(target.words, *cells, words.of_cases(target), mark)
+    for criterion in criteria(result):
+        cells = [words.asked(criterion), words.found(criterion), words.interval(criterion)]
+        mark = words.MARKS[criterion.standing]
+        table.add_row(criterion.words, *cells, words.of_cases(criterion), mark)
     console.print(table)
     console.print(words.standing_sentence(result), markup=False, highlight=False)
 
@@ -91,7 +91,7 @@ def _pictures(result: dict, rows: Sequence[Row]) -> dict[str, Picture]:
         found["accuracy"] = _accuracy(rows)
     if rows:
         found["named"] = Picture(
-            drawn.named_svg(named(result, rows)),
+            drawn.named_svg(confusion_matrix(result, rows)),
             "table of what was named for what was hidden; right answers are framed",
             "What was named (columns) for what was hidden (rows; number of cases). Grey: share of "
             "the row. Framed: right. A right class counts at the hidden effect, a wrong class of "

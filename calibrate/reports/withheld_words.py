@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from calibrate.reports.html import number
-from calibrate.validation.named import Named, named, plain
+from calibrate.validation.confusion import ConfusionMatrix, confusion_matrix, plain
+from calibrate.validation.criteria import RIVALS, Criterion, Standing, criteria
 from calibrate.validation.scores import Row
-from calibrate.validation.targets import RIVALS, Standing, Target, targets
 
 MARKS = {
     Standing.MET: "●", Standing.WITHIN_CHANCE: "◐", Standing.MISSED: "○", Standing.NO_CASES: "–",
@@ -35,7 +35,7 @@ def markdown(result: dict, title: str) -> str:
     rows = [Row(**row) for row in result["rows"]]
     aims = [
         [t.words, asked(t), found(t), interval(t), of_cases(t), f"{MARKS[t.standing]} {t.standing}"]
-        for t in targets(result)
+        for t in criteria(result)
     ]
     parts = [
         f"# {title}", sentence(result), standing_sentence(result),
@@ -51,7 +51,7 @@ def markdown(result: dict, title: str) -> str:
         f"Mean number of explanations in a set: {number(result['mean_set_size'], 3)}.",
         "## Rivals on the same cases", _table(
             RIVAL_COLUMNS, rival_rows(result)),
-        "## What was named for what was hidden", _named_table(named(result, rows)),
+        "## What was named for what was hidden", _named_table(confusion_matrix(result, rows)),
         "## Stated probabilities", calibration_sentence(result), _bins_table(result),
         "## Seal", canary_sentence(result),
     ]  # fmt: skip
@@ -86,15 +86,15 @@ def sentence(result: dict) -> str:
 
 def standing_sentence(result: dict) -> str:
     """How many targets are met, and the names of those that are not."""
-    found = targets(result)
-    judged = [target for target in found if target.standing != Standing.NO_CASES]
-    missed = [target.words for target in judged if target.standing == Standing.MISSED]
-    chance = sum(target.standing == Standing.WITHIN_CHANCE for target in judged)
+    found = criteria(result)
+    judged = [criterion for criterion in found if criterion.standing != Standing.NO_CASES]
+    missed = [criterion.words for criterion in judged if criterion.standing == Standing.MISSED]
+    chance = sum(criterion.standing == Standing.WITHIN_CHANCE for criterion in judged)
     text = f"Of {len(judged)} targets {len(judged) - len(missed)} are met"
     text += f", {chance} of them within chance." if chance else "."
     if missed:
         text += f" Missed: {'; '.join(missed)}."
-    without = [target.words for target in found if target.standing == Standing.NO_CASES]
+    without = [criterion.words for criterion in found if criterion.standing == Standing.NO_CASES]
     return text + (f" Without cases to judge by: {'; '.join(without)}." if without else "")
 
 
@@ -153,34 +153,38 @@ def shown(found: Mapping) -> str:
     return "–" if not found["n"] else _counted(found)
 
 
-def asked(target: Target) -> str:
-    return f"{target.sense} {_value(target, target.bound)}"
+def asked(criterion: Criterion) -> str:
+    return f"{criterion.sense} {_value(criterion, criterion.bound)}"
 
 
-def found(target: Target) -> str:
+def found(criterion: Criterion) -> str:
     """What was found, with a decimal where it would else read as the bound that it is not."""
-    text = _value(target, target.value)
-    if target.unit == "share" and target.value != target.bound and text == asked(target)[2:]:
-        return f"{100 * (target.value or 0.0):.1f}{PERCENT}"
+    text = _value(criterion, criterion.value)
+    if (
+        criterion.unit == "share"
+        and criterion.value != criterion.bound
+        and text == asked(criterion)[2:]
+    ):
+        return f"{100 * (criterion.value or 0.0):.1f}{PERCENT}"
     return text
 
 
-def _value(target: Target, value: float | None) -> str:
-    if target.unit == "share":
+def _value(criterion: Criterion, value: float | None) -> str:
+    if criterion.unit == "share":
         return percent(value)
-    if target.unit == "points":
+    if criterion.unit == "points":
         return "–" if value is None else f"{number(round(value, 1), 4)} points"
     return number(value, 3)
 
 
-def interval(target: Target) -> str:
-    if target.low is None or target.high is None or not target.n:
+def interval(criterion: Criterion) -> str:
+    if criterion.low is None or criterion.high is None or not criterion.n:
         return ""
-    return f"{percent(target.low).removesuffix(PERCENT)}–{percent(target.high)}"
+    return f"{percent(criterion.low).removesuffix(PERCENT)}–{percent(criterion.high)}"
 
 
-def of_cases(target: Target) -> str:
-    return "" if target.n is None else str(target.n)
+def of_cases(criterion: Criterion) -> str:
+    return "" if criterion.n is None else str(criterion.n)
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -201,7 +205,7 @@ def rival_rows(result: dict) -> list[list[str]]:
     return rows
 
 
-def _named_table(table: Named) -> str:
+def _named_table(table: ConfusionMatrix) -> str:
     """Counts, empty for none, the right answers in bold."""
     body = [
         [name, *(f"**{count}**" if right else str(count or "")

@@ -1,7 +1,7 @@
 """The laboratory of withheld cases: simulates specimens, measures them, writes their files.
 
 Reality here is this project's simulator with other numbers of spheres, other packings, next to
-no roundings and another settling friction than any bank; specimens of a case differ in
+no roundings and another settling friction than any library of runs; specimens of a case differ in
 packing, density and moisture.  What leaves the laboratory are records as machines write them:
 a way through the air before contact, any zero of displacement, noise, few digits.
 """
@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.files import write_text
-from calibrate.discrepancy.comparison.features import vector
+from calibrate.discrepancy.comparison.recording import interval_means
+from calibrate.discrepancy.features.curves import TARGETS, feature_values
+from calibrate.discrepancy.library.run_library import curves_of, declared
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
-from calibrate.discrepancy.library.store import TARGETS, curves_of, declared
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Run
@@ -26,7 +27,7 @@ from calibrate.validation.plan import (
     SMOOTHING,
     SPECIMENS,
     SPHERES,
-    Case,
+    WithheldCase,
 )
 from jdem.effects.composite import EFFECTS
 
@@ -73,7 +74,7 @@ force = {{ column = "force", unit = "N" }}
 
 
 @dataclass(frozen=True, eq=False)
-class Specimen:
+class SpecimenRecords:
     """One specimen's records by test, arrays (readings, 2) in mm and N, and its density kg/m3."""
 
     records: dict[str, np.ndarray]
@@ -90,7 +91,9 @@ class Laboratory:
         costly = (*COSTLY, AggregateCrushing)
         self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
 
-    def specimens(self, case: Case, numbers: range = range(SPECIMENS)) -> list[Specimen] | None:
+    def specimens(
+        self, case: WithheldCase, numbers: range = range(SPECIMENS)
+    ) -> list[SpecimenRecords] | None:
         """The case's specimens, measured; None if one fails or, unless they are held back, they
         lie out of range."""
         measured, runs = [], []
@@ -107,7 +110,7 @@ class Laboratory:
         whole = numbers.start == 0 and len(numbers) >= SPECIMENS
         return measured if inside or not whole else None
 
-    def changes(self, case: Case, numbers: range = range(SPECIMENS)) -> np.ndarray:
+    def changes(self, case: WithheldCase, numbers: range = range(SPECIMENS)) -> np.ndarray:
         """What the hidden effects do to the features of the curves (n, m), on each of these of the
         case's packings where both simulations have all of them."""
         features = declared(self.lab.confined.force_high)[: -len(TARGETS)]
@@ -115,12 +118,12 @@ class Laboratory:
         for number in numbers:
             runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
             if None not in runs:
-                with_, without = (vector(features, curves_of(run)) for run in runs if run)
+                with_, without = (feature_values(features, curves_of(run)) for run in runs if run)
                 found.append(with_ - without)
         changes = np.array(found).reshape(-1, len(features))
         return changes[np.isfinite(changes).all(axis=1)]
 
-    def _specimen(self, case: Case, number: int) -> tuple[Run | None, float]:
+    def _specimen(self, case: WithheldCase, number: int) -> tuple[Run | None, float]:
         """The run of one specimen and its relative density error."""
         random = np.random.default_rng([case.seed, number])
         density, moisture = DENSITY_SD * random.standard_normal(), random.standard_normal()
@@ -135,15 +138,15 @@ class Laboratory:
             run = self._with_air(case, number, values, strengths, run)
         return (None if run.failure else run), density
 
-    def _run(self, case: Case, number: int, values, strengths) -> Run:
+    def _run(self, case: WithheldCase, number: int, values, strengths) -> Run:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         level = PREPARATIONS.index(case.preparation)
         pool = 3 * SPHERES.index(case.spheres) + level
         seed = case.first_seed + 1000 * pool + case.packings[number]
-        vector = [strengths.get(name, 0.0) for name in self._effects]
-        return self._simulator.run(soil, (SMOOTHING, case.preparation), vector, case.spheres, seed)
+        given = [strengths.get(name, 0.0) for name in self._effects]
+        return self._simulator.run(soil, (SMOOTHING, case.preparation), given, case.spheres, seed)
 
-    def _with_air(self, case: Case, number: int, values, strengths, run: Run) -> Run:
+    def _with_air(self, case: WithheldCase, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
         share, high = strengths["trapped_air"], self.lab.confined.force_high
         top = int(run.confined[:, 0].argmax()) + 1
@@ -162,7 +165,9 @@ class Laboratory:
         size = (self.lab.specimen.height, self.lab.specimen.diameter)
         return np.asarray(air_force(way, *size, share))
 
-    def _measured(self, case: Case, number: int, run: Run, density: float) -> Specimen:
+    def _measured(
+        self, case: WithheldCase, number: int, run: Run, density: float
+    ) -> SpecimenRecords:
         random = np.random.default_rng([case.seed, number, 1])
         at_rest = sum(h.strength for h in case.hidden if h.name == "load_cell_offset")
         records = {
@@ -170,7 +175,9 @@ class Laboratory:
             for test, curve in (("confined", run.confined), ("unconfined", run.unconfined))
         }
         mass = 1 + 0.001 * random.standard_normal()
-        return Specimen(records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass))
+        return SpecimenRecords(
+            records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass)
+        )
 
 
 def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> np.ndarray:
@@ -183,15 +190,14 @@ def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> 
     ends = np.linspace(0.0, path[-1], READINGS + 1)
     middle = (ends[1:] + ends[:-1]) / 2
     x = np.interp(middle, path, way) + random.uniform(-ZERO_MM, ZERO_MM)
-    integral = np.concatenate([[0.0], np.cumsum(np.diff(path) * (force[1:] + force[:-1]) / 2)])
-    mean = np.diff(np.interp(ends, path, integral)) / np.diff(ends)
+    mean = interval_means(path, force, ends[:-1], ends[1:])
     x = x + DISPLACEMENT_SD * random.standard_normal(READINGS)
     mean = mean + FORCE_SD * random.standard_normal(READINGS)
     return np.column_stack([np.round(x, 3), np.round(mean, 1)])
 
 
 def write_case(
-    name: str, specimens: list[Specimen], centre: dict[str, float], folder: Path
+    name: str, specimens: list[SpecimenRecords], centre: dict[str, float], folder: Path
 ) -> None:
     """All files of a case, with the same form whatever it hides."""
     folder.mkdir(parents=True, exist_ok=True)

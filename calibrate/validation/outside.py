@@ -1,7 +1,7 @@
-"""Effects that the library does not have, for cases that should be called unknown.
+"""Effects outside the library of effects, for cases that should be called unknown.
 
 They are written against the same contract as `jdem.effects`, but `EFFECTS` does not list them,
-so no bank and no diagnosis knows their signatures.
+so no library of runs and no diagnosis knows their signatures.
 """
 
 from typing import ClassVar

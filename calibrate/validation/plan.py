@@ -2,11 +2,11 @@
 
 Strata are in projected signal-to-noise: what is left of an effect's signature once calibration
 has absorbed what it can, in units of the scatter of four specimens.  An effect that cannot
-reach its stratum within the strengths that the bank holds gives way to another one, and the
+reach its stratum within the strengths that the library holds gives way to another one, and the
 stratum stays; so weakly visible effects are rarer where the signal is large.  A plan goes by the
-signatures that the bank predicts, and prefers those that it takes for too large; what counts in
+signatures that the library predicts, and prefers those that it takes for too large; what counts in
 the end is the change that the laboratory itself sees with and without the effect, shrunk towards
-the predicted one the more, the more packings differ (`told`).
+the predicted one the more, the more packings differ (`expected_snr`).
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,16 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.generated import World
+from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.comparison.refit import refit, start_at
-from calibrate.discrepancy.library.description import Discrepancy, Ready, describe, point_of
+from calibrate.discrepancy.library.description import (
+    EmulatedLibrary,
+    ModelDiscrepancy,
+    describe,
+    soil_prior_of,
+)
 from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
 from calibrate.validation.outside import OUTSIDE
 
@@ -30,7 +35,7 @@ STRATA: dict[str, tuple[float, float]] = {
 COUNTS = {"none": 104, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
 SPECIMENS = 4
 PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specimens held back
-SPHERES = (130, 190)  # other numbers than the bank's
+SPHERES = (130, 190)  # other numbers than the library's
 PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
 SMOOTHING = -0.95  # roundings nearly gone
 POOL = 60  # packings of each number and preparation, from which cases draw
@@ -50,7 +55,7 @@ class Hidden:
 
 
 @dataclass(frozen=True)
-class Case:
+class WithheldCase:
     """One case; `soil` values by name in SI; `packings` of its specimens within their pool, those
     that no diagnosis sees last, whose seeds begin at first_seed; snr as planned."""
 
@@ -69,37 +74,42 @@ class Case:
 
     def label(self, changes: np.ndarray) -> dict:
         """What is sealed: the case, and what its hidden effects do to features (n, m)."""
-        told = asdict(self)
-        planned = told.pop("snr")
-        return {**told, "case": self.name, "planned_snr": planned, "changes": changes.tolist()}
+        expected_snr = asdict(self)
+        planned = expected_snr.pop("snr")
+        return {
+            **expected_snr,
+            "case": self.name,
+            "planned_snr": planned,
+            "changes": changes.tolist(),
+        }
 
 
 class Planner:
-    """Draws cases; the bank tells how visible an effect is at a soil."""
+    """Draws cases; the library tells how visible an effect is at a soil."""
 
-    def __init__(self, ready: Ready, seed: int, first_seed: int = FIRST_SEED):
-        self.ready, self.first_seed = ready, first_seed
+    def __init__(self, emulated: EmulatedLibrary, seed: int, first_seed: int = FIRST_SEED):
+        self.emulated, self.first_seed = emulated, first_seed
         self.random = np.random.default_rng(seed)
 
-    def cases(self, counts: dict[str, int] | None = None) -> list[list[Case]]:
+    def cases(self, counts: dict[str, int] | None = None) -> list[list[WithheldCase]]:
         """For each case its attempts: the same effects in other soils and packings."""
         kinds = [kind for kind, count in (counts or COUNTS).items() for _ in range(count)]
         names = self.random.permutation(2**20)[: len(kinds)]
         order = self.random.permutation(len(kinds))
         return [self._attempts(f"{names[i]:05x}", kinds[k]) for i, k in enumerate(order)]
 
-    def _attempts(self, name: str, kind: str) -> list[Case]:
+    def _attempts(self, name: str, kind: str) -> list[WithheldCase]:
         first = self._case(name, kind, None)
         return [first, *(self._case(name, kind, first) for _ in range(ATTEMPTS - 1))]
 
-    def _case(self, name: str, kind: str, like: Case | None) -> Case:
+    def _case(self, name: str, kind: str, like: WithheldCase | None) -> WithheldCase:
         soil = self._soil()
         if like is not None:
             hidden, snr = like.hidden, like.snr
         else:
             hidden, snr = self._hidden(kind, soil)
         stratum = kind if kind in STRATA else ""
-        return Case(
+        return WithheldCase(
             name=name,
             kind={"none": NONE, "outside": "outside", "two": "two"}.get(kind, "single"),
             stratum=stratum,
@@ -133,7 +143,7 @@ class Planner:
             strength = float(low * (high / low) ** self.random.uniform())
             sign = self.random.choice([-1.0, 1.0]) if name == "height_gradient" else 1.0
             return (Hidden(name, sign * strength),), 0.0
-        visible = Visibility(self.ready, soil)
+        visible = Visibility(self.emulated, soil)
         if kind == "two":
             return self._two(visible)
         while True:
@@ -178,23 +188,29 @@ class Visibility:
     """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
 
     def __init__(
-        self, ready: Ready, soil: dict[str, float], specimens: int = SPECIMENS,
-        discrepancy: Discrepancy | None = None,
+        self, emulated: EmulatedLibrary, soil: dict[str, float], specimens: int = SPECIMENS,
+        discrepancy: ModelDiscrepancy | None = None,
     ):  # fmt: skip
-        every = np.arange(len(ready.bank.features) - 2)  # curves; targets follow from them
-        point, design = point_of(ready.bank, soil), ready.bank.design
-        values = ready.at(point)(np.zeros(len(point.offset)), np.zeros(len(design.limits)))[0]
-        self.description = describe(ready, point, values[every], every, discrepancy=discrepancy)
+        every = np.arange(len(emulated.library.features) - 2)  # curves; targets follow from them
+        soil_prior, design = soil_prior_of(emulated.library, soil), emulated.library.design
+        values = emulated.at(soil_prior)(
+            np.zeros(len(soil_prior.offset)), np.zeros(len(design.limits))
+        )[0]
+        self.description = describe(
+            emulated, soil_prior, values[every], every, discrepancy=discrepancy
+        )
         plan = np.ones((specimens, len(every)), bool)
-        self.world = World(self.description, plan, packing_covariance(self.description))
+        self.generator = SampleGenerator(
+            self.description, plan, packing_covariance(self.description)
+        )
         self.typical = dict(zip(design.effect_names, design.typical(), strict=True))
 
     def snr(self, strengths: dict[str, float]) -> float:
         """Signal-to-noise of effects of these strengths (SI) together."""
-        return float(self.world.snr(self.change(strengths)[:, None])[0])
+        return float(self.generator.snr(self.change(strengths)[:, None])[0])
 
     def change(self, strengths: dict[str, float]) -> np.ndarray:
-        """What the bank says that these effects do to the features (m,)."""
+        """What the library says that these effects do to the features (m,)."""
         d = self.description
         given = np.array([strengths.get(n, 0.0) / self.typical[n] for n in d.effect_names])
         zero = np.zeros(len(d.prior_sd))
@@ -208,7 +224,7 @@ class Visibility:
         without = [self.left(np.delete(changes, i, axis=0).mean(axis=0)) ** 2 for i in range(count)]
         return float(np.sqrt(max(whole - (count - 1) * (np.mean(without) - whole), 0.0)))
 
-    def told(self, changes: np.ndarray, predicted: np.ndarray, error: float) -> float:
+    def expected_snr(self, changes: np.ndarray, predicted: np.ndarray, error: float) -> float:
         """The same where a change p (m,) is predicted that may be wrong by a share r^2 = error of
         its squared length (`relative_error`): what calibration leaves of the change to be expected
         once the mean c of the simulated ones is known,
@@ -223,13 +239,13 @@ class Visibility:
 
     def length(self, change: np.ndarray) -> float:
         """Squared length of a change (m,), projected."""
-        return float((self.world.projected(change[:, None]) ** 2).sum())
+        return float((self.generator.projected(change[:, None]) ** 2).sum())
 
     def scatter(self, changes: np.ndarray) -> float:
         """Sum of squares by which the mean of changes (n, m) is off as packings differ: V =
         sum_i |c_i - c|^2/(n (n - 1)), projected."""
         count = len(changes)
-        off = self.world.projected((changes - changes.mean(axis=0)).T)
+        off = self.generator.projected((changes - changes.mean(axis=0)).T)
         return float((off**2).sum() / (count * (count - 1)))
 
     def left(self, change: np.ndarray) -> float:
@@ -239,7 +255,7 @@ class Visibility:
         values = d.at(np.zeros(len(d.prior_sd)), np.zeros(len(d.effects)))[0] + change
         rng = np.random.default_rng(0)
         away = [None, *(d.prior_sd * rng.standard_normal((STARTS, len(d.prior_sd))))]
-        fits = [refit(d, values, self.world.mean_covariance, (), start_at(d, x)) for x in away]
+        fits = [refit(d, values, self.generator.mean_covariance, (), start_at(d, x)) for x in away]
         return float(np.sqrt(min(fit.objective for fit in fits)))
 
     def strength(self, name: str, limit: float, snr: float) -> float | None:

@@ -19,23 +19,23 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json, write_text
 from calibrate.core.progress import AbstractProgress
-from calibrate.discrepancy.comparison.features import declare_before_contact, seen
 from calibrate.discrepancy.comparison.reduction import shrinkage
-from calibrate.discrepancy.library.description import Discrepancy, Ready
+from calibrate.discrepancy.features.curves import declare_before_contact, recorded_feature_values
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.discrepancy.library.store import declared
+from calibrate.discrepancy.library.run_library import declared
 from calibrate.simulation import side_by_side
 from calibrate.validation import seal
 from calibrate.validation.canary import canary
-from calibrate.validation.elsewhere import in_our_words, with_visibility
-from calibrate.validation.laboratory import Laboratory, Specimen, write_case
-from calibrate.validation.plan import FIRST_SEED, SPECIMENS, Case, Hidden, Planner
+from calibrate.validation.labels import normalised, with_visibility
+from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
+from calibrate.validation.plan import FIRST_SEED, SPECIMENS, Hidden, Planner, WithheldCase
 from calibrate.validation.scores import Realised, Row, claims_shrinkage, row, scored
 from calibrate.validation.trial import (
-    Judges,
+    TrainedBaselines,
     diagnose_all,
-    judges,
     read_verdicts,
+    train_baselines,
     typical,
     typical_case,
 )
@@ -47,12 +47,12 @@ CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
 
 def generate(
-    out: Path, ready: Ready, counts: dict[str, int] | None, seed: int | None,
+    out: Path, emulated: EmulatedLibrary, counts: dict[str, int] | None, seed: int | None,
     progress: AbstractProgress, first_seed: int = FIRST_SEED,
 ) -> None:  # fmt: skip
     """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
     packings begin at first_seed."""
-    attempts = _plan(out, ready, counts, seed, first_seed)
+    attempts = _plan(out, emulated, counts, seed, first_seed)
     laboratory = Laboratory(out / "simulated", CENTRE)
 
     def label(number: int) -> list[dict]:
@@ -64,29 +64,31 @@ def generate(
 
 
 def _plan(
-    out: Path, ready: Ready, counts, seed: int | None, first_seed: int = FIRST_SEED
-) -> list[list[Case]]:
+    out: Path, emulated: EmulatedLibrary, counts, seed: int | None, first_seed: int = FIRST_SEED
+) -> list[list[WithheldCase]]:
     """The plan in `out`, drawn if there is none yet."""
     path = out / PLAN
     if not path.exists():
         secret = secrets.randbits(62) if seed is None else seed
-        drawn = Planner(ready, secret, first_seed).cases(counts)
+        drawn = Planner(emulated, secret, first_seed).cases(counts)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
 
 
-def _planned(out: Path) -> list[list[Case]]:
+def _planned(out: Path) -> list[list[WithheldCase]]:
     written = json.loads((out / PLAN).read_text())
     return [[_case(entry) for entry in rows] for rows in written]
 
 
-def _case(entry: dict) -> Case:
+def _case(entry: dict) -> WithheldCase:
     hidden = tuple(Hidden(**h) for h in entry["hidden"])
-    return Case(**{**entry, "hidden": hidden, "packings": tuple(entry["packings"])})
+    return WithheldCase(**{**entry, "hidden": hidden, "packings": tuple(entry["packings"])})
 
 
-def _made(out: Path, laboratory: Laboratory, attempts: Sequence[Case]) -> Case | None:
+def _made(
+    out: Path, laboratory: Laboratory, attempts: Sequence[WithheldCase]
+) -> WithheldCase | None:
     """The first attempt whose specimens stand and lie in range, written; the rule is blind to
     the effect."""
     folder = out / "cases" / attempts[0].name
@@ -113,29 +115,31 @@ def case_folders(out: Path) -> list[Path]:
 
 
 def judge(
-    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress,
-    discrepancy: Discrepancy | None = None,
+    source: Path, out: Path, emulated: EmulatedLibrary, seed: int, progress: AbstractProgress,
+    discrepancy: ModelDiscrepancy | None = None,
 ) -> None:  # fmt: skip
     """Verdicts of all cases in `source` into `out`, their hashes before the seal is opened."""
     cases = case_folders(source)
     progress.say("training rivals")
-    judge: Judges = judges(typical_case(typical(cases, ready), ready, seed, discrepancy), seed)
-    diagnose_all(cases, out / VERDICTS, ready, judge, seed, progress, discrepancy)
+    judge: TrainedBaselines = train_baselines(
+        typical_case(typical(cases, emulated), emulated, seed, discrepancy), seed
+    )
+    diagnose_all(cases, out / VERDICTS, emulated, judge, seed, progress, discrepancy)
     _state(out)
 
 
 def opened(
-    source: Path, out: Path, ready: Ready, seed: int, progress: AbstractProgress, fresh: bool,
-    discrepancy: Discrepancy | None = None,
+    source: Path, out: Path, emulated: EmulatedLibrary, seed: int, progress: AbstractProgress,
+    fresh: bool, discrepancy: ModelDiscrepancy | None = None,
 ) -> tuple[dict, list[Row]]:  # fmt: skip
     """Opens the seal, checks both lists of hashes, scores; writes withheld.json."""
     said, stated = read_verdicts(out / VERDICTS), _stated(out)
     _check_unchanged(out, stated)
-    labels = {n: in_our_words(label) for n, label in seal.open_seal(source).items()}
+    labels = {n: normalised(label) for n, label in seal.open_seal(source).items()}
     if not set(said) == set(stated) == set(labels):
         problem = f"{len(labels)} labels, {len(said)} verdicts"
         raise InputError(str(out), VERDICTS, problem, "judge all cases first")
-    labels = with_visibility(labels, ready, discrepancy)
+    labels = with_visibility(labels, emulated, discrepancy)
     realised = _fresh(source, said, labels, progress) if fresh else {}
     rows = [row(said[name], labels[name], realised.get(name)) for name in sorted(said)]
     folders = [source / "cases" / r.case for r in rows]
@@ -213,14 +217,14 @@ def _fresh(
     return {name: one for name, one in zip(names, found, strict=True) if one}
 
 
-def realised_shrinkage(fits: dict, specimens: Sequence[Specimen]) -> Realised:
+def realised_shrinkage(fits: dict, specimens: Sequence[SpecimenRecords]) -> Realised:
     """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off; its
     standard error by leaving out one specimen after the other (jackknife)."""
     features = {f.name: f for f in (*declared(400.0), *declare_before_contact())}
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
     values = np.array([
-        seen(chosen, {test: (r[:, 0], r[:, 1]) for test, r in s.records.items()})
+        recorded_feature_values(chosen, {test: (r[:, 0], r[:, 1]) for test, r in s.records.items()})
         for s in specimens
     ])  # fmt: skip
     weight = np.array(fits["weight"])[keep]

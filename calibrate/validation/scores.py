@@ -14,7 +14,7 @@ from scipy import stats
 
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.reduction import is_shown
+from calibrate.discrepancy.comparison.reduction import is_reportable
 
 CONFIDENT = 0.8
 BINS = 10
@@ -60,7 +60,7 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
     by_class = verdict.get("by_class", {})
     ranked = sorted(by_class, key=lambda n: -by_class[n])
     claimed = verdict.get("claimed")
-    shown = claims_shrinkage(verdict)
+    reportable = claims_shrinkage(verdict)
     likely = verdict.get("likely_set", [])
     return Row(
         case=verdict["case"],
@@ -75,17 +75,17 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
         set_size=len(likely),
         p_before=verdict.get("p_before", 1.0),
         rivals=verdict.get("rivals", {}),
-        claimed=claimed["shrinkage"] if claimed and shown else None,
+        claimed=claimed["shrinkage"] if claimed and reportable else None,
         realised=None if realised is None else realised.value,
         realised_error=None if realised is None else realised.error,
-        too_vague=claimed is not None and not shown,
+        too_vague=claimed is not None and not reportable,
     )
 
 
 def claims_shrinkage(verdict: dict) -> bool:
     """Whether a verdict claims by how much the gap shrinks."""
     claimed = verdict.get("claimed")
-    return bool(claimed) and is_shown(claimed["low"], claimed["high"])
+    return bool(claimed) and is_reportable(claimed["low"], claimed["high"])
 
 
 def truth_of(label: dict, classes: Sequence[Sequence[str]]) -> str:
@@ -128,7 +128,7 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
     of = {k: [r for r in rows if r.kind == k] for k in (NONE, "single", "two", "outside")}
     clear = [r for r in of["single"] if r.snr >= STRATA[1][0]]
     claims = [r for r in rows if r.claimed is not None and r.realised is not None]
-    known = [*clear, *of["two"]]
+    in_library = [*clear, *of["two"]]
     return {
         "cases": len(rows),
         "accuracy": share(_right(r) for r in of["single"]),
@@ -157,7 +157,7 @@ def scored(rows: Sequence[Row], seed: int = 0) -> dict:
         "outside_taken_for_an_effect": share(
             r.verdict not in (UNKNOWN, NONE) for r in of["outside"]
         ),
-        "known_called_unknown": share(r.verdict == UNKNOWN for r in known),
+        "known_called_unknown": share(r.verdict == UNKNOWN for r in in_library),
         "two_both_named": share(_right(r) for r in of["two"]),
         "two_one_named": share(bool(_parts(r.verdict) & _parts(r.truth)) for r in of["two"]),
         "wrong_and_confident": share(r.stated >= CONFIDENT and not _right(r) for r in rows),

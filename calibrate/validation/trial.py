@@ -15,15 +15,15 @@ from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
-from calibrate.discrepancy.comparison.compare import Prepared, Which, diagnose, label
+from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label
 from calibrate.discrepancy.comparison.examples import KINDS, generated_case
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN, hypotheses
-from calibrate.discrepancy.comparison.reduction import feature_weights, how_far
+from calibrate.discrepancy.comparison.reduction import estimate_reduction, feature_weights
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.diagnosis import Manner, described, ready_to_diagnose
-from calibrate.discrepancy.library.description import Discrepancy, Ready
-from calibrate.discrepancy.library.lab import read
+from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
+from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
 
 DRAWS, TRAINING = 300, 1200
@@ -31,33 +31,33 @@ SAMPLED = 9  # cases among which a typical one is sought
 
 
 @dataclass(frozen=True, eq=False)
-class Judges:
+class TrainedBaselines:
     """The diagnosis' manner and its rivals, made about one case's curves and no label."""
 
-    manner: Manner
+    setup: InferenceSetup
     features: tuple[str, ...]
     least_template: float
     majority: str
     classifier: baselines.Classifier
 
 
-def judges(prepared: Prepared, seed: int) -> Judges:
+def train_baselines(prepared: Prepared, seed: int) -> TrainedBaselines:
     """The diagnosis' manner, and the rivals fitted to generated cases, on one typical case."""
     linear = replace(prepared.description, emulator=None)
-    world = replace(prepared.world, description=linear)
-    ready = replace(prepared, world=world)
+    generator = replace(prepared.generator, description=linear)
+    linear_only = replace(prepared, generator=generator)
     rng = np.random.default_rng(seed + 1)  # seed drew the nulls
     inputs, labels, null = [], [], []
-    covariance = world.mean_covariance
+    covariance = generator.mean_covariance
     for number in range(TRAINING):
-        case = generated_case(ready, rng, KINDS[number % len(KINDS)])
-        truth = label(ready.classes, case.truth)
+        case = generated_case(linear_only, rng, KINDS[number % len(KINDS)])
+        truth = label(linear_only.classes, case.truth)
         labels.append("pair" if len(case.truth) == 2 else truth)
         inputs.append(baselines.classifier_inputs(linear, case.measured, covariance))
         if case.truth == (NONE,):
             null.append(baselines.template_scores(linear, case.measured).max())
-    return Judges(
-        Manner(nulls={prepared.world.plan.shape: prepared.null}),
+    return TrainedBaselines(
+        InferenceSetup(nulls={prepared.generator.plan.shape: prepared.null}),
         tuple(f.name for f in linear.features),
         float(np.quantile(null, 0.95)),
         baselines.majority(labels),
@@ -65,95 +65,103 @@ def judges(prepared: Prepared, seed: int) -> Judges:
     )
 
 
-def typical(cases: Sequence[Path], ready: Ready) -> Path:
+def typical(cases: Sequence[Path], emulated: EmulatedLibrary) -> Path:
     """The first of a few cases whose curves show what most of these show: rivals that are trained
     about a case with a feature less could judge hardly any other."""
-    seen = {case: _shown(case, ready) for case in cases[:SAMPLED]}
-    often = Counter(shown for shown in seen.values() if shown).most_common(1)
-    return next(case for case, shown in seen.items() if not often or shown == often[0][0])
+    features_of = {case: _features_shown(case, emulated) for case in cases[:SAMPLED]}
+    often = Counter(shown for shown in features_of.values() if shown).most_common(1)
+    return next(case for case, shown in features_of.items() if not often or shown == often[0][0])
 
 
-def _shown(case: Path, ready: Ready) -> tuple[int, ...]:
-    """The bank's features that a case shows; none where it cannot be read."""
+def _features_shown(case: Path, emulated: EmulatedLibrary) -> tuple[int, ...]:
+    """The library's features that a case shows; none where it cannot be read."""
     try:
-        return tuple(read(load_lab(case / "lab.toml"), ready.bank).chosen.tolist())
+        return tuple(
+            read_measurements(load_lab(case / "lab.toml"), emulated.library).chosen.tolist()
+        )
     except InputError:
         return ()
 
 
 def typical_case(
-    folder: Path, ready: Ready, seed: int, discrepancy: Discrepancy | None = None
+    folder: Path, emulated: EmulatedLibrary, seed: int, discrepancy: ModelDiscrepancy | None = None
 ) -> Prepared:
     """The description and null distributions of one case, by which all of its kind are judged."""
-    _, d, measured = described(load_lab(folder / "lab.toml"), ready, seed, discrepancy)
-    return ready_to_diagnose(d, measured, seed, Manner.neutral(), DRAWS)
+    _, d, measured = described(load_lab(folder / "lab.toml"), emulated, seed, discrepancy)
+    return prepared_diagnosis(d, measured, seed, InferenceSetup.uncalibrated(), DRAWS)
 
 
 def verdict_of(
-    folder: Path, ready: Ready, judge: Judges, seed: int, discrepancy: Discrepancy | None = None
+    folder: Path,
+    emulated: EmulatedLibrary,
+    trained: TrainedBaselines,
+    seed: int,
+    discrepancy: ModelDiscrepancy | None = None,
 ) -> dict:
     """The verdict on the case in a folder."""
-    _, d, measured = described(load_lab(folder / "lab.toml"), ready, seed, discrepancy)
-    prepared = ready_to_diagnose(d, measured, seed, judge.manner)
-    which = diagnose(prepared, measured)
+    _, d, measured = described(load_lab(folder / "lab.toml"), emulated, seed, discrepancy)
+    prepared = prepared_diagnosis(d, measured, seed, trained.setup)
+    comparison = compare(prepared, measured)
     return {
         "case": folder.name,
-        "verdict": which.verdict,
-        "stated": which.stated,
-        "by_class": which.by_class,
-        "opinion": asdict(prepared.opinion),
-        "ln_evidence": _ln_evidence(which),
-        "likely_set": which.likely_set,
+        "verdict": comparison.verdict,
+        "stated": comparison.stated,
+        "by_class": comparison.by_class,
+        "probability_calibration": asdict(prepared.calibration),
+        "ln_evidence": _ln_evidence(comparison),
+        "likely_set": comparison.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
-        "p_before": which.facts.p_before,
-        "p_after": which.facts.p_after,
-        "scores": dict(zip(d.effect_names, which.scores.z.tolist(), strict=True)),
-        "base_shift": dict(zip(d.base_names, which.base.delta.tolist(), strict=True)),
-        **_shrinkage(d, measured, which, seed),
-        "rivals": _rivals(d, measured, judge, prepared),
+        "p_before": comparison.summary.p_before,
+        "p_after": comparison.summary.p_after,
+        "scores": dict(zip(d.effect_names, comparison.scores.z.tolist(), strict=True)),
+        "base_shift": dict(zip(d.base_names, comparison.base.delta.tolist(), strict=True)),
+        **_shrinkage(d, measured, comparison, seed),
+        "rivals": _rivals(d, measured, trained, prepared),
     }
 
 
-def _ln_evidence(which: Which) -> dict[str, float]:
-    """ln evidence of each explanation over that of none, from which an opinion can be learned."""
-    found = which.facts.evidence
+def _ln_evidence(comparison: Comparison) -> dict[str, float]:
+    """ln evidence of each explanation over that of none: what a calibration is fitted to."""
+    found = comparison.summary.evidence
     values = [0.0, *found.singles.tolist(), *found.pairs.tolist(), found.unknown]
-    names = (TOGETHER.join(h) for h in hypotheses(which.facts))
+    names = (TOGETHER.join(h) for h in hypotheses(comparison.summary))
     return dict(zip(names, values, strict=True))
 
 
-def _shrinkage(d: Linearised, measured: Measured, which: Which, seed: int) -> dict:
+def _shrinkage(d: Linearised, measured: Measured, comparison: Comparison, seed: int) -> dict:
     """What is claimed to shrink, and the fits by which fresh specimens can check it."""
-    if not which.best or which.verdict in (NONE, UNKNOWN):
+    if not comparison.best or comparison.verdict in (NONE, UNKNOWN):
         return {"claimed": None}
-    fit = which.refits[which.best]
-    far = how_far(d, measured, which.noise, which.base, fit, seed)
+    fit = comparison.refits[comparison.best]
+    reduction = estimate_reduction(d, measured, comparison.noise, comparison.base, fit, seed)
     return {
-        "claimed": {"shrinkage": far.shrinkage, "low": far.low, "high": far.high,
-                    "left_out": far.left_out},
+        "claimed": {"shrinkage": reduction.shrinkage, "low": reduction.low, "high": reduction.high,
+                    "left_out": reduction.cross_validated},
         "fits": {
             "features": [f.name for f in d.features],
-            "base": which.base.values.tolist(),
+            "base": comparison.base.values.tolist(),
             "best": fit.values.tolist(),
-            "weight": feature_weights(d, which.noise).tolist(),
+            "weight": feature_weights(d, comparison.noise).tolist(),
             "strengths": {
                 d.effect_names[k]: float(fit.strengths[k] * d.effects[k].typical)
-                for k in which.best
+                for k in comparison.best
             },
         },
     }  # fmt: skip
 
 
-def _rivals(d: Linearised, measured: Measured, judge: Judges, prepared: Prepared) -> dict[str, str]:
+def _rivals(
+    d: Linearised, measured: Measured, trained: TrainedBaselines, prepared: Prepared
+) -> dict[str, str]:
     """What is usually done, on the same case, as labels of classes."""
-    template = baselines.template(d, measured, judge.least_template)
+    template = baselines.template(d, measured, trained.least_template)
     names = [f.name for f in d.features]
     classified = UNKNOWN
-    if tuple(names) == judge.features:
-        inputs = baselines.classifier_inputs(d, measured, prepared.world.mean_covariance)
-        classified = judge.classifier.best(inputs)
+    if tuple(names) == trained.features:
+        inputs = baselines.classifier_inputs(d, measured, prepared.generator.mean_covariance)
+        classified = trained.classifier.best(inputs)
     return {
-        "majority": _relabelled(prepared, judge.majority),
+        "majority": _relabelled(prepared, trained.majority),
         "template": label(prepared.classes, (template,)),
         "bic": label(prepared.classes, (baselines.bic(d, measured),)),
         "classifier": _relabelled(prepared, classified),
@@ -163,25 +171,25 @@ def _rivals(d: Linearised, measured: Measured, judge: Judges, prepared: Prepared
 def _relabelled(prepared: Prepared, name: str) -> str:
     """A class named by the classifier, in this case's classes: that of its first member."""
     first = name.split(JOINED)[0]
-    known = first in prepared.classes.names
-    return label(prepared.classes, (first,)) if known else name
+    of_this_case = first in prepared.classes.names
+    return label(prepared.classes, (first,)) if of_this_case else name
 
 
 def diagnose_all(
     cases: list[Path],
     out: Path,
-    ready: Ready,
-    judge: Judges,
+    emulated: EmulatedLibrary,
+    trained: TrainedBaselines,
     seed: int,
     progress,
-    discrepancy: Discrepancy | None = None,
+    discrepancy: ModelDiscrepancy | None = None,
 ) -> None:
     """Verdicts of all cases into `out`; those that are there already stay."""
     waiting = [case for case in cases if not (out / f"{case.name}.json").exists()]
     progress.start("diagnosing", len(waiting))
     for case in waiting:
         try:
-            verdict = verdict_of(case, ready, judge, seed, discrepancy)
+            verdict = verdict_of(case, emulated, trained, seed, discrepancy)
         except (InputError, ValueError, np.linalg.LinAlgError) as error:  # wrong, not absent
             verdict = {"case": case.name, "failed": str(error), "verdict": "failed", "stated": 0.0}
         write_json(out / f"{case.name}.json", verdict)

@@ -16,13 +16,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from calibrate.discrepancy.comparison.features import tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.comparison.projection import fitted_shift
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import admissible
+from calibrate.discrepancy.features.curves import tests_of
 
 RIDGE = 1.0  # of the classifier's weights
 

@@ -1,4 +1,4 @@
-"""Which effect is it?  From a sample and a description to probabilities and a verdict.
+"""Compares explanations of a gap: from a sample and a description to probabilities and a verdict.
 
     noise -> base fit -> is there a gap? -> scores -> evidences of all explanations ->
     refit of the leading effects and their pairs -> is anything left? -> probabilities
@@ -15,13 +15,12 @@ import numpy as np
 
 from calibrate.discrepancy.comparison import evidence as evidences
 from calibrate.discrepancy.comparison.classes import TOGETHER, Classes, classes
-from calibrate.discrepancy.comparison.discrepancy import Factors, kernel_factors, projected
 from calibrate.discrepancy.comparison.evidence import Evidence, evidence
 from calibrate.discrepancy.comparison.fits import all_fits, fitted_base
-from calibrate.discrepancy.comparison.generated import World
+from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.lack_of_fit import (
     DRAWS,
-    NullTable,
+    NullDistributions,
     simulate,
     statistics,
     statistics_after,
@@ -31,8 +30,8 @@ from calibrate.discrepancy.comparison.noise import Noise, packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import (
     NAMED_BELOW,
     NONE,
-    Facts,
-    Opinion,
+    EvidenceSummary,
+    ProbabilityCalibration,
     hypotheses,
     log_probabilities,
 )
@@ -41,29 +40,30 @@ from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import Scores, scores
 from calibrate.discrepancy.comparison.sets import explanations
+from calibrate.discrepancy.comparison.unspecified_gap import Factors, kernel_factors, projected
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """All that a diagnosis needs beside the data."""
 
-    world: World
-    null: NullTable
+    generator: SampleGenerator
+    null: NullDistributions
     classes: Classes
-    opinion: Opinion
+    calibration: ProbabilityCalibration
 
     @property
     def description(self) -> Linearised:
-        return self.world.description
+        return self.generator.description
 
     def without(self, names: Sequence[str]) -> "Prepared":
-        """The same with a smaller library; the null distributions stay."""
-        world = replace(self.world, description=self.description.without_effects(names))
-        return replace(self, world=world, classes=design_classes(world))
+        """The same with fewer candidate effects; the null distributions stay."""
+        generator = replace(self.generator, description=self.description.without_effects(names))
+        return replace(self, generator=generator, classes=design_classes(generator))
 
 
 @dataclass(frozen=True, eq=False)
-class Which:
+class Comparison:
     """The answer and what it rests on.
 
     probability by explanation (effects and pairs by name, none, unknown) and by_class; base
@@ -75,7 +75,7 @@ class Which:
     probability: dict[str, float]
     by_class: dict[str, float]
     likely_set: list[str]
-    facts: Facts
+    summary: EvidenceSummary
     scores: Scores
     noise: Noise
     base: Refit
@@ -93,28 +93,30 @@ def prepare(
     plan: np.ndarray,
     seed: int,
     draws: int = DRAWS,
-    opinion: Opinion | None = None,
+    calibration: ProbabilityCalibration | None = None,
 ) -> Prepared:
     """Simulates null distributions and forms classes for a plan (s, m) of measurement."""
-    world = World(description, plan, packing_covariance(description))
-    null = simulate(world, seed, draws)
-    return Prepared(world, null, design_classes(world), opinion or Opinion())
+    generator = SampleGenerator(description, plan, packing_covariance(description))
+    null = simulate(generator, seed, draws)
+    return Prepared(
+        generator, null, design_classes(generator), calibration or ProbabilityCalibration()
+    )
 
 
-def design_classes(world: World) -> Classes:
+def design_classes(generator: SampleGenerator) -> Classes:
     """Classes of effects that this plan cannot tell apart."""
-    d = world.description
-    covariance = world.mean_covariance
+    d = generator.description
+    covariance = generator.mean_covariance
     design = project(np.zeros(len(d.mean)), d.base_slopes, d.prior_sd, d.effect_slopes, covariance)
     found = scores(design, d.effect_slopes, covariance)
     return classes(d.effect_names, found.confusability, d.one_sided, found.visibility)
 
 
-def diagnose(prepared: Prepared, measured: Measured) -> Which:
+def compare(prepared: Prepared, measured: Measured) -> Comparison:
     """Names the explanation of a sample's gap."""
     d = prepared.description
     inflation = prepared.null.inflation
-    noise, base = fitted_base(d, measured, prepared.world.packing, inflation)
+    noise, base = fitted_base(d, measured, prepared.generator.packing, inflation)
     here = replace(noise, mean=base.covariance)
     covariance = inflation * here.mean
     kernel = kernel_factors(d.features, noise.specimen)
@@ -135,11 +137,11 @@ def diagnose(prepared: Prepared, measured: Measured) -> Which:
     refits = all_fits(d, measured.mean, noise, inflation, base, first)
     found = first if d.emulator is None else _refined(prepared, noise, base, refits, first)
     best, p_after = _left(prepared, kernel, found, refits)
-    facts = Facts(d.effect_names, found, p_before, p_after)
+    summary = EvidenceSummary(d.effect_names, found, p_before, p_after)
     design = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, covariance)
     return _answer(
         prepared,
-        facts,
+        summary,
         scores=scores(design, base.effect_slopes, covariance),
         noise=noise,
         base=base,
@@ -168,7 +170,7 @@ def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Ev
 
 
 def _at(prepared, noise: Noise, fit: Refit) -> float:
-    """Evidence of a fit, with the noise at its own place."""
+    """Evidence of a fit, with the noise at its own location."""
     d, on = prepared.description, list(fit.chosen)
     return evidences.at_a_fit(
         fit.working,
@@ -203,31 +205,33 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
     return best, max(p_values)
 
 
-def _answer(prepared: Prepared, facts: Facts, refits: dict, best: tuple[int, ...], **rest) -> Which:
-    probability, by_class = stated(facts, prepared.classes, prepared.opinion)
-    verdict, value = named(by_class), facts.evidence.by_key()
+def _answer(
+    prepared: Prepared, summary: EvidenceSummary, refits: dict, best: tuple[int, ...], **rest
+) -> Comparison:
+    probability, by_class = probabilities(summary, prepared.classes, prepared.calibration)
+    verdict, value = likeliest_verdict(by_class), summary.evidence.by_key()
     size = verdict.count(TOGETHER) + 1
     of_verdict = [
         key for key in refits if len(key) == size
-        and label(prepared.classes, tuple(facts.names[k] for k in key)) == verdict
+        and label(prepared.classes, tuple(summary.names[k] for k in key)) == verdict
     ]  # fmt: skip
-    return Which(
+    return Comparison(
         verdict=verdict,
         refits=refits,
         best=max(of_verdict, key=lambda key: value[key]) if of_verdict else best,
         probability=probability,
         by_class=by_class,
-        likely_set=explanations(by_class, prepared.opinion.smallest),
-        facts=facts,
+        likely_set=explanations(by_class, prepared.calibration.smallest),
+        summary=summary,
         **rest,
     )
 
 
-def stated(
-    facts: Facts, classes_: Classes, opinion: Opinion
+def probabilities(
+    summary: EvidenceSummary, classes_: Classes, calibration: ProbabilityCalibration
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Probabilities by explanation and by class."""
-    every, values = hypotheses(facts), np.exp(log_probabilities(facts, opinion)).tolist()
+    every, values = hypotheses(summary), np.exp(log_probabilities(summary, calibration)).tolist()
     by_class: dict[str, float] = {}
     for hypothesis, p in zip(every, values, strict=True):
         name = label(classes_, hypothesis)
@@ -235,7 +239,7 @@ def stated(
     return dict(zip(map(TOGETHER.join, every), values, strict=True)), by_class
 
 
-def named(by_class: Mapping[str, float]) -> str:
+def likeliest_verdict(by_class: Mapping[str, float]) -> str:
     """The verdict: the likeliest explanation, if none is unlikely."""
     likeliest = max(by_class, key=lambda name: by_class[name])
     return likeliest if by_class[NONE] < NAMED_BELOW else NONE

@@ -17,16 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtr, owens_t
 
-from calibrate.discrepancy.comparison.discrepancy import (
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.comparison.projection import Projected, project
+from calibrate.discrepancy.comparison.unspecified_gap import (
     Factors,
     log_bayes_factor,
     projected,
     rough,
     spectrum,
 )
-from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.noise import Noise
-from calibrate.discrepancy.comparison.projection import Projected, project
 
 SCALES = (0.3, 1.0, 3.0)  # of the prior of a strength, in typical strengths
 NODES = 3  # of the quadrature over the scale of the noise

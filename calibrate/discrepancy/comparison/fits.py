@@ -1,6 +1,6 @@
 """Best fits of all explanations: none, each effect, pairs of the leading ones.
 
-Each is made with the noise at the base fit, then with that at its own place, and again where
+Each is made with the noise at the base fit, then with that at its own location, and again where
 that moves it, since an emulator knows least where an effect is strong.  A fit is weighed by the
 noise where it ends, not where it came from.
 """
@@ -15,7 +15,14 @@ from calibrate.discrepancy.comparison.evidence import Evidence
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise, estimate
 from calibrate.discrepancy.comparison.projection import fitted_shift, project
-from calibrate.discrepancy.comparison.refit import Refit, Start, hollows, refit, start_at, weighed
+from calibrate.discrepancy.comparison.refit import (
+    Refit,
+    Start,
+    local_minima,
+    refit,
+    start_at,
+    weighed,
+)
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import admissible, lengths
 
@@ -23,8 +30,8 @@ REFITTED = 3  # leading effects whose pairs are refitted
 BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
 # the base fit, which may be far off where an effect is strong, and with the prior's
 ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
-MOVES = 2  # of a fit, at most, to where the noise at its place leads
-HOLLOWS = 3  # different fits of one explanation that are weighed by their own noise
+MOVES = 2  # of a fit, at most, to where the noise at its location leads
+MINIMA = 3  # different fits of one explanation that are weighed by their own noise
 
 Fits = dict[tuple[int, ...], Refit]
 
@@ -108,9 +115,9 @@ class _Fitter:
 
     def likeliest(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
         """The likeliest of the best fits from some starts, each weighed by the noise at its own
-        place, and moved to where this leads while that is likelier."""
+        location, and moved to where this leads while that is likelier."""
         covariance = self.inflation * self.noise.mean
-        found = hollows(self.d, self.measured, covariance, key, starts)[:HOLLOWS]
+        found = local_minima(self.d, self.measured, covariance, key, starts)[:MINIMA]
         best = min((self._weighed(fit) for fit in found), key=self._unlikely)
         for _ in range(MOVES if self.d.emulator is not None else 0):
             start, own = (best.delta, best.strengths), self.inflation * best.covariance

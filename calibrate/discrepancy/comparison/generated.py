@@ -13,18 +13,18 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.discrepancy import kernel_factors
-from calibrate.discrepancy.comparison.features import TESTS, tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import PRIOR_SD_LN_AMPLITUDE
 from calibrate.discrepancy.comparison.outliers import robust, scatter_of
 from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.comparison.score import lengths
+from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
+from calibrate.discrepancy.features.curves import TESTS, tests_of
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class SampleGenerator:
     """Where the description is true.
 
     plan (s, m): which specimen has which feature; packing (m, m): covariance of simulated
@@ -66,11 +66,13 @@ class World:
         count = len(self.plan)
         packings = self._amplitude(rng) * self._packings(rng, count)
         values = mean + packings + normal(rng, self.other_root, count)
-        return robust(from_vectors(d.features, np.where(self.plan, values, np.nan)), self._seen)
+        return robust(
+            from_vectors(d.features, np.where(self.plan, values, np.nan)), self._outlier_scatter
+        )
 
     @cached_property
-    def _seen(self) -> np.ndarray:
-        """Covariance (m, m) by which odd specimens are told."""
+    def _outlier_scatter(self) -> np.ndarray:
+        """Covariance (m, m) by which outliers are detected."""
         return scatter_of(self.description)
 
     def _amplitude(self, rng: np.random.Generator) -> np.ndarray:
@@ -119,8 +121,8 @@ class World:
     @cached_property
     def mean_covariance(self) -> np.ndarray:
         """Covariance (m, m) of measured minus simulated mean."""
-        known = self.plan.astype(float)
-        shared = known.T @ known
+        planned = self.plan.astype(float)
+        shared = planned.T @ planned
         weights = shared / np.outer(np.diag(shared), np.diag(shared))
         return (
             self.specimen * weights

@@ -13,13 +13,13 @@ from typing import Protocol
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import Feature
+from calibrate.discrepancy.features.base import Feature
 
 KINDS = ("contact", "measuring", "specimen", "numerical")
 
 
 @dataclass(frozen=True)
-class Effect:
+class EffectCandidate:
     """A candidate: its name, whether its strength can only be positive, the strength that
     is typical (in `unit`), what it would change (one of `KINDS`), and how many typical strengths
     the simulations reach to."""
@@ -61,7 +61,7 @@ class Linearised:
     base_names: tuple[str, ...]
     base_slopes: np.ndarray
     prior_sd: np.ndarray
-    effects: tuple[Effect, ...]
+    effects: tuple[EffectCandidate, ...]
     effect_slopes: np.ndarray
     packing_residuals: np.ndarray
     mean_specimens: int
@@ -147,7 +147,7 @@ def simple(
     features: Sequence[Feature],
     mean: np.ndarray,
     base: dict[str, tuple[np.ndarray, float]],
-    effects: Sequence[tuple[Effect, np.ndarray]],
+    effects: Sequence[tuple[EffectCandidate, np.ndarray]],
     packing_residuals: np.ndarray,
     mean_specimens: int | None = None,
 ) -> Linearised:

@@ -1,4 +1,4 @@
-"""Where does the gap lie?  Residuals of the best base fit, by test and by segment.
+"""Where the gap lies.  Residuals of the best base fit, by test and by segment.
 
     r = y - f(delta)      Cov r = V Sigma^-1 ... = (I - H) V (I - H)',  V = Sigma + B P B'
 
@@ -16,18 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, stats
 
-from calibrate.discrepancy.comparison.features import segments_of, tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.features.curves import segments_of, tests_of
 
 LEVEL = 0.95
 SIMULATED = 2000
 
 
 @dataclass(frozen=True)
-class Segment:
+class SegmentResidual:
     """A segment's mean residual, measured minus simulated, in its unit and over its standard
     error (z); whether it leaves the simultaneous band; its share of the misfit with an
     interval, and the share it would have by chance."""
@@ -60,20 +60,20 @@ class CrossTest:
 
 
 @dataclass(frozen=True, eq=False)
-class Where:
+class Localisation:
     """Residual (m,) with standard error and half-width of the simultaneous band (m,), by
     segment, and across tests."""
 
     residual: np.ndarray
     deviation: np.ndarray
     band: np.ndarray
-    segments: tuple[Segment, ...]
+    segments: tuple[SegmentResidual, ...]
     across: tuple[CrossTest, ...]
 
 
-def where(
+def localise(
     description: Linearised, measured: Measured, noise: Noise, base: Refit, seed: int
-) -> Where:
+) -> Localisation:
     """Locates the gap of a sample, given its base fit."""
     rng = np.random.default_rng(seed)
     prior = np.diag(description.prior_sd**2)
@@ -83,7 +83,7 @@ def where(
     residual = measured.mean - base.values
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     critical = sup_t(covariance, freedom_of(measured), rng)
-    return Where(
+    return Localisation(
         residual,
         deviation,
         critical * deviation,
@@ -166,7 +166,7 @@ def _segments(description, working, residual, covariance, marginal, critical, rn
             low, high = np.quantile(drawn[:, rows].sum(axis=1), [0.05, 0.95])
             edge = critical * np.sqrt(np.diag(covariance)[rows])
             found.append(
-                Segment(
+                SegmentResidual(
                     test=test,
                     segment=segment,
                     gap=gap,

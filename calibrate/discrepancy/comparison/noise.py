@@ -4,7 +4,7 @@
     Sigma = S(a) * shared/(n n') + S_packing / n_mean + slope errors + W W'
 
 S_packing comes from simulated specimens, as factors and a diagonal or shrunk towards its
-diagonal, whichever predicts left-out specimens best.  From repeats come the amplitudes a, one
+diagonal, whichever predicts held-out specimens best.  From repeats come the amplitudes a, one
 for each test (restricted likelihood with a log-normal prior about 1), and then, along each
 principal direction of a test's S by itself, a factor on the variance:
 
@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from calibrate.discrepancy.comparison.features import tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, Scatter
+from calibrate.discrepancy.features.curves import tests_of
 
 PRIOR_SD_LN_AMPLITUDE = 0.25
 FOLDS = 5
@@ -89,7 +89,7 @@ class Noise:
 
 
 def best_shape(samples: np.ndarray, shapes: Sequence[Shape] = SHAPES) -> Shape:
-    """The shape that predicts left-out specimens best (cross-validated normal likelihood).
+    """The shape that predicts held-out specimens best (cross-validated normal likelihood).
 
     samples: (n, m), centred.  Features that never vary are ignored.
     """
@@ -147,8 +147,8 @@ def _as_repeats_scatter(specimen: np.ndarray, tests: np.ndarray, measured: Measu
         deviation = np.sqrt(np.diag(block))
         values, axes = np.linalg.eigh(block / np.outer(deviation, deviation))
         standard = scatter.products / np.outer(deviation, deviation)
-        seen = np.einsum("ij,ik,kj->j", axes, standard, axes) / np.maximum(values, SMALLEST)
-        factor = (PRIOR_FREEDOM + seen) / (PRIOR_FREEDOM + scatter.freedom)
+        observed = np.einsum("ij,ik,kj->j", axes, standard, axes) / np.maximum(values, SMALLEST)
+        factor = (PRIOR_FREEDOM + observed) / (PRIOR_FREEDOM + scatter.freedom)
         turned = (axes * np.sqrt(factor)) @ axes.T
         change[np.ix_(mine, mine)] = deviation[:, None] * turned / deviation
     return change @ specimen @ change.T
@@ -170,10 +170,10 @@ def amplitude_of(
         common, rest = lead.T @ scattering @ lead, lead.T @ fixed @ lead
         ratio, basis = linalg.eigh(common, rest + 1e-9 * np.trace(common) * np.eye(len(rest)))
         basis = lead @ basis
-        seen = np.einsum("ij,ik,kj->j", basis, scatter.products, basis)
+        observed = np.einsum("ij,ik,kj->j", basis, scatter.products, basis)
         variance = np.exp(2 * GRID)[:, None] * np.maximum(ratio, 0) + 1
         log_posterior = log_posterior - 0.5 * (
-            scatter.freedom * np.log(variance) + seen / variance
+            scatter.freedom * np.log(variance) + observed / variance
         ).sum(axis=1)
     weight = np.exp(log_posterior - log_posterior.max())
     weight /= weight.sum()
@@ -194,11 +194,11 @@ def slope_error(
     return np.einsum("ip,p,jp->ij", errors, delta_variance, errors) * correlation
 
 
-def _log_likelihood(shape: Shape, seen: np.ndarray, left_out: np.ndarray) -> float:
-    middle = seen.mean(axis=0)
+def _log_likelihood(shape: Shape, observed: np.ndarray, held_out: np.ndarray) -> float:
+    middle = observed.mean(axis=0)
     try:
-        lower = np.linalg.cholesky(shape.of(seen - middle))
+        lower = np.linalg.cholesky(shape.of(observed - middle))
     except np.linalg.LinAlgError:
         return -np.inf
-    white = linalg.solve_triangular(lower, (left_out - middle).T, lower=True)
-    return float(-0.5 * (white**2).sum() - len(left_out) * np.log(np.diag(lower)).sum())
+    white = linalg.solve_triangular(lower, (held_out - middle).T, lower=True)
+    return float(-0.5 * (white**2).sum() - len(held_out) * np.log(np.diag(lower)).sum())

@@ -12,13 +12,14 @@ millimetres later than others; its mean with three good ones would look like a g
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import BEFORE, TESTS, tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
+from calibrate.discrepancy.features.base import BEFORE
+from calibrate.discrepancy.features.curves import TESTS, tests_of
 
 FREEDOM = 4.0  # nu
 CARRYING = 0.98  # of the scatter's variance
-FEWEST = 3  # specimens among which one can be told to be odd
+FEWEST = 3  # specimens among which an outlier can be detected
 ROUNDS = 10
 
 
@@ -48,14 +49,14 @@ def weights(rows: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     values, axes = np.linalg.eigh(scatter / np.outer(deviation, deviation))
     kept = int(np.searchsorted(np.cumsum(values[::-1]), CARRYING * values.sum())) + 1
     axes, values = axes[:, ::-1][:, :kept], values[::-1][:kept]
-    standard, known = rows / deviation, np.isfinite(rows)
-    freedom, count = known.mean(axis=1) * len(values), len(rows)
+    standard, observed = rows / deviation, np.isfinite(rows)
+    freedom, count = observed.mean(axis=1) * len(values), len(rows)
     middle, found = np.nanmedian(standard, axis=0), np.ones(count)
     for _ in range(ROUNDS):
-        away = np.where(known, standard - middle, 0.0) @ axes
+        away = np.where(observed, standard - middle, 0.0) @ axes
         squared = (away**2 / values).sum(axis=1) * count / (count - 1)
         wide = max(float(np.median(squared / freedom)), 1.0)
         found = np.minimum((FREEDOM + freedom) / (FREEDOM + squared / wide), 1.0)
-        heavy = found[:, None] * known
-        middle = np.where(known, heavy * standard, 0.0).sum(axis=0) / heavy.sum(axis=0)
+        heavy = found[:, None] * observed
+        middle = np.where(observed, heavy * standard, 0.0).sum(axis=0) / heavy.sum(axis=0)
     return found

@@ -7,12 +7,12 @@
 
 Probabilities are their softmax.  p is the p-value of what the best effect and the best pair leave,
 B the evidence of an explanation over that of none (`evidence`), g says that a large gap is oftener
-one from outside the library, whose effects only reach so far.  Evidence leans on a bank that is
-wrong in ways nobody knows: t says how much it is worth, s that differences of more than c are
-worth less, the a are prior odds, and the habits h of effects say which of them evidence speaks for
-too readily or too seldom, and how often each was there.  All are fitted by their logarithmic score
-to withheld cases whose seal has been opened (`fitted`, `benchmarks/opinion.py`), pulled towards
-evidences as they are; so what is stated has the prior of these cases.  Temperature and bias
+one outside the library of effects, which only reach so far.  Evidence rests on simulations that are
+wrong in unknown ways: t is the temperature, s damps differences of more than c, the a are prior
+odds, and the class biases h say which effects the evidence favours too much or too little, and how
+often each was there.  All are fitted by their logarithmic score to withheld cases whose seal has
+been opened (`fit_calibration`, `benchmarks/opinion.py`), pulled towards evidences as they are; so
+probabilities have the prior of these cases.  Temperature and bias
 scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
 """
 
@@ -30,11 +30,11 @@ from calibrate.discrepancy.comparison.evidence import Evidence
 
 NONE, UNKNOWN = "none", "unknown"
 ALPHA = 0.05  # of a test for a gap
-LEARNED = "opinion.json"  # beside this file
+BUNDLED = "probability_calibration.json"  # beside this file
 MUCH = 3.0  # c: difference of ln evidences, beyond which more of it counts less
 ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them decides alone
 PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about their neutral values
-HABIT_SD = 1.2
+CLASS_BIAS_SD = 1.2
 SHARPEST, DULLEST = 2.0, 0.05  # t
 NAMED_BELOW = 0.25  # probability of no gap: alarms in 4 % of opened nulls, by the other folds
 HOPELESS = -1e6  # ln evidence of what could not be fitted
@@ -42,8 +42,8 @@ ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
 
 @dataclass(frozen=True)
-class Opinion:
-    """t, the three a, d, g and the habits by effect (0 where not listed); `smallest` is the
+class ProbabilityCalibration:
+    """t, the three a, d, g and the class biases by effect (0 where not listed); `smallest` is the
     least probability of a member of the set of explanations.  Neutral: evidences as they are."""
 
     sharpness: float = 1.0
@@ -52,18 +52,18 @@ class Opinion:
     unknown: float = -1.0
     left_over: float = 0.0
     large: float = 0.0
-    habits: Mapping[str, float] = field(default_factory=dict)
+    class_bias: Mapping[str, float] = field(default_factory=dict)
     smallest: float = 0.1
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """t, a1, a2, a3, d, g and the habits of these effects (6 + k,)."""
+        """t, a1, a2, a3, d, g and the class biases of these effects (6 + k,)."""
         kinds = (self.single, self.pair, self.unknown)
-        habits = (self.habits.get(name, 0.0) for name in names)
-        return np.array([self.sharpness, *kinds, self.left_over, self.large, *habits])
+        class_bias = (self.class_bias.get(name, 0.0) for name in names)
+        return np.array([self.sharpness, *kinds, self.left_over, self.large, *class_bias])
 
 
 @dataclass(frozen=True, eq=False)
-class Facts:
+class EvidenceSummary:
     """What is known of a gap: evidence for the effects `names`, the p-value of the test for any
     gap, and the larger of those of the tests after the best effect and after the best pair."""
 
@@ -73,37 +73,39 @@ class Facts:
     p_after: float
 
 
-def hypotheses(facts: Facts) -> list[tuple[str, ...]]:
+def hypotheses(summary: EvidenceSummary) -> list[tuple[str, ...]]:
     """Explanations in the order of their scores: none, effects, pairs, unknown."""
-    pairs = [(facts.names[i], facts.names[j]) for i, j in facts.evidence.pair_index]
-    return [(NONE,), *((name,) for name in facts.names), *pairs, (UNKNOWN,)]
+    pairs = [(summary.names[i], summary.names[j]) for i, j in summary.evidence.pair_index]
+    return [(NONE,), *((name,) for name in summary.names), *pairs, (UNKNOWN,)]
 
 
-def log_probabilities(facts: Facts, opinion: Opinion) -> np.ndarray:
+def log_probabilities(summary: EvidenceSummary, calibration: ProbabilityCalibration) -> np.ndarray:
     """ln of the probability of each of the `hypotheses`."""
-    columns, share = _table(facts, facts.names)
-    score = columns @ opinion.numbers(facts.names) + share
+    columns, share = _table(summary, summary.names)
+    score = columns @ calibration.numbers(summary.names) + share
     return score - logsumexp(score)
 
 
 @cache
-def learned() -> Opinion:
+def bundled_calibration() -> ProbabilityCalibration:
     """The one that comes with the package."""
-    text = (resources.files("calibrate.discrepancy.comparison") / LEARNED).read_text(
+    text = (resources.files("calibrate.discrepancy.comparison") / BUNDLED).read_text(
         encoding="utf-8"
     )
-    return Opinion(**json.loads(text)["opinion"])
+    return ProbabilityCalibration(**json.loads(text)["calibration"])
 
 
-def fitted(cases: Sequence[Facts], truths: Sequence[np.ndarray]) -> Opinion:
-    """The opinion with the best logarithmic score on cases.
+def fit_calibration(
+    cases: Sequence[EvidenceSummary], truths: Sequence[np.ndarray]
+) -> ProbabilityCalibration:
+    """The probability calibration with the best logarithmic score on cases.
 
     truths: for each case a mask over its `hypotheses`: those that would be right.
     """
-    names = tuple(dict.fromkeys(name for facts in cases for name in facts.names))
-    columns, share, right = _stacked([_table(facts, names) for facts in cases], truths)
-    neutral = Opinion().numbers(names)
-    pull = np.array([*PULL_SD, *[HABIT_SD] * len(names)])
+    names = tuple(dict.fromkeys(name for summary in cases for name in summary.names))
+    columns, share, right = _stacked([_table(summary, names) for summary in cases], truths)
+    uncalibrated = ProbabilityCalibration().numbers(names)
+    pull = np.array([*PULL_SD, *[CLASS_BIAS_SD] * len(names)])
 
     def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
         score = columns @ numbers + share
@@ -111,28 +113,28 @@ def fitted(cases: Sequence[Facts], truths: Sequence[np.ndarray]) -> Opinion:
         of_truth = (p * right).sum(axis=1)
         foreseen = ODD + (1 - ODD) * of_truth
         slope = ((1 - ODD) / foreseen)[:, None] * p * (right - of_truth[:, None])
-        away = (numbers - neutral) / pull
+        away = (numbers - uncalibrated) / pull
         value = 0.5 * away @ away - np.log(foreseen).sum()
         return float(value), away / pull - np.einsum("nh,nhj->j", slope, columns)
 
     free, positive = (None, None), (0.0, None)
     bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 2, *[free] * len(names)]
-    found = minimize(loss, neutral, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
-    return Opinion(*found[:6], habits=dict(zip(names, found[6:], strict=True)))
+    found = minimize(loss, uncalibrated, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
+    return ProbabilityCalibration(*found[:6], class_bias=dict(zip(names, found[6:], strict=True)))
 
 
-def _table(facts: Facts, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _table(summary: EvidenceSummary, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """What each hypothesis' score is linear in, shape (h, 6 + k), and ln of its share (h,) in the
     prior of its kind."""
-    found = facts.evidence
+    found = summary.evidence
     raw = np.concatenate([[0.0], found.singles, found.pairs, [found.unknown]])
     raw = np.where(np.isfinite(raw), raw, HOPELESS)
     count = (len(found.singles), len(found.pairs))
     kind = np.repeat([0, 1, 2, 3], [1, *count, 1])
     kinds = kind[:, None] == np.array([1, 2, 3])
-    left = float(facts.p_after < ALPHA)
+    left = float(summary.p_after < ALPHA)
     outside = (kind == 3)[:, None] * np.array([left, np.log1p(raw.max())])
-    inside = np.array([[name in h for name in names] for h in hypotheses(facts)], float)
+    inside = np.array([[name in h for name in names] for h in hypotheses(summary)], float)
     behind = MUCH * np.arcsinh((raw.max() - raw) / MUCH)
     columns = np.column_stack([-behind, kinds, outside, inside.reshape(len(raw), -1)])
     share = np.array([1, max(count[0], 1), max(count[1], 1), 1], float)

@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from calibrate.discrepancy.comparison.discrepancy import kernel_factors
-from calibrate.discrepancy.comparison.features import CONFINED, tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit, refit
 from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
+from calibrate.discrepancy.features.curves import TEST_FEATURES, tests_of
 
 WIDEST = 0.3  # of an interval (90 %), for a shrinkage to be claimed
 SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing
@@ -37,7 +37,7 @@ SMOOTH_AMPLITUDE = 2.0  # scatters of a specimen, of the smooth gap in the conta
 
 
 @dataclass(frozen=True)
-class HowFar:
+class Reduction:
     """E before and after, the floor, the shrinkage with an interval (90 %), the shrinkage on
     specimens left out (None with fewer than two), and the ceilings of the shrinkage."""
 
@@ -47,23 +47,23 @@ class HowFar:
     shrinkage: float
     low: float
     high: float
-    left_out: float | None
+    cross_validated: float | None
     ceilings: dict[str, float]
 
     @property
-    def shown(self) -> bool:
+    def reportable(self) -> bool:
         """Whether the data can show the shrinkage."""
-        return is_shown(self.low, self.high)
+        return is_reportable(self.low, self.high)
 
 
-def how_far(
+def estimate_reduction(
     description: Linearised,
     measured: Measured,
     noise: Noise,
     base: Refit,
     best: Refit,
     seed: int,
-) -> HowFar:
+) -> Reduction:
     """The shrinkage by one refit, given the base fit."""
     rng = np.random.default_rng(seed)
     weight = feature_weights(description, noise)
@@ -75,20 +75,20 @@ def how_far(
         name: max(shrinkage(before, _span_gap(base, measured, noise, columns, weight)), value)
         for name, columns in _spans(description, measured, noise, base).items()
     }
-    left_out = _left_out(description, measured, noise, (base, best), weight)
-    return HowFar(
+    cross_validated = _cross_validated(description, measured, noise, (base, best), weight)
+    return Reduction(
         before=_error(before),
         after=_error(after),
         floor=1.0,
         shrinkage=value,
         low=float(low),
         high=float(high),
-        left_out=left_out,
+        cross_validated=cross_validated,
         ceilings=ceilings,
     )
 
 
-def is_shown(low: float, high: float) -> bool:
+def is_reportable(low: float, high: float) -> bool:
     """Whether an interval is narrow enough for a shrinkage to be claimed."""
     return high - low <= WIDEST
 
@@ -116,12 +116,6 @@ def shrinkage(before: float, after: float) -> float:
     if possible < SMALLEST_GAP:
         return 0.0
     return float(np.clip((_error(before) - _error(after)) / possible, -1.0, 1.0))
-
-
-def fresh_gap(values: np.ndarray, fresh: np.ndarray, weight: np.ndarray) -> float:
-    """d^2 of simulated values (m,) against the mean of many fresh specimens (n, m), NaN
-    where not measured."""
-    return float(weight @ (np.nanmean(fresh, axis=0) - values) ** 2)
 
 
 def _error(gap: float) -> float:
@@ -172,7 +166,7 @@ def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
     return np.array(drawn)
 
 
-def _left_out(description, measured, noise, fits, weight) -> float | None:
+def _cross_validated(description, measured, noise, fits, weight) -> float | None:
     """Shrinkage on specimens left out of the fits, one after the other."""
     specimens = measured.specimens
     tests = tests_of(description.features)
@@ -183,12 +177,12 @@ def _left_out(description, measured, noise, fits, weight) -> float | None:
     for number, specimen in enumerate(specimens):
         rest = measured.without(number)
         fewer = noise.specimen * (rest.weights() - measured.weights())
-        known = np.isfinite(specimen)
-        share = measured.weight[number] / total[known].max()
+        observed = np.isfinite(specimen)
+        share = measured.weight[number] / total[observed].max()
         for i, whole in enumerate(fits):
             covariance, start = whole.covariance + fewer, (whole.delta, whole.strengths)
             fit = refit(description, rest.mean, covariance, whole.chosen, start)
-            error = np.where(known, specimen - fit.values, 0.0)
+            error = np.where(observed, specimen - fit.values, 0.0)
             sums[i] += share * weight @ error**2
     return shrinkage(float(sums[0] - 1), float(sums[1] - 1))
 
@@ -208,25 +202,23 @@ def distortions(description: Linearised, measured: Measured) -> np.ndarray:
     """What smooth distortions of displacement (0.1 mm) and of force (5 %) along force do to
     the features, shape (m, 2 q): the same distortion acts in both tests."""
     features, mean = description.features, measured.mean
-    high = max((f.scale for f in features if f.test == CONFINED), default=1.0)
-    force = np.array(
-        [f.abscissa if f.test == CONFINED else v for f, v in zip(features, mean, strict=True)]
-    )
+    at_forces = np.array([TEST_FEATURES[f.test].read_at_forces for f in features])
+    high = max((f.scale for f, on in zip(features, at_forces, strict=True) if on), default=1.0)
+    force = np.where(at_forces, [f.abscissa for f in features], mean)
     slope = _slopes(description, mean)
     columns = []
     for centre in CENTRES:
         bump = np.exp(-0.5 * ((force / high - centre) / 0.2) ** 2)
         step = 1 / (1 + np.exp(-(force / high - centre) / 0.05))
-        confined = np.array([f.test == CONFINED for f in features])
-        columns.append(np.where(confined, 0.1 * step, -0.1 * slope * step))
-        columns.append(np.where(confined, -0.05 * force * bump * slope, 0.05 * force * bump))
+        columns.append(np.where(at_forces, 0.1 * step, -0.1 * slope * step))
+        columns.append(np.where(at_forces, -0.05 * force * bump * slope, 0.05 * force * bump))
     return np.array(columns).T
 
 
 def _slopes(description: Linearised, mean: np.ndarray) -> np.ndarray:
     """d value/d abscissa (m,) along each branch; 0 for features that stand alone."""
     slope = np.zeros(len(mean))
-    for kind in ("loading", "unloading", "crushing"):
+    for kind in (kind for test in TEST_FEATURES.values() for kind in test.branches):
         rows = np.array([i for i, f in enumerate(description.features) if f.kind == kind], int)
         if len(rows) > 1:
             at = np.array([description.features[i].abscissa for i in rows])

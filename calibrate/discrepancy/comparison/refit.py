@@ -6,7 +6,7 @@ over the base parameters' shift delta and at most two strengths, which stay posi
 effect is one-sided.  One step of Gauss and Newton, which ends a linear problem, then L-BFGS-B
 (Byrd, Lu, Nocedal and Zhu 1995, SIAM J. Sci. Comput. 16, 1190) in coordinates in which the
 linearised problem is round: steps of Gauss and Newton alone leave out the curvature
-of f, and creep from one side of a bent valley to the other.  Objectives may have several hollows:
+of f, and creep from one side of a bent valley to the other.  Objectives may have several minima:
 the best of a few starts is taken.
 """
 
@@ -25,7 +25,7 @@ STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running awa
 ROUNDS = 20  # most, each in coordinates of its own
 STEPS = 80  # most in a round
 HALVINGS = 4
-SAME = 0.1  # typical strengths, or prior deviations, by which fits in one hollow may differ
+SAME = 0.1  # typical strengths, or prior deviations, by which fits in one minimum may differ
 DONE = 1e-2  # fall of the objective that is not worth another round
 FLAT = 1e-4  # fall in a step that ends a round
 REACH = 5.0  # standard deviations about a point, beside its misfit, within which its bottom lies
@@ -62,7 +62,7 @@ def start_at(
     return np.zeros(len(description.prior_sd)) if delta is None else delta, strengths
 
 
-def hollows(
+def local_minima(
     description: Linearised,
     measured: np.ndarray,
     covariance: np.ndarray,
@@ -189,17 +189,17 @@ class _Problem:
         origin = np.concatenate([point.delta, point.strengths[on]])
         first = round_.into(origin)
 
-        def there(place: np.ndarray) -> Refit:
-            both, strengths = round_.back(place), np.zeros_like(point.strengths)
+        def there(location: np.ndarray) -> Refit:
+            both, strengths = round_.back(location), np.zeros_like(point.strengths)
             strengths[on] = both[p:]
             return self.at(both[:p], strengths)
 
-        def objective(place: np.ndarray) -> tuple[float, np.ndarray]:
+        def objective(location: np.ndarray) -> tuple[float, np.ndarray]:
             with np.errstate(over="ignore", invalid="ignore"):
-                trial = there(place)
+                trial = there(location)
                 slope = self._slope(trial)
             good = np.isfinite(trial.objective) and np.isfinite(slope).all()
-            return (trial.objective, round_.turned(slope)) if good else (ABSURD, 0.0 * place)
+            return (trial.objective, round_.turned(slope)) if good else (ABSURD, 0.0 * location)
 
         reach = REACH + np.sqrt(point.objective)
         bounds = np.column_stack([first - reach, first + reach])
@@ -255,10 +255,10 @@ class _Round:
         shift = both[:p] + self.mixed @ both[p:]
         return np.concatenate([self.lower.T @ shift, self.scale * both[p:]])
 
-    def back(self, place: np.ndarray) -> np.ndarray:
+    def back(self, location: np.ndarray) -> np.ndarray:
         p = len(self.lower)
-        strengths = place[p:] / self.scale
-        shift = solve_triangular(self.lower.T, place[:p], lower=False)
+        strengths = location[p:] / self.scale
+        shift = solve_triangular(self.lower.T, location[:p], lower=False)
         return np.concatenate([shift - self.mixed @ strengths, strengths])
 
     def turned(self, slope: np.ndarray) -> np.ndarray:

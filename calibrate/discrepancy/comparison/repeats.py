@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import TESTS, Curves, Feature, tests_of, vector
+from calibrate.discrepancy.features.base import Curves, Feature
+from calibrate.discrepancy.features.curves import TESTS, feature_values, tests_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,9 @@ class Measured:
 
 def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Measured:
     """The sample of specimens with one or both curves each."""
-    return from_vectors(features, np.array([vector(features, curves) for curves in specimens]))
+    return from_vectors(
+        features, np.array([feature_values(features, curves) for curves in specimens])
+    )
 
 
 def from_vectors(
@@ -66,15 +69,15 @@ def from_vectors(
 
     ValueError if a feature was never measured: use `measured_features` first.
     """
-    known = np.isfinite(specimens)
-    missing = [f.name for i, f in enumerate(features) if not known[:, i].any()]
+    observed = np.isfinite(specimens)
+    missing = [f.name for i, f in enumerate(features) if not observed[:, i].any()]
     if missing:
         raise ValueError(f"never measured: {missing[0]}; drop it with measured_features")
     weight = np.ones(len(specimens)) if weight is None else weight
-    heavy = weight[:, None] * known
+    heavy = weight[:, None] * observed
     total, squares = heavy.sum(axis=0), heavy.T @ heavy
     counts = total**2 / np.diag(squares)
-    mean = np.where(known, heavy * specimens, 0.0).sum(axis=0) / total
+    mean = np.where(observed, heavy * specimens, 0.0).sum(axis=0) / total
     scatter = {
         test: found
         for test in TESTS
@@ -106,7 +109,7 @@ def measured_features(
     """Those features that every specimen with a curve of their test has; values (s, m) of all, if
     they are known already."""
     if values is None:
-        values = np.array([vector(features, curves) for curves in specimens])
+        values = np.array([feature_values(features, curves) for curves in specimens])
     has_test = np.array([[f.test in curves for f in features] for curves in specimens])
     complete = np.isfinite(values) | ~has_test
     return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())

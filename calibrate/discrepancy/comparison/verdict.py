@@ -11,20 +11,20 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from calibrate.discrepancy.comparison.classes import SEPARABLE
-from calibrate.discrepancy.comparison.compare import Prepared, Which
-from calibrate.discrepancy.comparison.localise import Where
+from calibrate.discrepancy.comparison.compare import Comparison, Prepared
+from calibrate.discrepancy.comparison.localise import Localisation
 from calibrate.discrepancy.comparison.next_test import Proposal
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.reduction import HowFar
+from calibrate.discrepancy.comparison.reduction import Reduction
 from calibrate.discrepancy.comparison.score import admissible
 
 BIG = 0.3  # typical strengths; smaller is trivial
 SIGNIFICANT = 1.96  # of |z|; 1.64 for one-sided effects
-SHOWN = 0.005  # smallest probability of a pair that is listed
+REPORTED = 0.005  # smallest probability of a pair that is listed
 
 
 @dataclass(frozen=True)
-class Report:
+class EffectEstimate:
     """One effect by itself; strengths in its own unit."""
 
     name: str
@@ -36,12 +36,12 @@ class Report:
     visibility: float
 
 
-def reports(prepared: Prepared, which: Which) -> list[Report]:
-    """Every effect of the library, by falling score."""
-    found, d = which.scores, prepared.description
+def effect_estimates(prepared: Prepared, comparison: Comparison) -> list[EffectEstimate]:
+    """Every candidate effect, by falling score."""
+    found, d = comparison.scores, prepared.description
     score = admissible(found.z, d.one_sided)
     rows = [
-        Report(
+        EffectEstimate(
             name=effect.name,
             status=status(
                 float(score[k]),
@@ -69,9 +69,9 @@ def status(score: float, one_sided: bool, strength: float, typical_snr: float) -
 
 def as_json(
     prepared: Prepared,
-    where: Where,
-    which: Which,
-    far: HowFar | None,
+    localisation: Localisation,
+    comparison: Comparison,
+    reduction: Reduction | None,
     proposals: list[Proposal],
 ) -> dict:
     """The keys where, which, how_far and next_test."""
@@ -88,7 +88,7 @@ def as_json(
                 "share_interval": [s.share_low, s.share_high],
                 "share_by_chance": s.share_by_chance,
             }
-            for s in where.segments
+            for s in localisation.segments
         ],
         "across_tests": [
             {
@@ -97,52 +97,52 @@ def as_json(
                 "factor": c.factor,
                 "factor_se": c.factor_se,
             }
-            for c in where.across
+            for c in localisation.across
         ],
-        "which": _which(prepared, which),
-        "how_far": _how_far(far),
-        "next_test": _next(which, proposals),
+        "which": _which(prepared, comparison),
+        "how_far": _how_far(reduction),
+        "next_test": _next(comparison, proposals),
     }
 
 
-def _which(prepared: Prepared, which: Which) -> dict:
-    single = {n: which.probability[n] for n in which.facts.names}
-    ends = {n: which.probability[n] for n in (NONE, UNKNOWN)}
+def _which(prepared: Prepared, comparison: Comparison) -> dict:
+    single = {n: comparison.probability[n] for n in comparison.summary.names}
+    ends = {n: comparison.probability[n] for n in (NONE, UNKNOWN)}
     pairs = {
         n: p
-        for n, p in which.probability.items()
-        if n not in single and n not in ends and p >= SHOWN
+        for n, p in comparison.probability.items()
+        if n not in single and n not in ends and p >= REPORTED
     }
     return {
-        "verdict": which.verdict,
+        "verdict": comparison.verdict,
         "probability": {**single, **pairs, **ends},
-        "probability_by_class": which.by_class,
-        "likely_set": which.likely_set,
+        "probability_by_class": comparison.by_class,
+        "likely_set": comparison.likely_set,
         "alike": prepared.classes.alike(),
         "absorbed_by_calibration": list(prepared.classes.absorbed),
-        "p_gap": which.facts.p_before,
-        "p_left_after_best": which.facts.p_after,
-        "effects": [asdict(report) for report in reports(prepared, which)],
+        "p_gap": comparison.summary.p_before,
+        "p_left_after_best": comparison.summary.p_after,
+        "effects": [asdict(report) for report in effect_estimates(prepared, comparison)],
     }
 
 
-def _how_far(far: HowFar | None) -> dict | None:
-    if far is None:
+def _how_far(reduction: Reduction | None) -> dict | None:
+    if reduction is None:
         return None
     return {
-        "before": far.before,
-        "after": far.after,
-        "floor": far.floor,
-        "shrinkage": far.shrinkage,
-        "interval": [far.low, far.high],
-        "shown": far.shown,
-        "shrinkage_left_out": far.left_out,
-        "ceiling": far.ceilings,
+        "before": reduction.before,
+        "after": reduction.after,
+        "floor": reduction.floor,
+        "shrinkage": reduction.shrinkage,
+        "interval": [reduction.low, reduction.high],
+        "shown": reduction.reportable,
+        "shrinkage_left_out": reduction.cross_validated,
+        "ceiling": reduction.ceilings,
     }
 
 
-def _next(which: Which, proposals: list[Proposal]) -> dict | None:
-    if not proposals or which.verdict == NONE:
+def _next(comparison: Comparison, proposals: list[Proposal]) -> dict | None:
+    if not proposals or comparison.verdict == NONE:
         return None
     best = proposals[0]
     return {

@@ -1,4 +1,4 @@
-"""A bank of simulations, made once and shared by all diagnoses of soils of one kind.
+"""A library of runs, made once and shared by all diagnoses of soils of one kind.
 
 `design` says which soils, settings and effects are simulated on which packings, `simulate`
 runs them (resumable) and keeps every feature of every curve, `emulator` interpolates values and

@@ -1,14 +1,14 @@
-"""What an emulator misses, seen on packings left out in turn: how much too sure it is.
+"""Errors of the emulator by cross-validation: packings are left out in turn, in blocks.
 
-    e = y - f(x, s)        of a left-out row, in a standardised component
-    e ~ N(0, w v(x, s) + q n)        n = packing + twin + rest
+    e = y - f(x, s)        of a held-out row, in a standardised component
+    e ~ N(0, w v(x, s) + q n)        n = packing + soil block + rest
 
 w widens the variance v that the process states of itself, q the scatter n of specimens; both
 by maximum likelihood over rows with at most one effect, w with a weak pull to 1, as a few
 errors of values hide in much scatter.
 
 Where an effect is on, features err together, along a few directions that few components hold (the
-turn of a curve that is read late).  These are the leading principal directions of the errors of
+turn of a curve recorded with a lag).  These are the leading principal directions of the errors of
 rows with that effect, in units of the errors of rows without any, that are longer than as many
 rows without an effect have by chance; they grow with its strength.
 """
@@ -22,8 +22,8 @@ from scipy.optimize import minimize
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator, principal
 
 FOLDS, BLOCK = 4, 4  # packings are left out in turn, by blocks
-FEWEST_WITHOUT = 2  # rows without an effect, times the features, that tell their covariance
-FEWEST = 20  # rows with an effect that tell its directions
+FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance
+FEWEST = 20  # rows with an effect, for its directions
 MOST = 5  # directions of an effect
 CHANCES = 50  # draws of rows without an effect
 SMALLEST = 1e-9  # variance of errors along a direction, of the largest
@@ -32,8 +32,8 @@ PULL_SD = 0.5  # of ln w about 0
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
-    """Scaled points (n, p), (n, k) of a bank, their packings (n,), features (n, m), kernels."""
+class TrainingPoints:
+    """Scaled points (n, p), (n, k) of a library, their packings (n,), features (n, m), kernels."""
 
     x: np.ndarray
     s: np.ndarray
@@ -44,7 +44,7 @@ class Points:
 
 
 @dataclass(frozen=True, eq=False)
-class Missed:
+class EmulatorErrors:
     """Factors on the variances that components' processes state of their values, widening (c,),
     and of specimens, scatter (c,); directions (m, q) of warped features' errors at the full
     strength of an effect, whose number is in effect (q,)."""
@@ -55,30 +55,30 @@ class Missed:
     effect: np.ndarray
 
     @staticmethod
-    def nothing(components: int, features: int) -> "Missed":
-        """For an emulator that is taken at its word."""
+    def nothing(components: int, features: int) -> "EmulatorErrors":
+        """For an emulator whose stated variances hold."""
         ones = np.ones(components)
-        return Missed(ones, ones, np.zeros((features, 0)), np.zeros(0, int))
+        return EmulatorErrors(ones, ones, np.zeros((features, 0)), np.zeros(0, int))
 
     def along(self, s: np.ndarray) -> np.ndarray:
         """Directions (m, q) of errors at scaled strengths (k,), one standard deviation each."""
         return self.directions * s[self.effect]
 
 
-def missed(points: Points) -> Missed:
-    """What the emulator of all points with these kernels misses."""
+def cross_validate(points: TrainingPoints) -> EmulatorErrors:
+    """Errors of the emulator of all points with these kernels."""
     errors, stated, whole, strengths = [], [], [], []
-    for learned, x, s, value in _left_out(points):
+    for emulator, x, s, value in _held_out_rows(points):
         warped = np.arcsinh(value / points.scale)
-        errors.append(learned.basis.components(warped) - learned.of_components(x, s))
-        stated.append(learned.variances(x, s))
-        whole.append(warped - learned.warped(x, s))
+        errors.append(emulator.basis.components(warped) - emulator.of_components(x, s))
+        stated.append(emulator.variances(x, s))
+        whole.append(warped - emulator.warped(x, s))
         strengths.append(s)
     noise = np.array([k.scatter for k in points.kernels])
     by_component = zip(np.array(errors).T, np.array(stated).T, noise, strict=True)
     widening, scatter = np.array([_factors(*parts) for parts in by_component]).T
     directions = by_effects(np.array(whole), np.array(strengths))
-    return Missed(widening, scatter, *directions)
+    return EmulatorErrors(widening, scatter, *directions)
 
 
 def by_effects(errors: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,21 +116,21 @@ def _by_chance(none: np.ndarray, count: int) -> float:
     return float(np.quantile([np.linalg.norm(rows, 2) ** 2 / count for rows in drawn], 0.95))
 
 
-def _left_out(
-    points: Points,
+def _held_out_rows(
+    points: TrainingPoints,
 ) -> Iterator[tuple[FeatureEmulator, np.ndarray, np.ndarray, np.ndarray]]:
-    """Each row with at most one effect, with an emulator that has not seen its packing; folds
+    """Each row with at most one effect, with an emulator fitted without its packing; folds
     are blocks of packings; of all but the last ones each block holds all numbers of spheres."""
     few = (points.s != 0).sum(axis=1) <= 1
     basis = principal(np.arcsinh(points.values / points.scale))
     for fold in range(FOLDS):
         out = points.packing // BLOCK % FOLDS == fold
-        learned = fit_emulator(
+        emulator = fit_emulator(
             points.x[~out], points.s[~out], points.packing[~out], points.values[~out],
             points.scale, points.kernels, basis,
         )  # fmt: skip
         for row in np.flatnonzero(out & few):
-            yield learned, points.x[row], points.s[row], points.values[row]
+            yield emulator, points.x[row], points.s[row], points.values[row]
 
 
 def _factors(errors: np.ndarray, stated: np.ndarray, noise: float) -> tuple[float, float]:

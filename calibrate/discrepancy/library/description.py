@@ -1,4 +1,4 @@
-"""A bank as `discrepancy.comparison` sees it: mean, slopes and scatter around one lab's soil.
+"""The library of runs as `discrepancy.comparison` sees it: mean, slopes, scatter at one lab's soil.
 
     delta   base coordinates from the lab's own starting soil, with its prior
     e       strengths in typical ones
@@ -13,13 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.linear import Effect, Linearised
+from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
-from calibrate.discrepancy.library.cross_validation import Missed
+from calibrate.discrepancy.library.cross_validation import EmulatorErrors
 from calibrate.discrepancy.library.design import SHARP, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
-from calibrate.discrepancy.library.load_cell_lag import LAG, Late
-from calibrate.discrepancy.library.store import Bank, Rows, limits
+from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
+from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
 from jdem.effects.composite import EFFECTS
@@ -36,88 +36,88 @@ SPECIMEN = ("specimen_density", "second_test_factor")
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """Where a lab's soil lies in a bank: offset (p,) of the prior's mean, prior_sd (p,)."""
+class SoilPrior:
+    """A lab's prior in the coordinates of a library: offset (p,) of its mean, prior_sd (p,)."""
 
     offset: np.ndarray
     prior_sd: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Discrepancy:
-    """What simulations of this kind are known to be wrong by, where nothing is hidden: mean (m,)
-    and directions (m, q), one standard deviation each; in a bank's features, warped as its
-    emulator warps them."""
+class ModelDiscrepancy:
+    """Reality minus simulation where no effect is at work, as estimated from reference labs: mean
+    (m,) and directions (m, q), one standard deviation each; in the features of a library of runs,
+    warped as its emulator warps them."""
 
     mean: np.ndarray
     directions: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Ready:
-    """A bank with its emulator, residuals of one row a packing, and how certain values are."""
+class EmulatedLibrary:
+    """A library of runs with its emulator, the residuals of one row a packing, and its errors."""
 
-    bank: Bank
+    library: RunLibrary
     emulator: FeatureEmulator
 
     @staticmethod
-    def of(bank: Bank) -> "Ready":
-        return Ready(bank, bank.emulator())
+    def of(library: RunLibrary) -> "EmulatedLibrary":
+        return EmulatedLibrary(library, library.emulator())
 
-    def joined(self, rows: Rows, own: Bank) -> "Ready":
-        """With further simulations behind the rows of the bank's `own`, near which its errors are
-        taken for as wide as left-out packings have shown: their noise counts by that much less,
-        as errors are widened afterwards (`AtSoil.wrong`)."""
-        emulator, missed = self.emulator, self.missed
-        bank = self.bank.joined(rows)
-        if self.bank.late is not None:
-            behind = bank.late_by(emulator)[len(self.bank.late) :]
-            bank = replace(bank, late=np.vstack([self.bank.late, behind]))
-        noise = np.ones((len(bank.values), len(emulator.components)))
-        noise[len(own.values) :] = missed.scatter / missed.widening
+    def joined(self, rows: Rows, own: RunLibrary) -> "EmulatedLibrary":
+        """With further runs behind the rows of `own`, near which the emulator's errors are as wide
+        as cross-validation has estimated: their noise counts by that much less, as errors are
+        widened afterwards (`LocalEmulator.wrong`)."""
+        emulator, emulator_errors = self.emulator, self.emulator_errors
+        library = self.library.joined(rows)
+        if self.library.lag_shift is not None:
+            behind = library.lag_shifts(emulator)[len(self.library.lag_shift) :]
+            library = replace(library, lag_shift=np.vstack([self.library.lag_shift, behind]))
+        noise = np.ones((len(library.values), len(emulator.components)))
+        noise[len(own.values) :] = emulator_errors.scatter / emulator_errors.widening
         fitted = fit_emulator(
-            *bank.scaled(), bank.packing, bank.in_time, bank.scale(), bank.kernels, emulator.basis,
-            noise,
+            *library.scaled(), library.packing, library.without_lag, library.scale(),
+            library.kernels, emulator.basis, noise,
         )  # fmt: skip
-        return Ready(bank, fitted)
+        return EmulatedLibrary(library, fitted)
 
     @cached_property
     def specimens(self) -> np.ndarray:
         """Warped residuals (packings, m) of independent specimens: one row of each packing."""
-        _, first = np.unique(self.bank.packing, return_index=True)
-        return self.emulator.rescaled(self.emulator.residuals[first], self.missed.scatter)
+        _, first = np.unique(self.library.packing, return_index=True)
+        return self.emulator.rescaled(self.emulator.residuals[first], self.emulator_errors.scatter)
 
     @property
-    def missed(self) -> Missed:
-        """What the bank knows that its emulator misses."""
-        known = len(self.emulator.components), len(self.bank.features)
-        return self.bank.missed or Missed.nothing(*known)
+    def emulator_errors(self) -> EmulatorErrors:
+        """Errors of the emulator by cross-validation; none if it was not made."""
+        known = len(self.emulator.components), len(self.library.features)
+        return self.library.emulator_errors or EmulatorErrors.nothing(*known)
 
-    def at(self, point: Point) -> "AtSoil":
+    def at(self, soil_prior: SoilPrior) -> "LocalEmulator":
         """The emulator in the coordinates of a diagnosis."""
-        design = self.bank.design
-        return AtSoil(
-            self.emulator, point.offset, design.spread(), design.typical() / limits(design),
-            self.missed, self.bank.reader() if self.bank.late is not None else None, _lag(design),
+        library, design = self.library, self.library.design
+        return LocalEmulator(
+            self.emulator, soil_prior.offset, design.spread(), design.typical() / limits(design),
+            self.emulator_errors,
+            library.load_cell_lag() if library.lag_shift is not None else None, _lag(design),
         )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class AtSoil:
+class LocalEmulator:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
-    typical strength; with a discrepancy, its directions are further base coordinates.
-    `missed` is what its errors are beyond what it states, as left-out packings have shown; `late`
-    turns what it says of readings in time to late ones, lag (k,) being seconds per typical
-    strength."""
+    typical strength; with a model discrepancy, its directions are further base coordinates.
+    `emulator_errors` are those that cross-validation adds to what it states; `load_cell_lag` turns
+    features without a lag into those with one, lag (k,) being seconds per typical strength."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
     scale: np.ndarray
     strength: np.ndarray
-    missed: Missed
-    late: Late | None
+    emulator_errors: EmulatorErrors
+    load_cell_lag: LoadCellLag | None
     lag: np.ndarray
-    discrepancy: Discrepancy | None = None
+    discrepancy: ModelDiscrepancy | None = None
 
     def __call__(self, delta, strengths):
         x, s = self._scaled(delta, strengths)
@@ -125,26 +125,26 @@ class AtSoil:
         found = values, base / self.scale, effects * self.strength
         if self.discrepancy is not None:
             found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
-        return self._read(self.late, strengths, *found) if self.late else found
+        return self._read(self.load_cell_lag, strengths, *found) if self.load_cell_lag else found
 
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""
         x, s = self._scaled(delta, strengths)
-        stated = self.emulator.error_directions(x, s) * np.sqrt(self.missed.widening)
-        roots = np.hstack([stated, self.missed.along(s)])
+        stated = self.emulator.error_directions(x, s) * np.sqrt(self.emulator_errors.widening)
+        roots = np.hstack([stated, self.emulator_errors.along(s)])
         return self.emulator.steepness(x, s)[:, None] * roots
 
     def _scaled(self, delta, strengths):
         return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
 
-    def _read(self, late: Late, strengths, values, base, effects):
+    def _read(self, load_cell_lag: LoadCellLag, strengths, values, base, effects):
         """The same as a machine reads it."""
         slopes = np.hstack([base, effects])
-        values, slopes, along = late.read(values, slopes, float(self.lag @ strengths))
+        values, slopes, along = load_cell_lag.read(values, slopes, float(self.lag @ strengths))
         base, effects = np.split(slopes, [base.shape[1]], axis=1)
         return values, base, effects + along[:, None] * self.lag
 
-    def _shifted(self, wrong: Discrepancy, share, values, base, effects):
+    def _shifted(self, wrong: ModelDiscrepancy, share, values, base, effects):
         """The same with the discrepancy added to the warped features."""
         scale = self.emulator.scale
         before = values / scale
@@ -156,15 +156,17 @@ class AtSoil:
 
 
 def _lag(design: Design) -> np.ndarray:
-    """How late readings are (k,), s per typical strength."""
+    """Lag of the load cell (k,), s per typical strength."""
     return np.where(np.array(design.effect_names) == LAG, design.typical(), 0.0)
 
 
-def candidates(bank: Bank) -> tuple[Effect, ...]:
-    """The library of a bank, with typical strengths in SI."""
-    rows = zip(bank.design.effect_names, bank.design.typical(), limits(bank.design), strict=True)
+def candidates(library: RunLibrary) -> tuple[EffectCandidate, ...]:
+    """The candidate effects of a library of runs, with typical strengths in SI."""
+    rows = zip(
+        library.design.effect_names, library.design.typical(), limits(library.design), strict=True
+    )
     return tuple(
-        Effect(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
+        EffectCandidate(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
                EFFECTS[n].about.unit, _kind(n), float(largest / t))
         for n, t, largest in rows
     )  # fmt: skip
@@ -176,77 +178,89 @@ def _kind(name: str) -> str:
     return "specimen" if name in SPECIMEN else "contact"
 
 
-def point_of(bank: Bank, soil: dict[str, float], soil_sd: dict[str, float] | None = None) -> Point:
+def soil_prior_of(
+    library: RunLibrary, soil: dict[str, float], soil_sd: dict[str, float] | None = None
+) -> SoilPrior:
     """The prior about a soil (SI values by name); soil_sd: deviations of ln p where they differ."""
-    design, given = bank.design, soil_sd or {}
+    design, given = library.design, soil_sd or {}
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
-    return Point(np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD]))
+    return SoilPrior(
+        np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD])
+    )
 
 
-def point_for(lab: Lab, bank: Bank) -> Point:
+def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
     """The prior about a lab's own starting soil, with the deviations that it states."""
-    soil, names = base_soil(lab), bank.design.soil_names
+    soil, names = base_soil(lab), library.design.soil_names
     stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
     values = {name: float(getattr(soil, name)) for name in names}
-    return point_of(bank, values, {n: s for n, s in stated.items() if n in names})
+    return soil_prior_of(library, values, {n: s for n, s in stated.items() if n in names})
 
 
 def describe(
-    ready: Ready,
-    point: Point,
+    emulated: EmulatedLibrary,
+    soil_prior: SoilPrior,
     measured: np.ndarray,
     chosen: np.ndarray,
     density_sd: float = DENSITY_SD,
-    discrepancy: Discrepancy | None = None,
+    discrepancy: ModelDiscrepancy | None = None,
 ) -> Linearised:
-    """The description for measured means (m_chosen,) of the bank's features `chosen` (indices).
+    """The description for measured means (m_chosen,) of the library's features `chosen` (indices).
 
     Sensor terms are left at zero for the caller to add.
     """
-    d = _rough(ready, point, discrepancy)
-    d = _local(ready, d, np.zeros(d.base_slopes.shape[1]), density_sd, point)
+    d = _rough(emulated, soil_prior, discrepancy)
+    d = _local(emulated, d, np.zeros(d.base_slopes.shape[1]), density_sd, soil_prior)
     for _ in range(2):  # scatter depends on the fit, the fit on scatter
         few = d.only_features(chosen)
         covariance = first_covariance(few)
         fit = refit(few, measured, covariance)
-        d = _local(ready, d, fit.delta, density_sd, point)
+        d = _local(emulated, d, fit.delta, density_sd, soil_prior)
     return d.only_features(chosen)
 
 
-def _rough(ready: Ready, point: Point, discrepancy: Discrepancy | None) -> Linearised:
+def _rough(
+    emulated: EmulatedLibrary, soil_prior: SoilPrior, discrepancy: ModelDiscrepancy | None
+) -> Linearised:
     """The frame of a description; everything that depends on the point is filled by `_local`."""
-    bank, emulator = ready.bank, ready.at(point)
-    names, prior = bank.design.base_names, point.prior_sd
+    library, emulator = emulated.library, emulated.at(soil_prior)
+    names, prior = library.design.base_names, soil_prior.prior_sd
     if discrepancy is not None:
         emulator = replace(emulator, discrepancy=discrepancy)
         extra = discrepancy.directions.shape[1]
-        names = (*names, *(f"mismatch {i + 1}" for i in range(extra)))
+        names = (*names, *(f"discrepancy {i + 1}" for i in range(extra)))
         prior = np.concatenate([prior, np.ones(extra)])
-    values, base, effects = emulator(np.zeros(len(prior)), np.zeros(len(bank.design.limits)))
+    values, base, effects = emulator(np.zeros(len(prior)), np.zeros(len(library.design.limits)))
     m = len(values)
     return Linearised(
-        features=bank.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
-        effects=candidates(bank), effect_slopes=effects,
-        packing_residuals=ready.specimens, mean_specimens=CERTAIN,
+        features=library.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
+        effects=candidates(library), effect_slopes=effects,
+        packing_residuals=emulated.specimens, mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
         wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
 
 
 def _local(
-    ready: Ready, d: Linearised, delta: np.ndarray, density_sd: float, point: Point
+    emulated: EmulatedLibrary,
+    d: Linearised,
+    delta: np.ndarray,
+    density_sd: float,
+    soil_prior: SoilPrior,
 ) -> Linearised:
     """The description linearised at a shift of the base coordinates."""
     none = np.zeros(len(d.effects))
     values, base, effects = d.at(delta, none)
-    scaled = (point.offset + delta[: len(point.offset)]) / ready.bank.design.spread()
-    steep = ready.emulator.steepness(scaled, none)
-    typical = ready.bank.design.typical()
+    scaled = (
+        soil_prior.offset + delta[: len(soil_prior.offset)]
+    ) / emulated.library.design.spread()
+    steep = emulated.emulator.steepness(scaled, none)
+    typical = emulated.library.design.typical()
     return replace(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
-        packing_residuals=ready.specimens * steep,
+        packing_residuals=emulated.specimens * steep,
         extra=_scatter(d, base, effects, density_sd, typical),
         wrong=d.wrong_at(delta, none),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Which simulations a bank holds: rows of soil, settings and effects, several on each packing.
+"""Which simulations a library holds: rows of soil, settings and effects, several on each packing.
 
 A row is a point x of
 
@@ -6,13 +6,13 @@ A row is a point x of
     settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor);
               packings after the first ROUNDED crowd where roundings are small, as soils have none
     effects   strengths, uniform within their limits where they are at work: each in MANY of the
-              rows of the first CROWDED packings (so that pairs are seen), then in FEW; the rows of
+              rows of the first CROWDED packings (so that pairs occur), then in FEW; the rows of
               packings after the first MIXED share one soil, the first has no effect at work and
               the others one each, strong, in turn
 
-drawn from a Sobol sequence, so that every beginning of the list is a smaller bank.  Rows of one
+drawn from a Sobol sequence, so that every beginning of the list is a smaller library.  Rows of one
 packing differ in all else, or in an effect alone: what packings have in common drops out of the
-slopes (common random numbers), and what they differ by is seen PACKINGS times.
+slopes (common random numbers), and what they differ by is sampled PACKINGS times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ WEAKEST = 0.3  # of its limit, an effect by itself
 SETTINGS = ("smoothing", "preparation", "spheres")
 SETTING_SPREAD = (0.5, 0.2, 0.3)
 
-# Standard deviations of ln p about a lab's own starting soil, and the centre of the bank.
+# Standard deviations of ln p about a lab's own starting soil, and the centre of the library.
 SOIL_PRIOR_SD: dict[str, float] = {
     "shear_modulus": 0.35,
     "surface_energy": 0.45,
@@ -82,7 +82,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Design:
-    """The plan of a bank; `base` holds the soil's values that are not varied.
+    """The plan of a library; `base` holds the soil's values that are not varied.
 
     packings x rows_each simulations of specimens of `spheres` spheres.
     """
@@ -117,12 +117,12 @@ class Design:
         return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
 
     def spheres_of(self, packing: int) -> int:
-        """Number of spheres of a packing: every fourth has more, every fourth late one fewer; of
+        """Number of spheres of a packing: every fourth more, every fourth after ROUNDED fewer; of
         the last ones four have fewer, four more, in turn."""
         if packing >= CROSSED:
             return round(self.spheres * (LARGER if packing // 4 % 2 else SMALLER))
-        late = packing >= ROUNDED
-        factor = {3: LARGER, 1: SMALLER if late else 1.0}.get(packing % 4, 1.0)
+        later = packing >= ROUNDED
+        factor = {3: LARGER, 1: SMALLER if later else 1.0}.get(packing % 4, 1.0)
         return round(self.spheres * factor)
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
@@ -170,15 +170,15 @@ class Design:
         return found
 
 
-def _smoothing(unit: np.ndarray, late: np.ndarray) -> np.ndarray:
-    """Smoothing of rows: evenly over all, for late packings dense where it is least."""
+def _smoothing(unit: np.ndarray, later: np.ndarray) -> np.ndarray:
+    """Smoothing of rows: evenly over all, for the later packings dense where it is least."""
     (low, high), (least, most) = SMOOTHING, SHARP
-    return np.where(late, least + (most - least) * unit**2, low + (high - low) * unit)
+    return np.where(later, least + (most - least) * unit**2, low + (high - low) * unit)
 
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
     power = int(np.ceil(np.log2(max(count, 2))))
-    # `seed`, not `rng`: the two scramble differently, and the bundled bank was drawn with this.
+    # `seed`, not `rng`: the two scramble differently, and the bundled library was drawn with this.
     return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]  # pyright: ignore[reportCallIssue]
 
 

@@ -1,7 +1,7 @@
-"""Values and slopes of features between the simulations of a bank: Gaussian processes.
+"""Values and slopes of features between the simulations of a library: Gaussian processes.
 
     asinh(feature/scale) = mean + sum_c loading_c y_c             c: principal components
-    y_c(x, s) = f_c(x, s) + packing + twin + rest
+    y_c(x, s) = f_c(x, s) + packing + soil block + rest
 
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
           + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
@@ -9,8 +9,9 @@
 x are base coordinates over their spread, s strengths over their limits.  The inverse
 hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
-slopes rest on differences within packings; so has what it does to all rows of one soil (twins:
-they differ in effects alone), and an effect is seen the better the less is left.
+slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
+(soil blocks within it, whose rows differ in effects alone): the less is left, the better an effect
+is estimated.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
@@ -46,13 +47,13 @@ class Kernel(NamedTuple):
     interaction: Any
     bent: Any
     packing: Any
-    twin: Any
+    soil_block: Any
     rest: Any
 
     @property
     def scatter(self) -> float:
         """Variance of one specimen about the process."""
-        return float(np.exp(2 * self.packing) + np.exp(2 * self.twin) + np.exp(2 * self.rest))
+        return float(np.exp(2 * self.packing) + np.exp(2 * self.soil_block) + np.exp(2 * self.rest))
 
     @staticmethod
     def start(p: int, k: int) -> "Kernel":
@@ -64,17 +65,17 @@ class Kernel(NamedTuple):
         )  # fmt: skip
 
 
-class Kin(NamedTuple):
+class Blocks(NamedTuple):
     """Which rows share a packing, and which also a soil, as ones in matrices (n, n)."""
 
     packing: np.ndarray
-    twin: np.ndarray
+    soil_block: np.ndarray
 
     @staticmethod
-    def of(x: np.ndarray, packing: np.ndarray) -> "Kin":
+    def of(x: np.ndarray, packing: np.ndarray) -> "Blocks":
         soil = np.unique(x, axis=0, return_inverse=True)[1].ravel()
         same = packing[:, None] == packing
-        return Kin(same.astype(float), (same & (soil[:, None] == soil)).astype(float))
+        return Blocks(same.astype(float), (same & (soil[:, None] == soil)).astype(float))
 
 
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
@@ -94,20 +95,24 @@ def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
     return straight + curved + (s * effect) @ s2.T + together + (s**2 * bent) @ (s2**2).T
 
 
-def _total(kernel: Kernel, x, s, kin: Kin, xp=np):
-    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, kin, xp)
+def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
+    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, blocks, xp)
 
 
-def _noise(kernel: Kernel, kin: Kin, xp=np):
+def _noise(kernel: Kernel, blocks: Blocks, xp=np):
     """Covariance (n, n) of what packings, soils in them and rest add."""
-    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(kin.packing))
-    return xp.exp(2 * kernel.packing) * kin.packing + xp.exp(2 * kernel.twin) * kin.twin + rest
+    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
+    return (
+        xp.exp(2 * kernel.packing) * blocks.packing
+        + xp.exp(2 * kernel.soil_block) * blocks.soil_block
+        + rest
+    )
 
 
 @jax.jit
-def _loss(kernel: Kernel, start: Kernel, x, s, kin: Kin, y):
+def _loss(kernel: Kernel, start: Kernel, x, s, blocks: Blocks, y):
     """Minus the log marginal likelihood, with a weak pull to the start."""
-    lower = jnp.linalg.cholesky(_total(kernel, x, s, kin, jnp))
+    lower = jnp.linalg.cholesky(_total(kernel, x, s, blocks, jnp))
     white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
     pull = sum(jnp.sum((a - b) ** 2) for a, b in zip(kernel, start, strict=True))
     return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull / PULL_SD**2
@@ -120,10 +125,10 @@ def fit_kernel(x, s, packing, y) -> Kernel:
     """The kernel with the largest marginal likelihood of standardised values y (n,)."""
     start = Kernel.start(x.shape[1], s.shape[1])
     flat, unflatten = ravel_pytree(start)
-    kin = Kin.of(x, packing)
+    blocks = Blocks.of(x, packing)
 
     def objective(values):
-        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, kin, y)
+        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, blocks, y)
         found = float(value)
         gradient = np.asarray(ravel_pytree(slope)[0], float)
         return (found, gradient) if np.isfinite(found) else (1e10, np.zeros(len(values)))
@@ -175,7 +180,7 @@ class Component:
 
 class Processes:
     """All components' processes about the same points x (n, p), s (n, k), evaluated together; what
-    does not depend on the place is worked out once."""
+    does not depend on the location is worked out once."""
 
     def __init__(self, components: Sequence[Component], x: np.ndarray, s: np.ndarray):
         every = Kernel(*map(np.array, zip(*(c.kernel for c in components), strict=True)))
@@ -194,12 +199,12 @@ class Processes:
 
     def __call__(self, at: np.ndarray, strength: np.ndarray):
         """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
-        place, p = np.concatenate([at, strength]), self.wide
-        pulled = self.near * place
-        exponent = self.height - 0.5 * (pulled @ place)[:, None] + pulled @ self.points.T
+        location, p = np.concatenate([at, strength]), self.wide
+        pulled = self.near * location
+        exponent = self.height - 0.5 * (pulled @ location)[:, None] + pulled @ self.points.T
         curved = np.exp(exponent) * self.weights
         level = curved.sum(axis=1)
-        slopes = self.near * (curved @ self.points - level[:, None] * place)
+        slopes = self.near * (curved @ self.points - level[:, None] * location)
         along = self.along + at @ self.mixed
         base = self.linear + slopes[:, :p] + self.mixed @ strength
         effects = along + 2 * self.bent * strength + slopes[:, p:]
@@ -209,7 +214,7 @@ class Processes:
 
 @dataclass(frozen=True, eq=False)
 class FeatureEmulator:
-    """Features (m,) and slopes at any point of a bank.
+    """Features (m,) and slopes at any point of a library.
 
     x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
     residuals (n, m) are what is left of the warped simulated features.
@@ -281,13 +286,13 @@ def fit_emulator(
     warped = np.arcsinh(features / scale)
     basis = basis or principal(warped)
     scores = basis.components(warped)
-    few, kin = _spread(packing), Kin.of(x, packing)
+    few, blocks = _spread(packing), Blocks.of(x, packing)
     parts = []
     for c, y in enumerate(scores.T):
-        known = None if kernels is None else kernels[c]
-        kernel = known or fit_kernel(x[few], s[few], packing[few], y[few])
+        given = None if kernels is None else kernels[c]
+        kernel = given or fit_kernel(x[few], s[few], packing[few], y[few])
         factor = np.ones(len(y)) if noise is None else noise[:, c]
-        parts.append(_component(kernel, x, s, kin, y, factor))
+        parts.append(_component(kernel, x, s, blocks, y, factor))
     left = np.array([_as_large_as_stated(c.kernel, c.left) for c in parts])
     dropped = warped - basis.mean - scores @ basis.carried.T
     residuals = dropped + left.T @ basis.carried.T
@@ -308,8 +313,8 @@ def _spread(packing: np.ndarray) -> np.ndarray:
     return np.isin(packing, kept)
 
 
-def _component(kernel: Kernel, x, s, kin: Kin, y, factor) -> Component:
-    scatter = _noise(kernel, kin) * np.sqrt(np.outer(factor, factor))
+def _component(kernel: Kernel, x, s, blocks: Blocks, y, factor) -> Component:
+    scatter = _noise(kernel, blocks) * np.sqrt(np.outer(factor, factor))
     lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
     weights = cho_solve((lower, True), y)
     return Component(kernel, weights, lower, scatter @ weights)

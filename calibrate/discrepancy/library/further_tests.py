@@ -1,7 +1,7 @@
 """Further tests that a laboratory can make, with what each explanation predicts for them.
 
 Checks of the machine follow from the effects' own equations; repeats of the two tests under
-other conditions from the slopes that a bank has.  Costs are hours of a laboratory technician,
+other conditions from the slopes that a library has.  Costs are hours of a laboratory technician,
 a guess that `calibrate diagnose` prints beside each test.
 """
 
@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import CONFINED, UNCONFINED, tests_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.next_test import FurtherTest
 from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.features.base import Variation
+from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS, tests_of
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
 
@@ -31,20 +32,9 @@ OF_NAME: Mapping[str, Callable[..., AbstractEffect]] = EFFECTS
 
 def menu(d: Linearised, noise: Noise) -> list[FurtherTest]:
     """All further tests that apply to a description."""
-    tests = set(tests_of(d.features))
-    both = [_block(d), _weight_and_empty_run(d), _hold(d)]
-    confined = [
-        _again(d, noise, CONFINED, "confined test in a freshly greased mould", 3.0, _greased),
-        _again(d, noise, CONFINED, "confined test at a tenth of the speed", 2.0, _slowly),
-    ]
-    unconfined = [
-        _again(d, noise, UNCONFINED, "crushing between lubricated platens", 3.0, _lubricated),
-        _again(d, noise, UNCONFINED, "crushing ten times as fast", 2.0, _faster),
-        _again(d, noise, UNCONFINED, "crushing a sealed specimen at once", 3.0, _fresh),
-    ]
-    return (
-        both + (confined if CONFINED in tests else []) + (unconfined if UNCONFINED in tests else [])
-    )
+    present = [test for test in TESTS if (tests_of(d.features) == test).any()]
+    again = [_again(d, noise, t, v) for t in present for v in TEST_FEATURES[t].variations]
+    return [_block(d), _weight_and_empty_run(d), _hold(d), *again]
 
 
 def _machine(d: Linearised, name: str, cost: float, labels, columns, sd) -> FurtherTest:
@@ -89,52 +79,28 @@ def _hold(d: Linearised) -> FurtherTest:
     return _machine(d, "hold at 400 N for a minute", 1.0, labels, columns, HOLD_SD)
 
 
-def _again(
-    d: Linearised, noise: Noise, test: str, name: str, cost: float,
-    change: Callable[[Linearised, np.ndarray], np.ndarray],
-) -> FurtherTest:  # fmt: skip
-    """One of the two tests repeated on fresh specimens; `change` gives the effects' slopes."""
+def _again(d: Linearised, noise: Noise, test: str, variation: Variation) -> FurtherTest:
+    """A test repeated on fresh specimens under another condition."""
     mine = np.flatnonzero(tests_of(d.features) == test)
-    slopes = change(d, d.effect_slopes.copy())[mine]
     labels = tuple(d.features[i].name for i in mine)
     covariance = noise.specimen[np.ix_(mine, mine)]
     return FurtherTest(
-        name, cost, labels, d.mean[mine], d.base_slopes[mine], slopes, covariance, REPEATS
-    )
+        variation.name, variation.cost, labels, d.mean[mine], d.base_slopes[mine],
+        _varied(d, variation)[mine], covariance, REPEATS,
+    )  # fmt: skip
 
 
-def _without(name: str) -> Callable[[Linearised, np.ndarray], np.ndarray]:
-    def change(d: Linearised, slopes: np.ndarray) -> np.ndarray:
+def _varied(d: Linearised, variation: Variation) -> np.ndarray:
+    """Slopes (m, k) of the effects under another condition; over decades of rate, rate dependence
+    multiplies contact forces by exp(rho decades)."""
+    slopes = d.effect_slopes.copy()
+    for name, factor in variation.factors.items():
         if name in d.effect_names:
-            slopes[:, d.effect_names.index(name)] = 0.0
-        return slopes
-
-    return change
-
-
-_greased = _without("wall_friction")
-_lubricated = _without("platen_friction")
-_fresh = _without("second_test_factor")
-
-
-def _slowly(d: Linearised, slopes: np.ndarray) -> np.ndarray:
-    """A tenth of the speed: a tenth of the lag's travel, one decade of rate."""
-    if "acquisition_lag" in d.effect_names:
-        slopes[:, d.effect_names.index("acquisition_lag")] *= 0.1
-    return _decades(d, slopes, -1.0)
-
-
-def _faster(d: Linearised, slopes: np.ndarray) -> np.ndarray:
-    """Ten times as fast: a tenth of the drift, one decade of rate back."""
-    if "load_cell_drift" in d.effect_names:
-        slopes[:, d.effect_names.index("load_cell_drift")] *= 0.1
-    return _decades(d, slopes, 1.0)
-
-
-def _decades(d: Linearised, slopes: np.ndarray, count: float) -> np.ndarray:
-    """Adds what rate dependence does over decades of rate: contact forces times exp(rho count)."""
-    if "rate_dependence" in d.effect_names:
+            k = d.effect_names.index(name)
+            slopes[:, k] = factor * slopes[:, k] if factor else 0.0
+    if variation.decades and "rate_dependence" in d.effect_names:
         k = d.effect_names.index("rate_dependence")
         forces = [d.base_names.index(n) for n in ("shear_modulus", "surface_energy")]
-        slopes[:, k] += count * d.effects[k].typical * d.base_slopes[:, forces].sum(axis=1)
+        per_decade = d.effects[k].typical * d.base_slopes[:, forces].sum(axis=1)
+        slopes[:, k] += variation.decades * per_decade
     return slopes

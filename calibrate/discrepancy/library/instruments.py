@@ -1,15 +1,12 @@
 """What instruments add to a description: recording, and the force before contact.
 
 A recording misses what is sharp, and how much it misses depends on the curve: where the force
-reading is late, the turn of the confined curve is round already,
-
-    dR/dx = (F - R)/(v tau)        x: the platen's path, v its speed, tau the lag
-
+reading lags, the turn of a curve is round already,
 and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
 between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
 
-Where the force before contact was recorded, it is taken off (`features.seen`), so that an untared
-load cell moves those features alone in which the machine turned by its reading.
+Where the force before contact was recorded, it is taken off (`recorded_feature_values`), so that
+an untared load cell moves those features alone in which the machine turned by its reading.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,22 +16,21 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from calibrate.discrepancy.comparison.features import (
-    CONFINED,
-    UNCONFINED,
-    Curves,
-    Feature,
-    declare_before_contact,
-    readings_before_contact,
-    tared_rows,
-    vector,
-)
 from calibrate.discrepancy.comparison.linear import Emulator, Linearised
+from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.comparison.sensor import recording, recording_shift
-from calibrate.discrepancy.library.lab import LabCurves
+from calibrate.discrepancy.features.base import Curves, Feature
+from calibrate.discrepancy.features.contact import readings_before_contact
+from calibrate.discrepancy.features.curves import (
+    TEST_FEATURES,
+    declare_before_contact,
+    feature_values,
+    tared_rows,
+)
 from calibrate.discrepancy.library.load_cell_lag import LAG
-from calibrate.discrepancy.library.store import Bank
+from calibrate.discrepancy.library.low_pass import filtered
+from calibrate.discrepancy.library.measurements import ScaledMeasurements
+from calibrate.discrepancy.library.run_library import RunLibrary, usual_sizes
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
@@ -44,11 +40,13 @@ ON_A_LAG = 30  # recordings
 LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
 
 
-def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> Linearised:
+def with_instruments(
+    d: Linearised, found: ScaledMeasurements, library: RunLibrary, seed: int
+) -> Linearised:
     """The description with what recording adds to the features of curves."""
     if not found.channels:
         return d
-    reference, air = typical(bank, found), ways_through_air(found)
+    reference, air = typical(library, found), ways_through_air(found)
     lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
     unit = 0.0 if lag is None else d.effects[lag].typical
     shift, sensor, either = recording(
@@ -56,17 +54,17 @@ def with_instruments(d: Linearised, found: LabCurves, bank: Bank, seed: int) -> 
     )
     rows = [
         recording_shift(
-            d.features, late(reference, found, lags * unit), found.channels,
+            d.features, lagged(reference, found, lags * unit), found.channels,
             np.random.default_rng(seed), ON_A_LAG, air,
         )
         for lags in (LAGS if lag is not None else ())
     ]  # fmt: skip
-    read = Recorded(lag, *_from_none(shift, either, rows))
+    read = RecordingShift(lag, *_from_none(shift, either, rows))
     d = replace(
         d, mean=d.mean + shift, sensor=d.sensor + sensor,
         effect_slopes=d.effect_slopes + read.slopes(np.zeros(len(d.effects))),
         wrong=np.column_stack([d.wrong, either]),
-        emulator=None if d.emulator is None else AsRecorded(d.emulator, read),
+        emulator=None if d.emulator is None else RecordedEmulator(d.emulator, read),
     )  # fmt: skip
     return _tared(d, found.tared)
 
@@ -80,7 +78,7 @@ def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
     return shifts - shifts[0] + shift, halves - halves[0] + either
 
 
-def ways_through_air(found: LabCurves) -> dict[str, float]:
+def ways_through_air(found: ScaledMeasurements) -> dict[str, float]:
     """The way (mm) by test that a laboratory's platen usually makes before it surely touches."""
     readings = {
         test: [readings_before_contact(c[test][1]) for c in found.specimens if test in c]
@@ -103,74 +101,58 @@ def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
     slopes[rows, offset] = 0.0
     return replace(
         d, effect_slopes=slopes,
-        emulator=None if d.emulator is None else Tared(d.emulator, offset, rows),
+        emulator=None if d.emulator is None else TaredEmulator(d.emulator, offset, rows),
     )  # fmt: skip
 
 
 def _filled(rows: np.ndarray) -> np.ndarray:
-    """Rows (j, m) with that of the next smaller lag where a late curve lacks a feature."""
+    """Rows (j, m) with that of the next smaller lag where a lagged curve lacks a feature."""
     for number in range(1, len(rows)):
         rows[number] = np.where(np.isfinite(rows[number]), rows[number], rows[number - 1])
     return rows
 
 
-def late(curves: Curves, found: LabCurves, lag: float) -> Curves:
-    """Curves as they are read `lag` seconds late; forces pushed up so that readings reach the same
+def lagged(curves: Curves, found: ScaledMeasurements, lag: float) -> Curves:
+    """Curves recorded with a lag (s); forces pushed up so that readings reach the same
     largest value, as the machine turns by what it reads."""
     if not lag:
         return curves
     read = {}
     for test, (displacement, force) in curves.items():
         path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
-        reading = _filtered(path, force, found.speeds[test] * lag)
+        reading = filtered(path, force, found.speeds[test] * lag)
         read[test] = (displacement, reading * force.max() / reading.max())
     return read
 
 
-def _filtered(path: np.ndarray, force: np.ndarray, length: float) -> np.ndarray:
-    """Solution (n,) of dR/dx = (F - R)/length from R = F at the first point, F linear between
-    points: exact for any spacing."""
-    reading = np.array(force, float)
-    steps, rises = np.diff(path), np.diff(force)
-    for i, (step, rise) in enumerate(zip(steps, rises, strict=True)):
-        if step == 0:
-            reading[i + 1] = reading[i]
-            continue
-        behind = length * rise / step  # how far R lags where F rises evenly
-        left = (reading[i] - force[i] + behind) * np.exp(-step / length)
-        reading[i + 1] = force[i + 1] - behind + left
-    return reading
-
-
-def typical(bank: Bank, found: LabCurves) -> Curves:
-    """The bank's reference curves, stretched to the size of what the lab measured: travel above
+def typical(library: RunLibrary, found: ScaledMeasurements) -> Curves:
+    """The library's reference curves, stretched to the size of what the lab measured: travel above
     half the largest force; force and displacement of the peak."""
-    high = f"displacement at {0.99 * bank.cylinder.force_high:g} N, loading"
-    axes = {
-        CONFINED: (high, ""),
-        UNCONFINED: ("peak displacement, unconfined", "peak force, unconfined"),
-    }
+    usual = usual_sizes(library.cylinder.force_high)
     curves = {}
     for test in found.channels:
-        (displacement, force), (along, up) = bank.reference[test], axes[test]
+        displacement, force = library.reference[test]
+        along, up = TEST_FEATURES[test].stretched_by(usual)
         curves[test] = (
-            displacement * _ratio(bank, found, along), force * _ratio(bank, found, up)
+            displacement * _ratio(library, found, along), force * _ratio(library, found, up)
         )  # fmt: skip
     return curves
 
 
-def _ratio(bank: Bank, found: LabCurves, name: str) -> float:
+def _ratio(library: RunLibrary, found: ScaledMeasurements, name: str) -> float:
     """A measured feature over that of the reference curves, 1 where it is not known."""
     names = [f.name for f in found.measured.features]
     if name not in names:
         return 1.0
     feature = found.measured.features[names.index(name)]
-    ratio = found.measured.mean[names.index(name)] / vector([feature], bank.reference)[0]
+    ratio = found.measured.mean[names.index(name)] / feature_values([feature], library.reference)[0]
     least, most = STRETCHED
     return float(np.clip(ratio, least, most)) if np.isfinite(ratio) else 1.0
 
 
-def with_baseline(d: Linearised, found: LabCurves) -> tuple[Linearised, Measured]:
+def with_forces_before_contact(
+    d: Linearised, found: ScaledMeasurements
+) -> tuple[Linearised, Measured]:
     """The description and the sample with the forces before contact: only an untared load cell
     moves those."""
     keep = [i for i in (0, 1) if np.isfinite(found.before[:, i]).any()]
@@ -205,12 +187,12 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
         packing_residuals=np.hstack([d.packing_residuals, empty]),
         extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
-        emulator=None if d.emulator is None else Taller(d.emulator, rows),
+        emulator=None if d.emulator is None else ExtendedEmulator(d.emulator, rows),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordingShift:
     """Shifts (j, m) by recording at LAGS and half of what machines differ by there (j, m); lag: the
     effect's number, None where there is none."""
 
@@ -253,11 +235,11 @@ def _between_lags(rows: np.ndarray) -> Interpolator:
 
 
 @dataclass(frozen=True, eq=False)
-class AsRecorded:
+class RecordedEmulator:
     """An emulator of values as a machine records them, one way or the other."""
 
     emulator: Emulator
-    read: Recorded
+    read: RecordingShift
 
     def __call__(self, delta, strengths):
         values, base, effects = self.emulator(delta, strengths)
@@ -270,7 +252,7 @@ class AsRecorded:
 
 
 @dataclass(frozen=True, eq=False)
-class Taller:
+class ExtendedEmulator:
     """An emulator with further features that depend on effects alone, linearly: rows (q, k)."""
 
     emulator: Emulator
@@ -286,12 +268,12 @@ class Taller:
         )
 
     def wrong(self, delta, strengths):
-        known = self.emulator.wrong(delta, strengths)
-        return np.concatenate([known, np.zeros((len(self.rows), known.shape[1]))])
+        inner = self.emulator.wrong(delta, strengths)
+        return np.concatenate([inner, np.zeros((len(self.rows), inner.shape[1]))])
 
 
 @dataclass(frozen=True, eq=False)
-class Tared:
+class TaredEmulator:
     """An emulator of which some rows (a mask) do not see the load cell's offset."""
 
     emulator: Emulator

@@ -1,13 +1,13 @@
-"""What a late force reading does to the confined test's features, in closed form.
+"""What a lag of the load cell does to the features of confined compression, in closed form.
 
-    dR/dx = (F - R)/L      L = v tau       x: the platen's path, v its speed, tau the lag
+    L = v tau       v: the platen's speed, tau the lag (`low_pass` has the filter)
 
-The machine turns by its reading, so the force overshoots, and readings lie L behind both ways:
+The machine reverses by its reading, so the force overshoots, and readings lie L behind both ways:
 between 20 and 320 N the unloading branch moves as a whole, by about -(2 - p) L where p of the
 overshoot stays.  In mm that is nearly the same for all soils, which an emulator of warped features
-cannot know; so a bank's emulator learns what is left once this has been taken off, and it is put
+cannot know; so a library's emulator learns what is left once this has been taken off, and it is put
 back on whatever is predicted.  What is taken off a simulated row is the shift of the
-features that an emulator of rows without a lag predicts for it: to find a curve from its late
+features that an emulator of rows without a lag predicts for it: to find a curve from its lagged
 readings would be a deconvolution.
 
 The curve is laid through the features: straight between them; beyond the largest force straight on;
@@ -19,9 +19,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
-from calibrate.discrepancy.comparison.features import REFERENCE, Feature
+from calibrate.discrepancy.features.base import Feature
+from calibrate.discrepancy.features.confined import REFERENCE
+from calibrate.discrepancy.library.low_pass import filtered_evenly
 
 LAG = "acquisition_lag"
 STEP = 0.02  # mm of path between points
@@ -29,11 +30,11 @@ BEYOND = 2.5  # largest forces up to which a curve goes on
 LAST = 5  # features of loading that make the slope by which it does
 AFTER = 6.0  # lengths for which the reading is followed after unloading
 SHORT, LONG = 10 * STEP, 200.0  # mm; ways that a platen may go
-SMALL = 0.01  # s; step of the lag by which slopes are told
+SMALL = 0.01  # s; step of the lag for finite differences
 
 
 @dataclass(frozen=True, eq=False)
-class Late:
+class LoadCellLag:
     """Which of the features are read off the confined test's two branches, and the platen's speed
     (mm/s) there."""
 
@@ -43,7 +44,7 @@ class Late:
     def shift(self, values: np.ndarray, lag: np.ndarray) -> np.ndarray:
         """What lags (n,), s, add to features (n, m) that are read without any."""
         moved = np.zeros_like(values)
-        for row in np.flatnonzero(lag > 0) if self._known else ():
+        for row in np.flatnonzero(lag > 0) if self._has_branches else ():
             moved[row, self._branches] = self._moved(values[row], self.speed * lag[row])
         return moved
 
@@ -51,8 +52,8 @@ class Late:
         """Features (m,) and slopes (m, q) of these as they are read with a lag, and the shift's
         slope (m,) per second; not where values do not say a curve."""
         if not lag:
-            later = self.shift(values[None], np.array([SMALL]))[0]
-            return values, slopes, later / SMALL
+            shifted = self.shift(values[None], np.array([SMALL]))[0]
+            return values, slopes, shifted / SMALL
         size = np.maximum(np.abs(slopes[self._branches]).max(axis=0), 1e-300) / STEP
         beside = values + (slopes / size).T
         every = self.shift(np.vstack([values, beside, values]), np.full(len(beside) + 2, lag))
@@ -74,7 +75,7 @@ class Late:
         return np.concatenate([self._up, self._down])
 
     @property
-    def _known(self) -> bool:
+    def _has_branches(self) -> bool:
         return len(self._up) > LAST and len(self._down) > 1
 
     @cached_property
@@ -113,15 +114,19 @@ class Late:
         return way, force, top, back, np.append(share, 0.0)
 
     def _filtered(self, way, force, top, back, share, length: float) -> np.ndarray:
-        """Both branches' features, read `length` late."""
+        """Both branches' features, with a lag of `length` (mm)."""
         up, down = self._forces
         path = np.arange(way[0], way[-1], STEP)
-        reading = np.maximum.accumulate(_late(np.interp(path, way, force), length, 0.0))
+        reading = np.maximum.accumulate(
+            filtered_evenly(np.interp(path, way, force), STEP, length, 0.0)
+        )
         turn = float(np.interp(top, reading, path))
         over = max(float(np.interp(turn, way, force)) / top, 1.0)
         read = np.interp([*up, REFERENCE * top], reading, path)
         home = np.arange(0.0, over * back[-1] + AFTER * length, STEP)
-        falling = _late(over * top * np.interp(home / over, back, share), length, top)
+        falling = filtered_evenly(
+            over * top * np.interp(home / over, back, share), STEP, length, top
+        )
         highest = int(falling.argmax())
         falling = np.minimum.accumulate(falling[highest:])[::-1]
         returned = np.interp(down, falling, home[highest:][::-1])
@@ -132,16 +137,3 @@ def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
     """The features of a kind by rising force."""
     found = [i for i, feature in enumerate(features) if feature.kind == kind]
     return np.array(sorted(found, key=lambda i: features[i].abscissa), int)
-
-
-def _late(force: np.ndarray, length: float, first: float) -> np.ndarray:
-    """Readings (n,) of forces every `STEP` of path, beginning at `first`; exact where force is
-    straight between them (`instruments._filtered` does the same for points at any distance).  The
-    forces themselves where there is no lag."""
-    if not length:
-        return force
-    kept = np.exp(-STEP / length)
-    share = length / STEP * (1 - kept)
-    new, old = 1 - share, share - kept
-    rest = lfilter([new, old], [1.0, -kept], force[1:], zi=[old * force[0] + kept * first])[0]
-    return np.concatenate([[first], rest])

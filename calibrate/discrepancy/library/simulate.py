@@ -1,6 +1,6 @@
-"""Runs the rows of a design and keeps what their curves say: the simulations of a bank.
+"""Runs the rows of a design and keeps what their curves say: the simulations of a library.
 
-Every run lies in a campaign's cache the moment it is finished, so a stopped bank goes on
+Every run lies in a campaign's cache the moment it is finished, so a stopped library goes on
 where it was.  Simulations are in single precision, for speed; how far means over packings then
 differ from those in double precision has not been measured.
 """
@@ -107,7 +107,7 @@ def run_design(
     packing = np.repeat(np.arange(design.packings), design.rows_each)
     spheres = [design.spheres_of(int(j)) for j in packing]
     later = packing >= first
-    points = Points(
+    points = RunPoints(
         base[later], strengths[later], np.array(spheres)[later].tolist(),
         1000 * design.seed + packing[later],
     )  # fmt: skip
@@ -115,7 +115,7 @@ def run_design(
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class RunPoints:
     """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
     (n,), seeds of packings (n,)."""
 
@@ -126,7 +126,7 @@ class Points:
 
 
 def run_points(
-    design: Design, points: Points, simulator: Simulator, progress: AbstractProgress,
+    design: Design, points: RunPoints, simulator: Simulator, progress: AbstractProgress,
     workers: int | None = None,
 ) -> list[Run]:  # fmt: skip
     """Runs at points in the coordinates of a design; failed ones keep their place."""

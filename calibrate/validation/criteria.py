@@ -17,7 +17,7 @@ RIVALS = {
     "majority": "always giving the commonest answer",
     "template": "a template match without projection",
     "bic": "a refit of each effect with BIC and independent noise",
-    "classifier": "a classifier trained on the bank",
+    "classifier": "a classifier trained on the library of runs",
 }
 
 
@@ -31,7 +31,7 @@ class Standing(StrEnum):
 
 
 @dataclass(frozen=True)
-class Target:
+class Criterion:
     """One bound and what was found; `unit` is "share", "cases", "points" or "" (a plain number);
     `low` and `high` are a 95 % interval if there is one; `clause` must hold besides."""
 
@@ -67,21 +67,21 @@ def other_code(result: dict) -> bool:
     return bool(result.get("other_code", single and not any(row["snr"] for row in single)))
 
 
-def targets(result: dict) -> list[Target]:
+def criteria(result: dict) -> list[Criterion]:
     """Every target with what `calibrate.validation.run.opened` returned."""
     other = other_code(result)
     return [*_counts(result, other), *_shares(result, other), _calibration(result), *_gains(result)]
 
 
-def _counts(result: dict, other: bool) -> Iterator[Target]:
+def _counts(result: dict, other: bool) -> Iterator[Criterion]:
     wanted = CASES_OF_OTHER if other else CASES
-    yield Target("cases", AT_LEAST, wanted, "cases", result["cases"])
+    yield Criterion("cases", AT_LEAST, wanted, "cases", result["cases"])
     if not other:
         count = result["false_alarm"]["n"]
-        yield Target("cases with nothing hidden", AT_LEAST, NULL_CASES, "cases", count)
+        yield Criterion("cases with nothing hidden", AT_LEAST, NULL_CASES, "cases", count)
 
 
-def _shares(result: dict, other: bool) -> Iterator[Target]:
+def _shares(result: dict, other: bool) -> Iterator[Criterion]:
     by_snr = result["accuracy_by_snr"]
     strong, alarms = (0.80, 0.10) if other else (0.90, 0.05)
     yield _share(
@@ -90,8 +90,9 @@ def _shares(result: dict, other: bool) -> Iterator[Target]:
     yield _share("right class first at a signal-to-noise of 2 to 6", AT_LEAST, 0.70, by_snr["2-6"])
     yield _share("false alarms where nothing is hidden", AT_MOST, alarms, result["false_alarm"])
     yield _share(
-        "effects outside the library called unknown", AT_LEAST, 0.70, result["unknown_recall"]
-    )
+        "causes outside the library of effects called unknown",
+        AT_LEAST, 0.70, result["unknown_recall"],
+    )  # fmt: skip
     yield _share(
         "effects of the library (signal-to-noise above 2, or two) called unknown",
         AT_MOST, 0.10, result["known_called_unknown"],
@@ -104,21 +105,21 @@ def _shares(result: dict, other: bool) -> Iterator[Target]:
     )  # fmt: skip
 
 
-def _share(words: str, sense: str, bound: float, found: dict) -> Target:
-    shown = (found[key] for key in ("value", "low", "high", "n"))
-    return Target(words, sense, bound, "share", *shown)
+def _share(words: str, sense: str, bound: float, found: dict) -> Criterion:
+    found_share = (found[key] for key in ("value", "low", "high", "n"))
+    return Criterion(words, sense, bound, "share", *found_share)
 
 
-def _calibration(result: dict) -> Target:
+def _calibration(result: dict) -> Criterion:
     found = result["calibration_error"]
     words = "calibration error of stated probabilities (bound: 95 % of perfect forecasters)"
-    return Target(words, AT_MOST, found["high"], "", found["value"], n=found["n"])
+    return Criterion(words, AT_MOST, found["high"], "", found["value"], n=found["n"])
 
 
-def _gains(result: dict) -> Iterator[Target]:
+def _gains(result: dict) -> Iterator[Criterion]:
     for name, words in RIVALS.items():
         found = result["rivals"][name]
         significant = found["mcnemar_p"] < SIGNIFICANT
         text = f"better on all cases than {words}"
-        yield Target(text, AT_LEAST, GAIN, "points", found["gain_in_points"],
+        yield Criterion(text, AT_LEAST, GAIN, "points", found["gain_in_points"],
                      n=result["cases"], clause=significant)  # fmt: skip

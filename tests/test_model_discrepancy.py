@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.library.description import Discrepancy, Ready
-from calibrate.discrepancy.mismatch import Left, load, of_references, save
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
+from calibrate.discrepancy.model_discrepancy import BaseFitResidual, load, of_references, save
 
 FEATURES, BASE, REFERENCES = 20, 3, 40
 RNG = np.random.default_rng(7)
@@ -20,10 +20,10 @@ SHIFT = 2.0 * RNG.normal(size=FEATURES)
 DIRECTION = 3.0 * RNG.normal(size=FEATURES)
 
 
-def references(along: float) -> list[Left]:
+def references(along: float) -> list[BaseFitResidual]:
     """Fits of soils with a common shift, a part of random size along a direction, and noise."""
     return [
-        Left(
+        BaseFitResidual(
             np.arange(FEATURES),
             SHIFT
             + along * RNG.normal() * DIRECTION
@@ -57,26 +57,28 @@ def test_a_direction_that_repeats_itself_is_found():
     assert np.linalg.norm(lead) == pytest.approx(np.linalg.norm(true), rel=0.4)
 
 
-def test_a_reference_is_likelier_where_its_own_mismatch_holds():
+def test_a_reference_is_likelier_under_its_own_model_discrepancy():
     one, *others = references(1.0)
     learned = of_references(others, FEATURES)
-    nothing = Discrepancy(np.zeros(FEATURES), np.zeros((FEATURES, 0)))
+    nothing = ModelDiscrepancy(np.zeros(FEATURES), np.zeros((FEATURES, 0)))
     assert one.predicted_by(learned) > one.predicted_by(nothing) + 10
 
 
-#: as much of a bank as reading a mismatch asks for
-OTHER = cast(Ready, SimpleNamespace(bank=SimpleNamespace(features=tuple(range(FEATURES)))))
+#: as much of a library as reading a model discrepancy asks for
+OTHER = cast(
+    EmulatedLibrary, SimpleNamespace(library=SimpleNamespace(features=tuple(range(FEATURES))))
+)
 
 
-def test_a_mismatch_is_read_back(tmp_path):
+def test_a_model_discrepancy_is_read_back(tmp_path):
     found = of_references(references(1.0), FEATURES)
-    save(found, tmp_path / "mismatch.json", "forty references")
-    again = load(tmp_path / "mismatch.json", OTHER)
+    save(found, tmp_path / "discrepancy.json", "forty references")
+    again = load(tmp_path / "discrepancy.json", OTHER)
     assert (again.mean == found.mean).all() and (again.directions == found.directions).all()
 
 
 @pytest.mark.parametrize("content", ["no JSON", json.dumps({"mean": [0.0], "directions": [[]]})])
-def test_another_bank_s_mismatch_is_refused(tmp_path, content):
-    (tmp_path / "mismatch.json").write_text(content)
-    with pytest.raises(InputError, match="mismatch"):
-        load(tmp_path / "mismatch.json", OTHER)
+def test_the_discrepancy_of_another_library_is_refused(tmp_path, content):
+    (tmp_path / "discrepancy.json").write_text(content)
+    with pytest.raises(InputError, match="discrepancy"):
+        load(tmp_path / "discrepancy.json", OTHER)

@@ -1,12 +1,12 @@
-"""A gap of no particular cause: what "none of these" means as a hypothesis.
+"""A gap of no particular cause, the hypothesis "unknown": Gaussian processes along the tests.
 
     smooth   d ~ N(0, c^2 D K D)    K = exp(-(x - x')^2 / 2 l^2) within a test, 0 between tests
     rough    d ~ N(0, c^2 I)        in the projected space: shaped as the noise, and as what
                                     the base parameters leave open
 
-x is the place along the test, D the scatter of one specimen, c an amplitude in that unit; for the
-rough one, in that of the smallest scale of the noise that `evidence` integrates over.  It keeps an
-effect from being named for a gap so large that no part of it fits.  Discrepancies enter in the
+x is the location along the test, D the scatter of one specimen, c an amplitude in that unit; for
+the rough one, in that of the smallest scale of the noise that `evidence` integrates over.  It keeps
+an effect from being named for a gap so large that no part of it fits.  Discrepancies enter in the
 projected space only, so that they cannot compete with the base parameters (Plumlee 2017, Bayesian
 calibration of inexact computer models).  Kernels over both tests and over either alone, with two
 lengths l, and the rough one share the weight equally.  A kernel is kept as a factor (m, r) with
@@ -18,7 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import Feature, tests_of
+from calibrate.discrepancy.features.base import Feature
+from calibrate.discrepancy.features.curves import tests_of
 
 LENGTHS = (0.08, 0.3)
 AMPLITUDES = (0.3, 0.6, 1.2, 2.4, 4.8)
@@ -91,8 +92,8 @@ def log_bayes_factor(
 def _factor(features: tuple[Feature, ...], length: float) -> np.ndarray:
     """Factor (m, r) of K over both tests."""
     tests = tests_of(features)
-    place = np.array([feature.position for feature in features])
-    apart = (place[:, None] - place[None, :]) ** 2
+    location = np.array([feature.position for feature in features])
+    apart = (location[:, None] - location[None, :]) ** 2
     kernel = (tests[:, None] == tests[None, :]) * np.exp(-apart / (2 * length**2))
     values, vectors = np.linalg.eigh(kernel)
     share = np.cumsum(values[::-1]) / values.sum()

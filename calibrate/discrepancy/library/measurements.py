@@ -1,7 +1,7 @@
-"""A lab file in the terms of a bank: curves scaled to its cylinder, repeats, instruments.
+"""Measurements in the terms of a library of runs: curves at its size, repeats, instruments.
 
 Quasi-static tests on specimens of one shape depend on strain and stress alone, so a curve of
-another size is read at the bank's: displacement times the ratio of heights, force times that of
+another size is read at the library's: displacement times the ratio of heights, force times that of
 areas.  The i-th confined and the i-th unconfined curve are taken for the same specimen where there
 are as many of both.
 """
@@ -12,23 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.comparison.features import (
-    CONFINED,
-    TESTS,
-    UNCONFINED,
-    Curves,
-    declare_targets,
-    force_before_contact,
-    seen,
-)
+from calibrate.discrepancy.comparison.recording import Channel
 from calibrate.discrepancy.comparison.repeats import (
     Measured,
     from_targets,
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.comparison.sensor import Channel
-from calibrate.discrepancy.library.store import TARGETS, Bank, Cylinder
+from calibrate.discrepancy.features.base import Curves
+from calibrate.discrepancy.features.contact import force_before_contact, force_noise
+from calibrate.discrepancy.features.curves import (
+    TARGETS,
+    TESTS,
+    declare_targets,
+    recorded_feature_values,
+)
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
 
 SHAPE_TOLERANCE = 0.12  # of height over diameter, and of the largest stress
@@ -38,8 +37,8 @@ TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 
 @dataclass(frozen=True, eq=False)
-class LabCurves:
-    """What a lab measured, at the bank's size: specimens, the features they have, their means;
+class ScaledMeasurements:
+    """What a lab measured, at the library's size: specimens, the features they have, their means;
     `before` are means before contact (s, 2), NaN where there are none; channels and speeds (mm/s)
     by test."""
 
@@ -58,14 +57,14 @@ class LabCurves:
 
 
 def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
-    """The lab's specimens with their curves in mm and N at the bank's size."""
+    """The lab's specimens with their curves in mm and N at the library's size."""
     longer = cylinder.height / lab.specimen.height
     wider = (cylinder.diameter / lab.specimen.diameter) ** 2
     by_test = {
         test: [
             (c.displacement_mm * longer, c.force_n * wider) for c in lab.curves if c.test == test
         ]
-        for test in (CONFINED, UNCONFINED)
+        for test in TESTS
     }
     counts = [len(curves) for curves in by_test.values()]
     if counts[0] == counts[1]:
@@ -75,33 +74,33 @@ def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
     return [{test: curve} for test, curves in by_test.items() for curve in curves]
 
 
-def check_shape(lab: Lab, bank: Bank) -> None:
-    """Refuses a lab whose specimen or largest stress is too far from the bank's."""
-    mine, theirs = Cylinder.of(lab), bank.cylinder
+def check_shape(lab: Lab, library: RunLibrary) -> None:
+    """Refuses a lab whose specimen or largest stress is too far from the library's."""
+    mine, theirs = Cylinder.of(lab), library.cylinder
     slender = mine.height / mine.diameter / (theirs.height / theirs.diameter)
     if abs(np.log(slender)) > SHAPE_TOLERANCE:
-        problem = f"height over diameter is {slender:.2f} times that of the bank's specimen"
+        problem = f"height over diameter is {slender:.2f} times that of the library's specimen"
         raise InputError(lab.file, "specimen", problem, _REPAIR)
     stress = mine.force_high / mine.diameter**2 / (theirs.force_high / theirs.diameter**2)
     if abs(np.log(stress)) > SHAPE_TOLERANCE:
-        problem = f"the largest stress is {stress:.2f} times the bank's"
+        problem = f"the largest stress is {stress:.2f} times the library's"
         raise InputError(lab.file, "confined.force_high", problem, _REPAIR)
 
 
-_REPAIR = "make a bank for this lab: calibrate bank LAB.toml --out FILE"
+_REPAIR = "make a library for this lab: calibrate library LAB.toml --out FILE"
 
 
-def read(lab: Lab, bank: Bank) -> LabCurves:
+def read_measurements(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
     """Features of a lab: of its curves if there are any, else of its targets."""
-    check_shape(lab, bank)
-    every = bank.features
-    specimens = specimens_of(lab, bank.cylinder)
+    check_shape(lab, library)
+    every = library.features
+    specimens = specimens_of(lab, library.cylinder)
     if not specimens:
-        return _targets(lab, bank)
+        return _targets(lab, library)
     before = _before(specimens)
     on_curves = [f for f in every if f.kind != "target"]
     values = np.array([
-        seen(on_curves, curves, dict(zip(TESTS, rest, strict=True)))
+        recorded_feature_values(on_curves, curves, dict(zip(TESTS, rest, strict=True)))
         for curves, rest in zip(specimens, np.nan_to_num(before), strict=True)
     ])  # fmt: skip
     known = measured_features(on_curves, specimens, values)
@@ -111,10 +110,10 @@ def read(lab: Lab, bank: Bank) -> LabCurves:
                          "past the peak")  # fmt: skip
     vectors = values[:, [on_curves.index(feature) for feature in known]]
     chosen = np.array([every.index(feature) for feature in known])
-    channels = {test: _channel(test, specimens) for test in (CONFINED, UNCONFINED)}
-    speeds = {CONFINED: 1e3 * lab.confined.rate, UNCONFINED: 1e3 * lab.unconfined.rate}
+    channels = {test: _channel(test, specimens) for test in TESTS}
+    speeds = {test: 1e3 * getattr(lab, test).rate for test in TESTS}
     measured = from_vectors(known, vectors)
-    return LabCurves(measured, chosen, before, channels, tuple(specimens), speeds)
+    return ScaledMeasurements(measured, chosen, before, channels, tuple(specimens), speeds)
 
 
 def _before(specimens: Sequence[Curves]) -> np.ndarray:
@@ -132,26 +131,24 @@ def _before(specimens: Sequence[Curves]) -> np.ndarray:
     return found
 
 
-def _targets(lab: Lab, bank: Bank) -> LabCurves:
-    longer = bank.cylinder.height / lab.specimen.height
-    wider = (bank.cylinder.diameter / lab.specimen.diameter) ** 2
+def _targets(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
+    longer = library.cylinder.height / lab.specimen.height
+    wider = (library.cylinder.diameter / lab.specimen.diameter) ** 2
     names = [name for name in TARGETS if name in lab.targets]
     features = declare_targets(names)
     values = {}
     for name in names:
         target, factor = lab.targets[name], longer if name.endswith("_mm") else wider
         values[name] = (target.mean * factor, target.scatter * factor, target.repeats)
-    chosen = np.array([[f.name for f in bank.features].index(name) for name in names])
-    return LabCurves(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
+    chosen = np.array([[f.name for f in library.features].index(name) for name in names])
+    return ScaledMeasurements(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
 
 
 def _channel(test: str, specimens: Sequence[Curves]) -> Channel:
-    """How a test was recorded: travel between readings, and the noise of force from second
-    differences (their median, so that kinks of the soil do not count)."""
+    """How a test was recorded: travel between readings, and the noise of force."""
     curves = [curves[test] for curves in specimens if test in curves]
     if not curves:
         return Channel(0.05, LEAST_FORCE_SD, DISPLACEMENT_SD)
     spacing = np.median([np.median(np.abs(np.diff(x))) for x, _ in curves])
-    seconds = np.concatenate([np.diff(force, 2) for _, force in curves])
-    noise = 1.4826 * np.median(np.abs(seconds - np.median(seconds))) / np.sqrt(6)
-    return Channel(max(float(spacing), 1e-3), max(float(noise), LEAST_FORCE_SD), DISPLACEMENT_SD)
+    noise = force_noise([force for _, force in curves])
+    return Channel(max(float(spacing), 1e-3), max(noise, LEAST_FORCE_SD), DISPLACEMENT_SD)

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.features import Curves, Feature, seen, vector
 from calibrate.discrepancy.comparison.noise import best_shape
+from calibrate.discrepancy.features.base import Curves, Feature
+from calibrate.discrepancy.features.curves import feature_values, recorded_feature_values
 
 REPEATS = 100
 
@@ -34,17 +35,24 @@ class Channel:
         """A recording that begins anywhere within the first interval; averaging: of the mean
         force between readings."""
         path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
-        at = np.arange(rng.uniform(0.0, self.spacing), path[-1], self.spacing)
+        half, end = self.spacing / 2, float(path[-1])
+        at = np.arange(rng.uniform(0.0, self.spacing), end, self.spacing)
         x = np.interp(at, path, displacement) + self.displacement_sd * rng.standard_normal(len(at))
-        read = self._means(path, force, at) if averaging else np.interp(at, path, force)
+        if averaging:
+            ends = (np.clip(at - half, 0.0, end), np.clip(at + half, 0.0, end))
+            read = interval_means(path, force, *ends)
+        else:
+            read = np.interp(at, path, force)
         return x, read + self.force_sd * rng.standard_normal(len(at))
 
-    def _means(self, path: np.ndarray, force: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Mean force over the interval about each reading."""
-        area = np.concatenate([[0.0], np.cumsum(np.diff(path) * (force[1:] + force[:-1]) / 2)])
-        ends = np.clip([at - self.spacing / 2, at + self.spacing / 2], 0.0, path[-1])
-        low, high = np.interp(ends, path, area)
-        return (high - low) / np.maximum(ends[1] - ends[0], 1e-12)
+
+def interval_means(
+    path: np.ndarray, force: np.ndarray, begin: np.ndarray, end: np.ndarray
+) -> np.ndarray:
+    """Mean force (k,) between positions on a path: what an averaging recorder stores."""
+    area = np.concatenate([[0.0], np.cumsum(np.diff(path) * (force[1:] + force[:-1]) / 2)])
+    low, high = (np.interp(at, path, area) for at in (begin, end))
+    return (high - low) / np.maximum(end - begin, 1e-12)
 
 
 def recording(
@@ -59,7 +67,7 @@ def recording(
 
     curves: finely sampled ones of a typical specimen, from contact on; channels: one for each test;
     air: ways (mm) before contact that are recorded too.  What is recorded is read as that of a
-    laboratory is (`features.seen`).
+    laboratory is (`recorded_feature_values`).
     """
     moments, means = _departures(features, curves, channels, rng, repeats, air or {})
     centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
@@ -81,12 +89,12 @@ def recording_shift(
 
 def _departures(features, curves, channels, rng, repeats, air) -> tuple[np.ndarray, np.ndarray]:
     """Features (r, m) of recordings less those of the curves, by moments and by means."""
-    exact = vector(features, curves)
+    exact = feature_values(features, curves)
     whole = {test: through_air(x, force, air.get(test, 0.0)) for test, (x, force) in curves.items()}
 
     def once(averaging: bool) -> np.ndarray:
         read = {test: channels[test].record(*whole[test], rng, averaging) for test in whole}
-        return seen(features, read) - exact
+        return recorded_feature_values(features, read) - exact
 
     def recorded(averaging: bool) -> np.ndarray:
         found = np.array([once(averaging) for _ in range(repeats)])

@@ -19,7 +19,7 @@ BOTH, OTHERS, FAILED = "the two hidden", "two others", "failed"  # columns besid
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class ConfusionMatrix:
     """How often each answer (columns) was given for what was hidden (rows): counts (r, c);
     `right` (r, c) marks the right answers."""
 
@@ -29,7 +29,7 @@ class Named:
     right: np.ndarray
 
 
-def named(result: dict, rows: Sequence[Row]) -> Named:
+def confusion_matrix(result: dict, rows: Sequence[Row]) -> ConfusionMatrix:
     """The table of the rows of a result."""
     hidden = {row.case: _hidden_name(row, result["hidden"][row.case]) for row in rows}
     column = {row.case: _column(row, hidden[row.case]) for row in rows}
@@ -46,7 +46,7 @@ def named(result: dict, rows: Sequence[Row]) -> Named:
     for r, line in enumerate(lines):
         wanted = answer.get(kinds[line], line)
         right[r] = [name == wanted for name in columns]
-    return Named(lines, columns, counts, right)
+    return ConfusionMatrix(lines, columns, counts, right)
 
 
 def _hidden_name(row: Row, hidden: Sequence[Mapping]) -> str:

@@ -1,4 +1,4 @@
-"""The bank: its design, its emulator on formulas, its file, and what a lab becomes in it."""
+"""The library: its design, its emulator on formulas, its file, and what a lab becomes in it."""
 
 import csv
 from dataclasses import replace
@@ -7,16 +7,21 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-import toy_bank
+import toy_library
 from formulas import LAB
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.library import store
-from calibrate.discrepancy.library.cross_validation import Missed, Points, by_effects, missed
-from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library import run_library, store
+from calibrate.discrepancy.library.cross_validation import (
+    EmulatorErrors,
+    TrainingPoints,
+    by_effects,
+    cross_validate,
+)
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, principal
-from calibrate.discrepancy.library.store import Bank, Cylinder, declared
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, declared
 from calibrate.io.lab import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
@@ -116,8 +121,8 @@ def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):
     assert effects[2, 1] == pytest.approx(0.4, rel=0.2)
 
 
-def test_twins_show_an_effect_that_scatter_between_soils_hides():
-    """Specimens scatter by 30 % from soil to soil of one packing, by 1 % between twins."""
+def test_soil_blocks_show_an_effect_that_scatter_between_soils_hides():
+    """Specimens scatter by 30 % from soil to soil of one packing, by 1 % between soil blocks."""
     rng, packings = np.random.default_rng(6), 40
     packing = np.repeat(np.arange(packings), EACH)
     x = np.repeat(rng.normal(size=(packings, P)), EACH, axis=0)
@@ -128,24 +133,24 @@ def test_twins_show_an_effect_that_scatter_between_soils_hides():
     first = np.arange(len(x)) // EACH * EACH
     scatter = np.exp(0.3 * np.where(mixed, own, own[first]) + 0.01 * rng.normal(size=len(x)))
     force = 200 * np.exp(0.4 * x[:, 0] + 0.5 * s[:, 0]) * scatter
-    told = fit_emulator(x, s, packing, force[:, None], SCALE[:1])
-    kernel = told.components[0].kernel
-    assert np.exp(kernel.twin - kernel.rest) > 3
-    blind = kernel._replace(twin=np.log(1e-3), rest=np.log(np.hypot(*np.exp(kernel[-2:]))))
+    estimated = fit_emulator(x, s, packing, force[:, None], SCALE[:1])
+    kernel = estimated.components[0].kernel
+    assert np.exp(kernel.soil_block - kernel.rest) > 3
+    blind = kernel._replace(soil_block=np.log(1e-3), rest=np.log(np.hypot(*np.exp(kernel[-2:]))))
     untold = fit_emulator(x, s, packing, force[:, None], SCALE[:1], [blind])
     here, none = np.zeros(P), np.zeros(1)
-    slopes = [each(here, none)[2][0, 0] / each(here, none)[0][0] for each in (told, untold)]
+    slopes = [each(here, none)[2][0, 0] / each(here, none)[0][0] for each in (estimated, untold)]
     errors = np.abs(np.array(slopes) - 0.5)
     assert errors[0] < 0.05 and errors[0] < 0.2 * errors[1]
 
 
-def test_a_file_from_before_twins_has_none(tmp_path: Path):
-    path = tmp_path / "bank.nc"
-    store.save(toy_bank.bank(), path)
+def test_a_file_without_soil_blocks_has_none(tmp_path: Path):
+    path = tmp_path / "library.nc"
+    store.save(toy_library.library(), path)
     with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
         older = stored.load().drop_vars("kernel_twin")
     older.to_netcdf(path, engine=store.NETCDF)
-    assert all(kernel.twin == store.NO_TWINS for kernel in store.load(path).kernels)
+    assert all(kernel.soil_block == store.NO_SOIL_BLOCKS for kernel in store.load(path).kernels)
 
 
 def test_emulator_is_less_certain_far_away(emulator):
@@ -162,21 +167,21 @@ def test_components_carry_back_to_the_features():
     assert np.allclose(basis.components(warped).std(axis=0), 1.0)
 
 
-def points(emulator: FeatureEmulator, **changes) -> Points:
+def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
     scatter = np.exp(PACKING_SD * np.random.default_rng(5).normal(size=(ROWS // EACH, 1)))[PACKING]
     kernels = [component.kernel._replace(**changes) for component in emulator.components]
-    return Points(X, S, PACKING, formula(X, S) * scatter, SCALE, kernels)
+    return TrainingPoints(X, S, PACKING, formula(X, S) * scatter, SCALE, kernels)
 
 
-def test_left_out_packings_show_scatter_that_an_emulator_forgot(emulator):
-    honest = missed(points(emulator))
-    sure = missed(points(emulator, packing=np.log(0.01)))  # forgets that packings differ
+def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
+    honest = cross_validate(points(emulator))
+    sure = cross_validate(points(emulator, packing=np.log(0.01)))  # forgets that packings differ
     assert 1 / 3 < honest.scatter[0] < 3.0  # 22 packings in one sample and 22 in the other
     assert sure.scatter[0] > 3 * honest.scatter[0]
 
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
-    assert (missed(points(emulator)).widening >= 1.0).all()
+    assert (cross_validate(points(emulator)).widening >= 1.0).all()
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
@@ -203,20 +208,20 @@ def test_errors_without_a_direction_have_hardly_any():
     assert directions.shape[1] <= 1  # one in twenty by chance
 
 
-def test_what_is_missed_survives_its_file(tmp_path):
+def test_emulator_errors_survive_their_file(tmp_path):
     """Earlier files know nothing of effects; their widening counts all the same."""
-    bank = toy_bank.bank()
-    m, ones = len(bank.features), np.ones(len(bank.kernels))
-    known = Missed(1.5 * ones, ones, RNG.normal(size=(m, 2)), np.array([0, 1]))
-    path = tmp_path / "bank.nc"
-    store.save(replace(bank, missed=known), path)
-    again = store.load(path).missed
+    library = toy_library.library()
+    m, ones = len(library.features), np.ones(len(library.kernels))
+    known = EmulatorErrors(1.5 * ones, ones, RNG.normal(size=(m, 2)), np.array([0, 1]))
+    path = tmp_path / "library.nc"
+    store.save(replace(library, emulator_errors=known), path)
+    again = store.load(path).emulator_errors
     assert again is not None and (again.directions == known.directions).all()
     assert (again.along(np.array([0.5, 0.0, 0.0])) == known.directions * [0.5, 0.0]).all()
     with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
         older = stored.load().drop_vars(["missed_directions", "missed_effect"])
     older.to_netcdf(path, engine=store.NETCDF)
-    again = store.load(path).missed
+    again = store.load(path).emulator_errors
     assert again is not None and again.directions.shape == (m, 0)
     assert (again.widening == known.widening).all()
 
@@ -230,75 +235,75 @@ def test_rescaled_residuals_have_components_of_the_new_size(emulator):
     assert parts[1] / parts[0] == pytest.approx(factors)
 
 
-def small_bank() -> Bank:
+def small_library() -> RunLibrary:
     """Rows of a design with made-up features."""
     design = replace(Design(), packings=8)
     base, strengths = design.rows()
     features = declared(400.0)
     values = RNG.uniform(1, 2, size=(len(base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
-    return Bank(
+    return RunLibrary(
         design, Cylinder(0.05, 0.1, 200.0, 400.0), "engine", base, strengths,
         np.repeat(np.arange(8), design.rows_each), values,
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
 
 
-def test_a_bank_survives_its_file(tmp_path: Path):
-    bank, path = small_bank(), tmp_path / "bank.nc"
-    store.save(bank, path)
+def test_a_library_survives_its_file(tmp_path: Path):
+    library, path = small_library(), tmp_path / "library.nc"
+    store.save(library, path)
     again = store.load(path)
-    assert again.design == bank.design and again.cylinder == bank.cylinder
-    assert np.allclose(again.values, bank.values, rtol=1e-6)
-    assert np.allclose(again.reference["confined"], bank.reference["confined"])
+    assert again.design == library.design and again.cylinder == library.cylinder
+    assert np.allclose(again.values, library.values, rtol=1e-6)
+    assert np.allclose(again.reference["confined"], library.reference["confined"])
 
 
-def test_a_bank_grows_to_the_one_that_a_larger_design_gives():
+def test_a_library_grows_to_the_one_that_a_larger_design_gives():
     """By the runs of further packings, one of which failed; kernels are to be fitted anew."""
-    larger = replace(toy_bank.DESIGN, packings=toy_bank.PACKINGS + 2)
-    runs = toy_bank.runs(larger)
-    whole = store.collect(larger, LAB, runs, toy_bank.run(np.zeros(2), np.zeros(3), 900))
-    later = [None, *runs[toy_bank.PACKINGS * toy_bank.ROWS + 1 :]]
-    grown = toy_bank.bank().grown(larger, later)
-    first = toy_bank.PACKINGS * toy_bank.ROWS
+    larger = replace(toy_library.DESIGN, packings=toy_library.PACKINGS + 2)
+    runs = toy_library.runs(larger)
+    whole = run_library.collect(larger, LAB, runs, toy_library.run(np.zeros(2), np.zeros(3), 900))
+    later = [None, *runs[toy_library.PACKINGS * toy_library.ROWS + 1 :]]
+    grown = toy_library.library().grown(larger, later)
+    first = toy_library.PACKINGS * toy_library.ROWS
     keep = np.delete(np.arange(len(whole.values)), first)
-    assert len(whole.values) == len(runs) and not grown.kernels and grown.missed is None
+    assert len(whole.values) == len(runs) and not grown.kernels and grown.emulator_errors is None
     for part in ("base", "strengths", "packing", "values"):
         np.testing.assert_array_equal(getattr(grown, part), getattr(whole, part)[keep])
 
 
-def test_a_bank_grows_only_by_more_of_the_same():
-    smaller = toy_bank.bank()
-    store.check_extends(replace(smaller.design, packings=20), LAB, smaller, "bank.nc")
+def test_a_library_grows_only_by_more_of_the_same():
+    smaller = toy_library.library()
+    run_library.check_extends(replace(smaller.design, packings=20), LAB, smaller, "library.nc")
     with pytest.raises(InputError, match="14 packings already"):
-        store.check_extends(smaller.design, LAB, smaller, "bank.nc")
+        run_library.check_extends(smaller.design, LAB, smaller, "library.nc")
     other = replace(smaller.design, packings=20, spheres=200)
     with pytest.raises(InputError, match="another centre, cylinder or number of spheres"):
-        store.check_extends(other, LAB, smaller, "bank.nc")
+        run_library.check_extends(other, LAB, smaller, "library.nc")
 
 
 def test_further_rows_move_what_they_are_about_and_make_it_surer():
-    """Forty rows at one point, on packings of their own, twice as strong as the bank knows."""
-    ready = Ready.of(toy_bank.bank())
-    bank, count = ready.bank, 40
-    base, strengths = np.zeros((count, len(bank.design.base_names))), np.zeros((count, 3))
+    """Forty rows at one point, on packings of their own, twice as strong as the library knows."""
+    emulated = EmulatedLibrary.of(toy_library.library())
+    library, count = emulated.library, 40
+    base, strengths = np.zeros((count, len(library.design.base_names))), np.zeros((count, 3))
     scatter = np.random.default_rng(0).normal(1, 0.05, size=(count, 1))
     here, none = np.zeros(base.shape[1]), np.zeros(3)
-    values = 2 * ready.emulator(here, none)[0] * scatter
-    rows = store.Rows(base, strengths, np.arange(count), values)
-    better = ready.joined(rows, bank)
-    ratio = better.emulator(here, none)[0] / ready.emulator(here, none)[0]
+    values = 2 * emulated.emulator(here, none)[0] * scatter
+    rows = run_library.Rows(base, strengths, np.arange(count), values)
+    better = emulated.joined(rows, library)
+    ratio = better.emulator(here, none)[0] / emulated.emulator(here, none)[0]
     assert np.median(ratio) == pytest.approx(2.0, rel=0.15)
-    errors = [np.linalg.norm(r.emulator.error_directions(here, none)) for r in (ready, better)]
+    errors = [np.linalg.norm(r.emulator.error_directions(here, none)) for r in (emulated, better)]
     assert errors[1] < 0.7 * errors[0]
-    assert len(better.specimens) == len(ready.specimens) + count
+    assert len(better.specimens) == len(emulated.specimens) + count
 
 
-@pytest.mark.parametrize("content", [b"", b"no bank", b"\x89HDF\r\n\x1a\n"])
+@pytest.mark.parametrize("content", [b"", b"no library", b"\x89HDF\r\n\x1a\n"])
 def test_another_file_is_refused_in_one_sentence(tmp_path: Path, content: bytes):
-    path = tmp_path / "bank.nc"
+    path = tmp_path / "library.nc"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="no bank of simulations"):
+    with pytest.raises(InputError, match="no library of runs"):
         store.load(path)
 
 

@@ -1,4 +1,4 @@
-"""A bank of formulas: 56 rows of the soil in `formulas`, two errors of the load cell, density.
+"""A library of formulas: 56 rows of the soil in `formulas`, two errors of the load cell, density.
 
 Small enough that a whole diagnosis takes seconds; kernels are those that fitting starts from.
 """
@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 from formulas import BASE, LAB, specimen
 
-from calibrate.discrepancy.comparison.features import Curves
+from calibrate.discrepancy.features.base import Curves
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import COMPONENTS, Kernel
-from calibrate.discrepancy.library.simulate import Points
-from calibrate.discrepancy.library.store import Bank, Cylinder, collect, curves_of, save
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
+from calibrate.discrepancy.library.simulate import RunPoints
+from calibrate.discrepancy.library.store import save
 from calibrate.io.soil import with_values
 from calibrate.simulation import Run
-from calibrate.validation.laboratory import Specimen, recorded, write_case
+from calibrate.validation.laboratory import SpecimenRecords, recorded, write_case
 
 PACKINGS, ROWS = 14, 4
 CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BASE.surface_energy)}
@@ -55,20 +56,20 @@ def runs(design: Design) -> list[Run]:
 
 
 @cache
-def bank() -> Bank:
+def library() -> RunLibrary:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
     kernels = (Kernel.start(made.base.shape[1], made.strengths.shape[1]),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 
-def run_points(design: Design, points: Points, *_) -> list[Run]:
+def run_points(design: Design, points: RunPoints, *_) -> list[Run]:
     """What `calibrate.discrepancy.library.simulate.run_points` does, by formula."""
     rows = zip(points.base[:, :2], points.strengths, points.seeds, strict=True)
     return [run(soil, strength, int(seed)) for soil, strength, seed in rows]
 
 
-def write_bank(path: Path) -> Path:
-    save(bank(), path)
+def write_library(path: Path) -> Path:
+    save(library(), path)
     return path
 
 
@@ -77,7 +78,7 @@ def reference() -> Curves:
 
 
 def write_lab(folder: Path, name: str, offset: float, specimens: int = 4) -> Path:
-    """A laboratory's files: specimens of other packings than the bank's, offset in N."""
+    """A laboratory's files: specimens of other packings than the library's, offset in N."""
     rng = np.random.default_rng(3)
     made = []
     for number in range(specimens):
@@ -85,6 +86,6 @@ def write_lab(folder: Path, name: str, offset: float, specimens: int = 4) -> Pat
         records = {
             test: recorded(getattr(found, test), offset, rng) for test in ("confined", "unconfined")
         }
-        made.append(Specimen(records, 1829.6 * (1 + 0.004 * rng.standard_normal())))
+        made.append(SpecimenRecords(records, 1829.6 * (1 + 0.004 * rng.standard_normal())))
     write_case(name, made, CENTRE, folder)
     return folder / "lab.toml"

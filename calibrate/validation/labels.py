@@ -1,8 +1,8 @@
-"""Labels in our words and units, whoever made them, and how visible what they hide is.
+"""Labels in one vocabulary and unit, whoever made them, and the visibility of what they hide.
 
 Labels of another code state strengths of its own realisations; they are converted to ours.  How
 visible effects are is computed after the seal is open, for scores by signal-to-noise only: from
-the simulated changes that a label holds, else from the bank.  What scatters between specimens
+the simulated changes that a label holds, else from the library.  What scatters between specimens
 (`density_scatter`) is no gap of their mean: alone it is a kind of its own, of which "no gap" is
 the right answer; beside an effect it is left out.
 """
@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.discrepancy.library.description import Discrepancy, Ready
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.validation.plan import SPECIMENS, Visibility, relative_error
 from calibrate.validation.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
 THEIRS = 3  # specimens of those cases
-FEWEST_CHANGES = 2  # packings from which a signal-to-noise is told
-FEWEST_POOLED = 5  # cases with an effect that tell how wrong predictions of it are
+FEWEST_CHANGES = 2  # packings from which a signal-to-noise is estimated
+FEWEST_POOLED = 5  # cases with an effect from which the error of its prediction is estimated
 
 # their name -> our name, and their strength in our unit
-OURS: dict[str, tuple[str, Callable[[float], float]]] = {
+CONVERSIONS: dict[str, tuple[str, Callable[[float], float]]] = {
     "frame_compliance": ("load_frame_compliance", lambda mm_per_kn: 1e-6 * mm_per_kn),
     "seating": ("seating_gap", lambda mm: 1e-3 * mm),
     "load_cell_drift": ("load_cell_drift", lambda n_per_h: n_per_h / 3600),
@@ -36,7 +36,7 @@ KINDS = {"library": "single"}
 PAIR = "two"  # of cases with two effects, pooled whatever these are
 
 
-def in_our_words(label: dict) -> dict:
+def normalised(label: dict) -> dict:
     """A label with the keys that scoring reads, whoever made it."""
     hidden = [_ours(entry) for entry in label.get("hidden") or label.get("effects", [])]
     kind = KINDS.get(label["kind"], label["kind"])
@@ -47,33 +47,33 @@ def in_our_words(label: dict) -> dict:
 
 
 def _ours(entry: dict) -> dict:
-    name, convert = OURS.get(entry["name"], (entry["name"], float))
+    name, convert = CONVERSIONS.get(entry["name"], (entry["name"], float))
     if "unit" not in entry:  # a label of our own
         return dict(entry)
     return {"name": name, "strength": convert(entry["strength"])}
 
 
 def with_visibility(
-    labels: dict[str, dict], ready: Ready, discrepancy: Discrepancy | None
+    labels: dict[str, dict], emulated: EmulatedLibrary, discrepancy: ModelDiscrepancy | None
 ) -> dict[str, dict]:
-    """The labels with a signal-to-noise where they lack one, with the mismatch known as it is to
-    the diagnosis."""
-    seen = {
-        name: Seen.of(label, ready, discrepancy)
+    """The labels with a signal-to-noise where they lack one, with the model discrepancy that the
+    diagnosis uses."""
+    changes_by_case = {
+        name: EffectChange.of(label, emulated, discrepancy)
         for name, label in labels.items() if "snr" not in label and label["hidden"]
     }  # fmt: skip
-    errors = errors_of([one for one in seen.values() if one.both])
-    told = {name: one.snr(errors) for name, one in seen.items()}
+    errors = errors_of([one for one in changes_by_case.values() if one.both])
+    expected_snr = {name: one.snr(errors) for name, one in changes_by_case.items()}
     return {
-        name: label if "snr" in label else {**label, "snr": told.get(name, 0.0)}
+        name: label if "snr" in label else {**label, "snr": expected_snr.get(name, 0.0)}
         for name, label in labels.items()
     }
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What a label says of its effects' change: simulated with and without (n, m), and as the bank
-    predicts it (m,) if it knows them all; planned: signal-to-noise, none in labels of another
+class EffectChange:
+    """The change by a label's effects: simulated with and without (n, m), and as the library of
+    runs predicts it (m,) if it holds them all; planned: signal-to-noise, none in labels of another
     code."""
 
     effects: str
@@ -83,25 +83,27 @@ class Seen:
     planned: float | None
 
     @staticmethod
-    def of(label: dict, ready: Ready, discrepancy: Discrepancy | None) -> "Seen":
+    def of(
+        label: dict, emulated: EmulatedLibrary, discrepancy: ModelDiscrepancy | None
+    ) -> "EffectChange":
         strengths, own = {h["name"]: h["strength"] for h in label["hidden"]}, "changes" in label
-        design, soil = ready.bank.design, label.get("soil", {})
+        design, soil = emulated.library.design, label.get("soil", {})
         if not own:  # another code's: its rolling friction is another law's
             alike = [n for n in design.soil_names if n in soil and n != "rolling_friction"]
             soil = {**design.centre, **{n: soil[n] for n in alike}}
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
         soil = {n: soil[n] for n in design.soil_names}
-        visible = Visibility(ready, soil, SPECIMENS if own else THEIRS, discrepancy)
-        known = bool(strengths) and set(strengths) <= set(design.effect_names)
-        return Seen(
+        visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy)
+        in_library = bool(strengths) and set(strengths) <= set(design.effect_names)
+        return EffectChange(
             PAIR if len(strengths) > 1 else "".join(strengths), visible,
-            np.array(label.get("changes", [])), visible.change(strengths) if known else None,
+            np.array(label.get("changes", [])), visible.change(strengths) if in_library else None,
             label.get("planned_snr"),
         )  # fmt: skip
 
     @property
     def both(self) -> bool:
-        """Whether it can be seen how wrong the prediction is."""
+        """Whether the error of the prediction can be estimated."""
         return self.predicted is not None and len(self.changes) >= FEWEST_CHANGES
 
     def parts(self) -> tuple[float, float, float]:
@@ -112,19 +114,19 @@ class Seen:
         return self.visible.length(predicted), self.visible.scatter(self.changes), away
 
     def snr(self, errors: dict[str, float]) -> float:
-        """Signal-to-noise; where simulations do not tell it, as planned, else as predicted."""
+        """Signal-to-noise; without enough simulations as planned, else as predicted."""
         if len(self.changes) >= FEWEST_CHANGES:
             if self.predicted is None:
                 return self.visible.realised(self.changes)
-            return self.visible.told(self.changes, self.predicted, errors[self.effects])
+            return self.visible.expected_snr(self.changes, self.predicted, errors[self.effects])
         if self.planned is not None:
             return self.planned
         return 0.0 if self.predicted is None else self.visible.left(self.predicted)
 
 
-def errors_of(seen: Sequence[Seen]) -> dict[str, float]:
+def errors_of(changes_by_case: Sequence[EffectChange]) -> dict[str, float]:
     """`relative_error` by effect; that of all where few cases have it, none where these are few."""
-    parts = [(one.effects, one.parts()) for one in seen]
+    parts = [(one.effects, one.parts()) for one in changes_by_case]
     found = {}
     for name in {name for name, _ in parts}:
         mine = [part for other, part in parts if other == name]

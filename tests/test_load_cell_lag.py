@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.comparison.features import vector
-from calibrate.discrepancy.library.load_cell_lag import Late
-from calibrate.discrepancy.library.store import declared
+from calibrate.discrepancy.features.curves import feature_values
+from calibrate.discrepancy.library.load_cell_lag import LoadCellLag
+from calibrate.discrepancy.library.run_library import declared
 
 SPEED = 8.0  # mm/s
 FEATURES = declared(400.0)
-LATE = Late(FEATURES, SPEED)
+LAG_FILTER = LoadCellLag(FEATURES, SPEED)
 UP = np.array([f.kind == "loading" for f in FEATURES])
 DOWN = np.array([f.kind == "unloading" for f in FEATURES])
 
@@ -41,14 +41,14 @@ def curve(length: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def features(length: float) -> np.ndarray:
-    return vector(FEATURES, {"confined": curve(length)})
+    return feature_values(FEATURES, {"confined": curve(length)})
 
 
 @pytest.mark.parametrize("lag", [0.01, 0.03, 0.06])
-def test_a_soil_read_late_moves_as_the_filter_says(lag):
+def test_a_soil_with_a_lag_moves_as_the_filter_says(lag):
     exact = features(1e-6)
     known = np.where(np.isfinite(exact), exact, 0.0)
-    moved = LATE.shift(known[None], np.array([lag]))[0]
+    moved = LAG_FILTER.shift(known[None], np.array([lag]))[0]
     change = features(SPEED * lag) - exact
     length = SPEED * lag
     middle = DOWN & np.array([40 <= f.abscissa <= 320 for f in FEATURES])
@@ -59,8 +59,8 @@ def test_a_soil_read_late_moves_as_the_filter_says(lag):
 
 def test_nothing_moves_without_a_lag_and_nothing_but_the_branches_with_one():
     values = np.nan_to_num(features(1e-6))[None]
-    assert not LATE.shift(values, np.zeros(1)).any()
-    moved = LATE.shift(values, np.array([0.05]))[0]
+    assert not LAG_FILTER.shift(values, np.zeros(1)).any()
+    moved = LAG_FILTER.shift(values, np.array([0.05]))[0]
     assert not moved[~(UP | DOWN)].any() and np.abs(moved[DOWN]).min() > 0.1
 
 
@@ -69,8 +69,8 @@ def test_what_is_no_curve_is_left_as_it_is(absurd):
     """Fits try any values on their way."""
     values = np.full((1, len(FEATURES)), absurd)
     with np.errstate(invalid="ignore"):
-        assert not LATE.shift(values, np.array([0.05])).any()
-        assert not LATE.shift(np.nan_to_num(features(1e-6))[None], np.array([1e9])).any()
+        assert not LAG_FILTER.shift(values, np.array([0.05])).any()
+        assert not LAG_FILTER.shift(np.nan_to_num(features(1e-6))[None], np.array([1e9])).any()
 
 
 def test_slopes_are_those_of_the_shifted_values():
@@ -79,12 +79,12 @@ def test_slopes_are_those_of_the_shifted_values():
     slopes = np.column_stack(
         [0.1 * values, smooth, rng.standard_normal(len(values)) * ~(UP | DOWN)]
     )
-    shown, turned, along = LATE.read(values, slopes, 0.04)
-    assert shown == pytest.approx(values + LATE.shift(values[None], np.array([0.04]))[0])
+    shown, turned, along = LAG_FILTER.read(values, slopes, 0.04)
+    assert shown == pytest.approx(values + LAG_FILTER.shift(values[None], np.array([0.04]))[0])
     for before, after in zip(slopes.T, turned.T, strict=True):
-        beside = LATE.read(values + 1e-2 * before, slopes, 0.04)[0]
+        beside = LAG_FILTER.read(values + 1e-2 * before, slopes, 0.04)[0]
         assert (beside - shown) / 1e-2 == pytest.approx(after, abs=0.15 * np.abs(before).max())
-    later = LATE.read(values, slopes, 0.05)[0]
+    later = LAG_FILTER.read(values, slopes, 0.05)[0]
     assert along == pytest.approx((later - shown) / 0.01, abs=1e-6 + 0.02 * np.abs(along).max())
-    none = LATE.read(values, slopes, 0.0)
+    none = LAG_FILTER.read(values, slopes, 0.0)
     assert none[0] is values and none[1] is slopes

@@ -1,4 +1,4 @@
-"""The opinion that comes with the package is that which opened verdicts gave."""
+"""The probability calibration that comes with the package is that which opened verdicts gave."""
 
 import sys
 from pathlib import Path
@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
-from calibrate.discrepancy.comparison.compare import named
+from calibrate.discrepancy.comparison.compare import likeliest_verdict
 from calibrate.discrepancy.comparison.probability_calibration import (
     NAMED_BELOW,
     NONE,
+    ProbabilityCalibration,
+    bundled_calibration,
     hypotheses,
-    learned,
 )
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -19,8 +20,8 @@ import opinion
 
 
 def test_it_follows_from_the_archived_evidences():
-    found, again = learned(), opinion.learn(opinion.cases())
-    names = tuple(again.habits)
+    found, again = bundled_calibration(), opinion.learn(opinion.cases())
+    names = tuple(again.class_bias)
     assert found.numbers(names) == pytest.approx(again.numbers(names), abs=1e-3)
     assert 0 < found.smallest < 0.5
 
@@ -29,12 +30,12 @@ def test_it_states_better_than_evidences_as_they_are():
     """By the logarithmic score of the cases that each fifth left out."""
     cases = opinion.cases()
     others = opinion.quality(cases, opinion.by_other_folds(cases))
-    plain = opinion.quality(cases, [opinion.Opinion()] * len(cases))
+    plain = opinion.quality(cases, [ProbabilityCalibration()] * len(cases))
     assert others["log_score"] > plain["log_score"]
 
 
 def named_right(case: opinion.Known) -> set[tuple[str, ...]]:
-    every = hypotheses(case.facts)
+    every = hypotheses(case.summary)
     return {h for h, right in zip(every, case.right, strict=True) if right}
 
 
@@ -49,11 +50,11 @@ def test_right_explanations_are_those_of_the_right_class():
     pair = next(c for c in cases if TOGETHER in c.truth and JOINED not in c.truth)
     assert [set(h) for h in named_right(pair)] == [set(pair.truth.split(TOGETHER))]
     for case in (nothing, joined, pair):
-        assert sum(case.said(learned()).values()) == pytest.approx(1.0)
+        assert sum(case.said(bundled_calibration()).values()) == pytest.approx(1.0)
 
 
 def test_something_is_named_where_none_is_unlikely_enough():
     less, more = NAMED_BELOW - 0.01, NAMED_BELOW + 0.01
-    assert named({NONE: less, "wall_friction": 0.7}) == "wall_friction"
-    assert named({NONE: more, "wall_friction": 0.7}) == NONE
-    assert named({NONE: less, "a": 0.2, "b": 0.2, "c": 0.2}) == NONE
+    assert likeliest_verdict({NONE: less, "wall_friction": 0.7}) == "wall_friction"
+    assert likeliest_verdict({NONE: more, "wall_friction": 0.7}) == NONE
+    assert likeliest_verdict({NONE: less, "a": 0.2, "b": 0.2, "c": 0.2}) == NONE

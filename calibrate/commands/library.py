@@ -1,0 +1,68 @@
+"""`calibrate library`: simulate a library of runs for labs of one kind, for `calibrate diagnose`.
+
+Takes some two to three seconds of one core for each simulation of 150 spheres, and can be
+stopped and resumed; what is there already is not simulated again.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calibrate.commands.options import renamed
+
+DESIGN = "packings x 6 simulations; a larger library goes on from a smaller one"
+
+
+def register(app: typer.Typer) -> None:
+    """Adds `calibrate library`; `calibrate bank` does the same."""
+    app.command("library")(library_command)
+    app.command("bank", hidden=True)(renamed(library_command, "bank", "library"))
+
+
+def library_command(
+    lab: Annotated[
+        Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: bundled soil.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="The library's file.")] = Path("library.nc"),
+    packings: Annotated[int, typer.Option("--packings", min=8, help=DESIGN)] = 136,
+    onto: Annotated[
+        Path | None,
+        typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
+    ] = None,
+    spheres: Annotated[int, typer.Option("--spheres", min=60, help="Spheres a packing.")] = 150,
+    centred: Annotated[
+        bool, typer.Option("--centred/--bundled-centre", help="Centre on the lab's own soil.")
+    ] = False,
+) -> None:
+    """Simulate soils and effects around one kind of lab; keep their features in one file."""
+    from calibrate.core.files import make_folder
+    from calibrate.core.progress import for_terminal
+    from calibrate.discrepancy.library import store
+    from calibrate.discrepancy.library.design import Design
+    from calibrate.discrepancy.library.run_library import check_extends, collect
+    from calibrate.discrepancy.library.simulate import Simulator, reference_run, run_design
+    from calibrate.io.lab import bundled_lab, load_lab
+    from calibrate.io.soil import base_soil
+
+    measured = load_lab(bundled_lab() if lab is None else lab)
+    make_folder(out.parent)
+    smaller = None if onto is None else store.load(onto)
+    design = Design(packings=packings, spheres=spheres)
+    if centred:
+        soil = base_soil(measured)
+        centre = {name: float(getattr(soil, name)) for name in design.soil_names}
+        design = replace(design, centre=centre)
+    progress = for_terminal()
+    simulator = Simulator(measured, out.parent / f"{out.stem}_runs")
+    if smaller is None:
+        runs = run_design(design, simulator, progress)
+        library = collect(design, measured, runs, reference_run(design, simulator))
+    else:
+        check_extends(design, measured, smaller, str(onto))
+        runs = run_design(design, simulator, progress, first=smaller.design.packings)
+        library = smaller.grown(design, runs)
+    progress.say(f"{len(library.values)} simulations have all features; fitting")
+    store.save(library.fitted(), out)
+    print(f"library of {len(library.values)} runs in {out}")

@@ -1,0 +1,112 @@
+"""A feature of a curve, and what a type of test says of its features.
+
+A feature is one number of a specimen: a displacement read at a force, a force read at a
+displacement, or a property of the whole curve, so that equal features of two curves mean the same
+location whatever the sampling was.  A type of test declares its features before the data are
+looked at, for a soil and not for a specimen, and reads them off a curve.
+"""
+
+import abc
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+BEFORE = "before contact"  # kind and segment of the force that a machine shows at rest
+TARGET = "target"  # kind and segment of a scalar that is known without a curve
+APART = (TARGET, BEFORE)  # kinds that are not read off a curve's course
+
+Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]  # test -> displacement (mm), force (N)
+Values = dict[tuple[str, float], float]  # (kind, abscissa) -> value
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number of a specimen: where it is read and in which unit it is.
+
+    kind is one of its test's kinds, "before contact" or "target"; abscissa is the force (N) or
+    displacement (mm) at which it is read.  `scale` is what all abscissae of its test are shares
+    of; `force` is the force (N) from which displacement counts, where the test has one;
+    `position` runs from 0 to 1 along the test.
+    """
+
+    name: str
+    test: str
+    segment: str
+    kind: str
+    abscissa: float
+    unit: str
+    position: float
+    scale: float = 1.0
+    force: float = 0.0
+
+
+@dataclass(frozen=True)
+class UsualSizes:
+    """By what features are declared: the largest force (N) of compression, and the usual
+    displacement (mm) and force (N) of a peak."""
+
+    force_high: float
+    peak_mm: float
+    peak_n: float
+
+
+@dataclass(frozen=True)
+class Variation:
+    """The test again under another condition: its cost (h), factors on the slopes of effects, and
+    the decades of rate by which it is faster."""
+
+    name: str
+    cost: float
+    factors: Mapping[str, float]
+    decades: float = 0.0
+
+
+class AbstractTestFeatures(abc.ABC):
+    """The features of one type of test.
+
+    name: as in `Feature.test`; label: for readers; axis: of displacement, as features count it;
+    segments: words for each segment; target: the scalar observable of the test; branches: kinds
+    that follow the curve, by abscissa; tared: kinds that are read without the force before
+    contact (None: all); read_at_forces: whether abscissae are forces; variations: of the test that
+    would separate explanations.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    axis: ClassVar[str]
+    segments: ClassVar[Mapping[str, str]]
+    target: ClassVar[str]
+    branches: ClassVar[tuple[str, ...]]
+    tared: ClassVar[tuple[str, ...] | None]
+    read_at_forces: ClassVar[bool]
+    variations: ClassVar[tuple[Variation, ...]]
+
+    @abc.abstractmethod
+    def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:
+        """All features of the test."""
+
+    @abc.abstractmethod
+    def read(
+        self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
+    ) -> Values:
+        """Values of the test's `features` (none of `APART`, at least one) on a curve in the order
+        of recording; NaN where the curve does not reach."""
+
+    @abc.abstractmethod
+    def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        """Mask (m,) of the features that a tared curve (N) does not reach."""
+
+    @abc.abstractmethod
+    def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
+        """Displacement (mm) on a curve from which its features count; `feature`: any of them."""
+
+    @abc.abstractmethod
+    def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:
+        """Names of the features whose ratios stretch a curve in displacement and in force to
+        another soil's size; "" for none."""
+
+    def mine(self, features: Sequence[Feature]) -> list[Feature]:
+        """Those of the features that are read off this test's curve."""
+        return [f for f in features if f.test == self.name and f.kind not in APART]

@@ -1,0 +1,128 @@
+"""Features of confined compression to a largest force and back.
+
+Displacements (mm) are read at shares of the largest force on loading and on unloading, and count
+from the one at half of it on loading, as a laboratory is free to choose its zero.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibrate.discrepancy.features.base import (
+    AbstractTestFeatures,
+    Feature,
+    UsualSizes,
+    Values,
+    Variation,
+)
+from calibrate.discrepancy.features.branches import (
+    displacement_at,
+    falling,
+    rising,
+    rising_displacement_at,
+)
+
+NAME = "confined"
+# Shares of the largest force at which displacement is read, by segment.
+ON_LOADING = {
+    "toe": (0.0125, 0.025, 0.05),
+    "loading": (0.075, 0.1, 0.15, 0.2, 0.275, 0.35, 0.425),
+    "200-400 N": (0.575, 0.65, 0.725, 0.8, 0.875, 0.95, 0.99),
+}
+ON_UNLOADING = {
+    "reversal": (0.98, 0.95, 0.9),
+    "unloading": (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05),
+}
+REFERENCE = 0.5  # share of the largest force whose displacement on loading is zero
+NEAR_TOP = 0.99  # share of the largest force beyond which travel at the top counts
+LATE_START = 0.08  # share of the largest force; a loading that begins above it is read from there
+BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
+SEGMENTS = {  # in words
+    "toe": "first touch of the confined test",
+    "loading": "lower half of loading in the confined test",
+    "200-400 N": "upper half of loading in the confined test",
+    "reversal": "reversal at the top of the confined test",
+    "unloading": "unloading of the confined test",
+    "before contact": "reading before contact in the confined test",
+}
+VARIATIONS = (
+    Variation("confined test in a freshly greased mould", 3.0, {"wall_friction": 0.0}),
+    Variation("confined test at a tenth of the speed", 2.0, {"acquisition_lag": 0.1}, -1.0),
+)
+
+
+class ConfinedFeatures(AbstractTestFeatures):
+    """Kinds "loading", "unloading" (abscissa in N), "largest force", "travel at the top"."""
+
+    name = NAME
+    label = "confined test"
+    axis = "displacement, 0 at half load (mm)"
+    segments = SEGMENTS
+    target = "depression_depth_mm"
+    branches = ("loading", "unloading")
+    tared = ("loading",)
+    read_at_forces = True
+    variations = VARIATIONS
+
+    def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:
+        high = usual.force_high
+        up = [
+            _at(segment, "loading", share, high, 0.6 * share)
+            for segment, shares in ON_LOADING.items()
+            for share in shares
+        ]
+        top = [
+            _of_the_turn("largest force", "N", high, 0.61),
+            _of_the_turn("travel at the top", "mm", high, 0.62),
+        ]
+        down = [
+            _at(segment, "unloading", share, high, 1.0 - 0.36 * share)
+            for segment, shares in ON_UNLOADING.items()
+            for share in shares
+        ]
+        return (*up, *top, *down)
+
+    def read(
+        self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
+    ) -> Values:
+        scale, turn = features[0].scale, int(np.argmax(displacement))
+        returns = turn < len(displacement) - 1
+        rise = rising(displacement[: turn + 1], force[: turn + 1])
+        starts_late = rise[1][0] > LATE_START * scale  # a few points that begin under load
+        zero = displacement_at(rise, REFERENCE * scale)
+        near_top = displacement_at(rise, NEAR_TOP * scale)
+        values = {
+            ("largest force", 0.0): float(rise[1][-1]) if returns else np.nan,
+            ("travel at the top", 0.0): float(displacement[turn] - near_top) if returns else np.nan,
+        }
+        fall = falling(displacement[turn:], force[turn:])
+        branch = {"loading": (rise, starts_late), "unloading": (fall, True)}
+        for feature in features:
+            if feature.kind in branch:
+                curve, strict = branch[feature.kind]
+                value = displacement_at(curve, feature.abscissa, strict=bool(strict)) - zero
+                values[feature.kind, feature.abscissa] = value
+        return values
+
+    def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        top = force.max()
+        return np.array([
+            f.test == NAME and f.kind == "loading" and f.abscissa > top + BEYOND * f.scale
+            for f in features
+        ])  # fmt: skip
+
+    def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
+        top = int(np.argmax(displacement))
+        return rising_displacement_at(displacement, force, top, REFERENCE * feature.scale)
+
+    def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:
+        return f"displacement at {NEAR_TOP * usual.force_high:g} N, loading", ""
+
+
+def _at(segment: str, kind: str, share: float, high: float, position: float) -> Feature:
+    name = f"displacement at {share * high:g} N, {kind}"
+    return Feature(name, NAME, segment, kind, share * high, "mm", position, high)
+
+
+def _of_the_turn(kind: str, unit: str, high: float, position: float) -> Feature:
+    return Feature(f"{kind}, {NAME}", NAME, "reversal", kind, 0.0, unit, position, high)

@@ -1,0 +1,114 @@
+"""Features of unconfined compression to failure.
+
+Forces (N) are read at shares of the usual displacement at the peak, averaged over a window;
+displacements count from a seating force, as a laboratory is free to choose its zero.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibrate.discrepancy.features.base import (
+    AbstractTestFeatures,
+    Feature,
+    UsualSizes,
+    Values,
+    Variation,
+)
+from calibrate.discrepancy.features.branches import (
+    averaged,
+    displacement_at,
+    rising,
+    rising_displacement_at,
+)
+
+NAME = "unconfined"
+# Shares of the displacement at the peak at which force is read, by segment.
+ON_CRUSHING = {
+    "toe": (0.05, 0.1, 0.15, 0.2),
+    "rise": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
+    "peak": (0.9, 1.0, 1.1),
+    "softening": (1.25, 1.4, 1.6, 1.8, 2.0),
+}
+SEATING = 0.02  # share of the crushing force at which displacement starts to count
+WINDOW = 0.04  # half-width of the averaging window, share of the displacement at the peak
+NEAR_PEAK = 0.95  # share of the peak above which the peak's location is averaged
+SEGMENTS = {  # in words
+    "before contact": "reading before contact in the crushing test",
+    "toe": "first touch of the crushing test",
+    "rise": "rise of the crushing test",
+    "peak": "peak of the crushing test",
+    "softening": "softening after the peak of the crushing test",
+}
+VARIATIONS = (
+    Variation("crushing between lubricated platens", 3.0, {"platen_friction": 0.0}),
+    Variation("crushing ten times as fast", 2.0, {"load_cell_drift": 0.1}, 1.0),
+    Variation("crushing a sealed specimen at once", 3.0, {"second_test_factor": 0.0}),
+)
+
+
+class UnconfinedFeatures(AbstractTestFeatures):
+    """Kinds "crushing" (abscissa in mm), "peak force", "peak displacement"."""
+
+    name = NAME
+    label = "crushing test"
+    axis = "displacement, 0 at seating (mm)"
+    segments = SEGMENTS
+    target = "crushing_force_n"
+    branches = ("crushing",)
+    tared = None
+    read_at_forces = False
+    variations = VARIATIONS
+
+    def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:
+        seat = SEATING * usual.peak_n
+        forces = [
+            _at(segment, share, usual.peak_mm, seat)
+            for segment, shares in ON_CRUSHING.items()
+            for share in shares
+        ]
+        peak = [
+            _of_the_peak("peak force", "N", usual.peak_mm, seat),
+            _of_the_peak("peak displacement", "mm", usual.peak_mm, seat),
+        ]
+        return (*forces, *peak)
+
+    def read(
+        self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
+    ) -> Values:
+        peak_mm, seat = features[0].scale, features[0].force
+        top = int(np.argmax(force))
+        rise = rising(displacement[: top + 1], force[: top + 1])
+        travel = displacement - displacement_at(rise, seat)
+        reach = travel.max() * (1 + 1e-9)
+        dense = np.linspace(0.0, min(2.0 * peak_mm, reach), 101)
+        smooth = averaged(travel, force, dense, WINDOW * peak_mm)
+        values = {
+            ("peak force", 0.0): float(smooth.max()),
+            ("peak displacement", 0.0): float(dense[smooth >= NEAR_PEAK * smooth.max()].mean()),
+        }
+        locations = np.array([f.abscissa for f in features if f.kind == "crushing"])
+        forces = averaged(travel, force, locations, WINDOW * peak_mm)
+        for location, value in zip(locations, forces, strict=True):
+            values["crushing", float(location)] = float(value) if location <= reach else np.nan
+        return values
+
+    def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        return np.zeros(len(features), bool)
+
+    def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
+        top = int(np.argmax(force))
+        return rising_displacement_at(displacement, force, top, feature.force)
+
+    def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:
+        return f"peak displacement, {NAME}", f"peak force, {NAME}"
+
+
+def _at(segment: str, share: float, peak_mm: float, seat: float) -> Feature:
+    at = share * peak_mm
+    name = f"force at {at:.3g} mm, crushing"
+    return Feature(name, NAME, segment, "crushing", at, "N", share / 2, peak_mm, seat)
+
+
+def _of_the_peak(kind: str, unit: str, peak_mm: float, seat: float) -> Feature:
+    return Feature(f"{kind}, {NAME}", NAME, "peak", kind, 0.0, unit, 0.5, peak_mm, seat)

@@ -1,0 +1,228 @@
+"""The library of runs: points, the features of their curves, fitted kernels, one reference curve.
+
+A row is one simulated specimen.  What a lag of the load cell adds to a row is kept apart, so that
+the emulator interpolates features without it (`load_cell_lag`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.features.base import Curves, Feature, UsualSizes
+from calibrate.discrepancy.features.curves import declare, declare_targets, feature_values
+from calibrate.discrepancy.library.cross_validation import (
+    EmulatorErrors,
+    TrainingPoints,
+    cross_validate,
+)
+from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
+from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
+from calibrate.io.lab import Lab
+from calibrate.simulation import Run, engine_hash
+
+PEAK_MM, PEAK_N = 4.0, 250.0  # usual location of the peak, by which crushing features are declared
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Specimen and forces of a library's confined test: m, m, N, N."""
+
+    diameter: float
+    height: float
+    force_low: float
+    force_high: float
+
+    @staticmethod
+    def of(lab: Lab) -> "Cylinder":
+        return Cylinder(
+            lab.specimen.diameter, lab.specimen.height,
+            lab.confined.force_low, lab.confined.force_high,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Simulations: base coordinates (n, p), strengths in SI (n, k), packing (n,), from 0 on,
+    values of all features (n, m)."""
+
+    base: np.ndarray
+    strengths: np.ndarray
+    packing: np.ndarray
+    values: np.ndarray
+
+    @staticmethod
+    def of(
+        features: Sequence[Feature], base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
+        runs: Sequence[Run | None],
+    ) -> "Rows":  # fmt: skip
+        """The rows of runs (None: not simulated), without failed and incomplete ones."""
+        values = features_of(features, runs)
+        good = np.isfinite(values).all(axis=1)
+        return Rows(base[good], strengths[good], packing[good], values[good])
+
+
+@dataclass(frozen=True, eq=False)
+class RunLibrary:
+    """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
+    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the confined
+    test; once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the
+    load cell adds to the rows, lag_shift (n, m)."""
+
+    design: Design
+    cylinder: Cylinder
+    engine: str
+    base: np.ndarray
+    strengths: np.ndarray
+    packing: np.ndarray
+    values: np.ndarray
+    reference: Curves
+    kernels: tuple[Kernel, ...] = ()
+    emulator_errors: EmulatorErrors | None = None
+    lag_shift: np.ndarray | None = None
+    speed: float = 8.0
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Curve features, then the scalar targets."""
+        return declared(self.cylinder.force_high)
+
+    def scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points as the emulator takes them: over their spread, over limits."""
+        return self.base / self.design.spread(), self.strengths / limits(self.design)
+
+    @property
+    def without_lag(self) -> np.ndarray:
+        """Values (n, m) less what the lag of the load cell adds."""
+        return self.values if self.lag_shift is None else self.values - self.lag_shift
+
+    @property
+    def lag(self) -> np.ndarray:
+        """Lag of the load cell in each row (n,), s."""
+        names = self.design.effect_names
+        return self.strengths[:, names.index(LAG)] if LAG in names else np.zeros(len(self.values))
+
+    def load_cell_lag(self) -> LoadCellLag:
+        """What a lag of the load cell does to the features."""
+        return LoadCellLag(self.features, self.speed)
+
+    def emulator(self) -> FeatureEmulator:
+        """The emulator of all features without a lag."""
+        x, s = self.scaled()
+        return fit_emulator(
+            x, s, self.packing, self.without_lag, self.scale(), self.kernels or None
+        )
+
+    def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
+        """The library with the runs of a larger design's further packings; not fitted."""
+        first = self.design.packings
+        packing = np.repeat(np.arange(design.packings), design.rows_each)
+        later = packing >= first
+        base, strengths = (part[later] for part in design.rows())
+        rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
+        return replace(self.joined(rows, first), design=design, kernels=(), emulator_errors=None)
+
+    def joined(self, rows: "Rows", first: int | None = None) -> "RunLibrary":
+        """The library with further runs behind its own, their packings numbered from `first` (after
+        its own) on; kernels stay, the shift by the lag has to be estimated again."""
+        packing = (self.packing.max() + 1 if first is None else first) + rows.packing
+        return replace(
+            self,
+            lag_shift=None,
+            base=np.vstack([self.base, rows.base]),
+            strengths=np.vstack([self.strengths, rows.strengths]),
+            packing=np.concatenate([self.packing, packing]),
+            values=np.vstack([self.values, rows.values]),
+        )
+
+    def lag_shifts(self, emulator: FeatureEmulator) -> np.ndarray:
+        """What the lag adds to the rows (n, m), by an emulator of features without one."""
+        x, s = self.scaled()
+        lag, shifts = self.lag, np.zeros_like(self.values)
+        for row in np.flatnonzero(lag):
+            without = np.where(np.array(self.design.effect_names) == LAG, 0.0, s[row])
+            without_lag = emulator(x[row], without)[0]
+            shifts[row] = self.load_cell_lag().shift(without_lag[None], lag[[row]])[0]
+        return shifts
+
+    def _rows_without_lag(self) -> "RunLibrary":
+        """The rows without a lag of the load cell."""
+        on = self.lag == 0
+        parts = {name: getattr(self, name)[on] for name in ("base", "strengths", "packing")}
+        return replace(self, **parts, values=self.values[on], lag_shift=None, kernels=())
+
+    def scale(self) -> np.ndarray:
+        """By what the emulator warps features, shape (m,)."""
+        return np.array([_scale(feature) for feature in self.features])
+
+    def fitted(self) -> "RunLibrary":
+        """The library with its kernels and their errors by cross-validation; takes minutes."""
+        lag_shift = self.lag_shifts(self._rows_without_lag().emulator()) if self.lag.any() else None
+        library = replace(self, lag_shift=lag_shift, kernels=())
+        kernels = tuple(c.kernel for c in library.emulator().components)
+        points = TrainingPoints(
+            *library.scaled(), library.packing, library.without_lag, library.scale(), kernels
+        )
+        return replace(library, kernels=kernels, emulator_errors=cross_validate(points))
+
+
+SCALES = {"largest force": 100.0, "peak displacement": 1.0}  # by kind, else by unit
+SCALE_OF_UNIT = {"mm": 0.2, "N": 20.0}
+
+
+def _scale(feature: Feature) -> float:
+    """Size of a feature below which differences count, and above which ratios do."""
+    return SCALES.get(feature.kind, SCALE_OF_UNIT[feature.unit])
+
+
+def declared(force_high: float) -> tuple[Feature, ...]:
+    """The features that a library keeps."""
+    return (*declare(usual_sizes(force_high)), *declare_targets())
+
+
+def usual_sizes(force_high: float) -> UsualSizes:
+    """The sizes by which a library's features are declared."""
+    return UsualSizes(force_high, PEAK_MM, PEAK_N)
+
+
+def limits(design: Design) -> np.ndarray:
+    """Largest strength of each effect, SI, shape (k,)."""
+    return np.array([max(abs(low), abs(high)) for low, high in design.limits.values()])
+
+
+def curves_of(run: Run) -> Curves:
+    """A run's curves as features read them."""
+    return {"confined": tuple(run.confined.T), "unconfined": tuple(run.unconfined.T)}
+
+
+def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.ndarray:
+    """Values (n, m) of the features of runs; NaN where one is missing, or the run."""
+    values = np.full((len(runs), len(features)), np.nan)
+    for row, run in enumerate(runs):
+        if run is not None and not run.failure:
+            values[row] = feature_values(features, curves_of(run), run.observables())
+    return values
+
+
+def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
+    """The library of a design's runs (None: not simulated), without failed and incomplete ones."""
+    packing = np.repeat(np.arange(design.packings), design.rows_each)
+    rows = Rows.of(declared(lab.confined.force_high), *design.rows(), packing, runs)
+    return RunLibrary(
+        design, Cylinder.of(lab), engine_hash(),
+        rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
+        speed=1e3 * lab.confined.rate,
+    )  # fmt: skip
+
+
+def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> None:
+    """Refuses to grow a library of another plan or cylinder."""
+    like = replace(design, packings=smaller.design.packings)
+    if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
+        problem = "this library was made for another centre, cylinder or number of spheres"
+        raise InputError(file, "design", problem, "give the options that made it, or no --onto")
+    if design.packings <= smaller.design.packings:
+        problem = f"it has {smaller.design.packings} packings already"
+        raise InputError(file, "packings", problem, "ask for more with --packings")
