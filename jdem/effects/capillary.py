@@ -20,8 +20,8 @@ from jax import Array
 from jdem.core.fusion import once
 from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.laws.base import AbstractContactLaw
-from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.laws.base import AbstractContactLaw, Memory
+from jdem.mechanics.contact import Contact, NormalForce
 
 DECAY = 0.02  # of the diameter
 CUTOFF = 4.0  # decay lengths; pairs are listed that far apart
@@ -60,7 +60,7 @@ class AcrossGaps(AbstractContactLaw):
     inner: AbstractContactLaw
     stress: Real = quantity()
 
-    def force(self, contact: Contact, history: ContactHistory):
+    def force(self, contact: Contact, history: Memory):
         force, history = once(self.inner.force(contact, history))
         normal = force.normal
         pulled = NormalForce(

@@ -9,7 +9,7 @@ between w and 2 w, and never heals.  Where it breaks is a matter of displacement
 force is proportional to the strength.
 """
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,8 +20,8 @@ from jdem.core.fusion import once
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.effects.base import About, AbstractEffect
-from jdem.laws.base import AbstractContactLaw
-from jdem.mechanics.contact import Contact, ContactForce, ContactHistory, NormalForce
+from jdem.laws.base import AbstractContactLaw, Memory
+from jdem.mechanics.contact import Contact, NormalForce
 
 STRAIN = 0.005  # of the diameter; displacement at which a bond is strongest
 
@@ -61,6 +61,13 @@ class Bond(eqx.Module):
     damage: Array  #: -; D, largest displacement so far over w
 
 
+class BondedMemory(NamedTuple):
+    """What the law within remembers, and the bond."""
+
+    inner: Memory
+    bond: Bond
+
+
 class Bonded(AbstractContactLaw):
     """A law with bonds of `stress` (Pa, times d^2), which grow while `growing` is 1."""
 
@@ -68,13 +75,9 @@ class Bonded(AbstractContactLaw):
     stress: Real = quantity()
     growing: Real = quantity()
 
-    def force(self, contact: Contact, history: ContactHistory):
-        bond: Bond = history.extra[-1]
-        rest = ContactHistory(
-            history.max_overlap, history.low_overlap, history.stretch, history.extra[:-1]
-        )
-        force, rest = once(self.inner.force(contact, rest))
-        bond = once(self._grown(contact, self._moved(contact, bond)))
+    def force(self, contact: Contact, history: BondedMemory):
+        force, inner = once(self.inner.force(contact, history.inner))
+        bond = once(self._grown(contact, self._moved(contact, history.bond)))
         opening, stiffness = once((self._opening(contact, bond), self._stiffness(contact, bond)))
         normal = NormalForce(
             force.normal.hysteretic - stiffness * opening,
@@ -82,10 +85,8 @@ class Bonded(AbstractContactLaw):
             force.normal.frictional_load,
         )
         tangential = force.tangential - bond.shear * stiffness
-        force = ContactForce(normal, tangential, force.tangential_viscous, force.rolling_limit)
-        extra = (*rest.extra, bond)
-        history = ContactHistory(rest.max_overlap, rest.low_overlap, rest.stretch, extra)
-        return force, history
+        force = eqx.tree_at(lambda f: (f.normal, f.tangential), force, (normal, tangential))
+        return force, BondedMemory(inner, bond)
 
     def stiffness_bound(self, radius):
         return self.inner.stiffness_bound(radius)
@@ -93,7 +94,7 @@ class Bonded(AbstractContactLaw):
     def memory(self, shape, dtype):
         zero = jnp.zeros(shape, dtype)
         bond = Bond(zero, zero, Vector.zeros(shape, dtype), zero)
-        return (*self.inner.memory(shape, dtype), bond)
+        return BondedMemory(self.inner.memory(shape, dtype), bond)
 
     def _moved(self, contact: Contact, bond: Bond) -> Bond:
         """The bond after this step's slip and opening."""
