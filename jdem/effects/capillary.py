@@ -32,7 +32,7 @@ class CapillaryTension(AbstractEffect):
 
     Hardly anything in the mould but a longer recovery below zero force; a higher and later
     peak, slower softening and more residual force without it.  Friction feels it only through
-    the larger overlaps.  1 to 10 kPa (suction times saturation, recalled).
+    the larger overlaps.  1 to 10 kPa, DECAY and CUTOFF are assumptions.
     """
 
     strength: Real = quantity(0.0)
@@ -44,7 +44,7 @@ class CapillaryTension(AbstractEffect):
         confined="next to none; longer recovery at the end",
         unconfined="peak higher and later, slower softening, higher residual",
         confounders=("surface_energy", "tensile_exponent", "load_cell_drift"),
-        source="1-10 kPa (recalled); form: Willett et al. 2000",
+        source="1-10 kPa, decay length: assumptions; form: after Willett et al. 2000",
     )
 
     def law(self, law, stage):

@@ -32,8 +32,9 @@ class Cementation(AbstractEffect):
     Bonds join the spheres that touch in the rest between the tests (ageing of a moulded soil;
     a natural cement would be there from the start and is not this effect): the confined test
     is untouched; without the mould the specimen is stiffer and stronger, and softens more
-    abruptly once bonds break.  The time step bears T/(w k1) up to about 3.  Loess gained 75 %
-    in 160 days: some 10 to 100 kPa (recalled).
+    abruptly once bonds break.  The time step bears T/(w k1) up to about 3.  Loess at rest for
+    160 days got stronger "by 1.75 times" (Wei et al. 2023, abstract), read here as times 1.75;
+    10 to 100 kPa for T/d^2, and STRAIN, are assumptions.
     """
 
     strength: Real = quantity(0.0)
@@ -45,7 +46,7 @@ class Cementation(AbstractEffect):
         confined="none: bonds grow after it",
         unconfined="stiffer, higher peak at less strain, brittle drop",
         confounders=("surface_energy", "tensile_exponent", "second_test_factor"),
-        source="loess x 1.75 after 160 d; stress (recalled)",
+        source="stress, opening: assumptions; loess x 1.75 after 160 d (Wei et al. 2023)",
     )
 
     def law(self, law, stage):
