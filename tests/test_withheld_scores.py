@@ -399,8 +399,8 @@ def test_another_code_s_cases_without_signal_to_noise_are_still_scored():
 
 # ---------------------------------------------------------------- files of earlier versions
 
-# liggghts_before_shrinkage is withheld_liggghts_third of commit a289456; the others are the scores of
-# its withheld_fourth and withheld_own with rows of at most three cases of each kind, right and wrong.
+# liggghts_before_shrinkage is withheld_liggghts_third of commit a289456; the others hold the scores
+# of its withheld_fourth and withheld_own, and rows of at most three cases of each kind and outcome.
 SCORED = sorted((Path(__file__).parent / "data" / "scores").glob("*.json"))
 
 
