@@ -3,14 +3,14 @@
     mkdir own && tar xf benchmarks/results/withheld_own_cases.tar.xz -C own
     python benchmarks/ceiling.py own                  resumes
 
-For every single effect of an opened set, at its own signal-to-noise (`retold.py`), about its own
-curves, data are drawn in a linear world, and judged by an observer who knows this world: the
-scatter of specimens exactly, every effect's signature exactly, and that there are no pairs and
-nothing from outside.  All effects are equally likely to it, strengths have the prior of
-`evidence`.  It names the likeliest class where its odds against none exceed what they do in one of
-twenty draws with nothing hidden.  No strict bound (who knows how often each effect is drawn may do
-better), but a diagnosis that has to learn all this from four specimens and a bank will hardly come
-near.  What the diagnosis named is that of the day when the set was opened.
+For every single effect of an opened set, at its own signal-to-noise, about its own curves, data
+are drawn in a linear world, and judged by an observer who knows this world: the scatter of
+specimens exactly, every effect's signature exactly, and that there are no pairs and nothing from
+outside.  All effects are equally likely to it, strengths have the prior of `evidence`.  It names
+the likeliest class where its odds against none exceed what they do in one of twenty draws with
+nothing hidden.  No strict bound (who knows how often each effect is drawn may do better), but a
+diagnosis that has to learn all this from four specimens and a bank will hardly come near.  What the
+diagnosis named is that of the day when the set was opened.
 """
 
 import argparse
@@ -22,17 +22,17 @@ import opinion
 import reporting
 
 from calibrate.core.files import write_json
-from calibrate.discrepancy import mismatch
+from calibrate.discrepancy import model_discrepancy
 from calibrate.discrepancy.comparison.compare import design_classes, label
 from calibrate.discrepancy.comparison.evidence import singles
-from calibrate.discrepancy.comparison.generated import World, plan_of
+from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.score import lengths
 from calibrate.discrepancy.diagnosis import described
 from calibrate.discrepancy.library import store
-from calibrate.discrepancy.library.description import MEASURING, Ready
+from calibrate.discrepancy.library.description import MEASURING, EmulatedLibrary
 from calibrate.io.lab import load_lab
 from calibrate.simulation import engine_hash
 from calibrate.validation.plan import COUNTS, STRATA
@@ -42,11 +42,11 @@ ALARMS = 0.05
 NAMED = sum(COUNTS[stratum] for stratum in STRATA)  # cases with one effect, in a set
 
 
-def drawn(folder: Path, hidden: dict, snr: float, ready: Ready, known) -> dict:
+def drawn(folder: Path, hidden: dict, snr: float, ready: EmulatedLibrary, known) -> dict:
     """Of each draw with nothing hidden, ln odds of the likeliest effect against none; of each with
     the effect, these odds and whether the likeliest class is that of the effect."""
     _, d, measured = described(load_lab(folder / "lab.toml"), ready, 0, known)
-    world = World(d, plan_of(measured), packing_covariance(d))
+    world = SampleGenerator(d, plan_of(measured), packing_covariance(d))
     nothing, covariance = np.zeros(len(d.mean)), world.mean_covariance
     design = project(nothing, d.base_slopes, d.prior_sd, d.effect_slopes, covariance)
     k, classes = d.effect_names.index(hidden["name"]), design_classes(world)
@@ -117,10 +117,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="an opened set, named as in results")
     given = parser.parse_args()
     reporting.configure()
-    ready = Ready.of(store.load(store.bundled_bank()))
+    ready = EmulatedLibrary.of(store.load(store.bundled_library()))
     which = f"withheld_{given.folder.name}"
-    known = mismatch.load(reporting.RESULTS / f"{which}_mismatch.json", ready)
-    true = opinion.truths(f"{which}.json")
+    known = model_discrepancy.load(reporting.RESULTS / f"{which}_mismatch.json", ready)
+    true = opinion.truths(which)
     kept = reporting.CACHE / f"ceiling_{given.folder.name}_{engine_hash()}"
 
     def of(row: dict, hidden: dict) -> dict:

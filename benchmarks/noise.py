@@ -21,11 +21,10 @@ import reporting
 
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.comparison import noise as noise_model
-from calibrate.discrepancy.comparison.discrepancy import kernel_factors, projected
 from calibrate.discrepancy.comparison.evidence import log_base, singles
 from calibrate.discrepancy.comparison.fits import fitted_base
-from calibrate.discrepancy.comparison.generated import World, plan_of
-from calibrate.discrepancy.comparison.lack_of_fit import NullTable, simulate, statistics
+from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
+from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions, simulate, statistics
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import estimate, packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import ALPHA
@@ -33,10 +32,11 @@ from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import lengths
+from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors, projected
 from calibrate.discrepancy.diagnosis import described
-from calibrate.discrepancy.library.description import Ready
-from calibrate.discrepancy.library.store import bundled_bank, load
-from calibrate.discrepancy.mismatch import load as load_mismatch
+from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.store import bundled_library, load
+from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
 from calibrate.io.lab import load_lab
 from calibrate.validation import run
 
@@ -65,11 +65,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The noise model on cases with nothing hidden.")
     parser.add_argument("--given", type=Path, help="a folder with such cases")
     parser.add_argument("--seed", type=int, default=2323, help="of cases that are made")
-    parser.add_argument("--mismatch", type=Path, help="what `calibrate mismatch` wrote")
+    parser.add_argument("--discrepancy", type=Path, help="what `calibrate discrepancy` wrote")
     given = parser.parse_args()
     reporting.configure()
-    ready = Ready.of(load(bundled_bank()))
-    known = load_mismatch(given.mismatch, ready) if given.mismatch else None
+    ready = EmulatedLibrary.of(load(bundled_library()))
+    known = load_discrepancy(given.discrepancy, ready) if given.discrepancy else None
     folder = given.given or made(ready, given.seed)
     fits = [fitted(path, ready, known) for path in run.case_folders(folder)]
     rows = [under(fits, *prior) for prior in PRIORS]
@@ -77,14 +77,14 @@ def main() -> None:
     reporting.write("noise", {**content, **reporting.provenance()}, page(content))
 
 
-def made(ready: Ready, seed: int) -> Path:
+def made(ready: EmulatedLibrary, seed: int) -> Path:
     """Cases with nothing hidden, made once."""
     folder = reporting.CACHE / "noise"
     run.generate(folder, ready, {"none": CASES}, seed, for_terminal(), FIRST_SEED)
     return folder
 
 
-def fitted(case: Path, ready: Ready, known) -> Fitted:
+def fitted(case: Path, ready: EmulatedLibrary, known) -> Fitted:
     _, d, measured = described(load_lab(case / "lab.toml"), ready, 0, known)
     packing = packing_covariance(d)
     base = fitted_base(d, measured, packing, 1.0)[1]
@@ -97,7 +97,7 @@ def under(fits: list[Fitted], sd: float, freedom: float) -> dict:
     """What the cases say under one prior."""
     noise_model.PRIOR_SD_LN_AMPLITUDE, noise_model.PRIOR_FREEDOM = sd, freedom
     first = fits[0]
-    world = World(first.description, plan_of(first.measured), first.packing)
+    world = SampleGenerator(first.description, plan_of(first.measured), first.packing)
     null = simulate(world, 0, DRAWS)
     alone = [weighed(fit, null, np.zeros(len(fit.base.values))) for fit in fits]
     added = [(k, weighed(fit, null, change)) for fit in fits for k, change in effects(fit)]
@@ -117,14 +117,14 @@ def under(fits: list[Fitted], sd: float, freedom: float) -> dict:
 def effects(fit: Fitted) -> Iterator[tuple[int, np.ndarray]]:
     """Effects and what they change (m,) at `SNR`, by the covariance of simulated specimens."""
     d = fit.description
-    covariance = World(d, plan_of(fit.measured), fit.packing).mean_covariance
+    covariance = SampleGenerator(d, plan_of(fit.measured), fit.packing).mean_covariance
     design = project(fit.base.working, d.base_slopes, d.prior_sd, d.effect_slopes, covariance)
     for k, strength in enumerate(SNR / lengths(design.effects)):
         if strength < REACH * d.effects[k].reach and d.effects[k].name != "load_cell_offset":
             yield k, strength * fit.base.effect_slopes[:, k]
 
 
-def weighed(fit: Fitted, null: NullTable, change: np.ndarray) -> tuple[float, float, int]:
+def weighed(fit: Fitted, null: NullDistributions, change: np.ndarray) -> tuple[float, float, int]:
     """ln density of a case, p of its gap, and the likeliest effect, once `change` is added."""
     d, base = fit.description, fit.base
     noise = estimate(d, fit.measured, fit.packing, d.prior_sd**2)

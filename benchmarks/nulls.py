@@ -1,6 +1,6 @@
-"""Lab files of cases that are known to hide nothing, to learn a mismatch from.
+"""Lab files of cases that are known to hide nothing, to estimate a model discrepancy from.
 
-    calibrate mismatch $(python benchmarks/nulls.py FOLDER...) --out MISMATCH.json
+    calibrate discrepancy $(python benchmarks/nulls.py FOLDER...) --out DISCREPANCY.json
 
 Each folder holds `cases/` and, unless all of them hide nothing, sealed labels with their hashes;
 name only sets whose seal has been opened for scoring.

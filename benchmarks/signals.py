@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import reporting
 
-from calibrate.discrepancy.library.description import Ready
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.discrepancy.library.store import bundled_bank, load
+from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.validation.laboratory import Laboratory
-from calibrate.validation.plan import Case, Planner, Visibility
+from calibrate.validation.plan import Planner, Visibility, WithheldCase
 
 COUNTS = {"none": 10, "2-6": 8, "above 6": 26}  # of the plan
 FIRST_SEED = 1_500_000  # of packings; not those of withheld cases
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=reporting.CACHE / "signals")
     given = parser.parse_args()
     reporting.configure()
-    ready = Ready.of(load(bundled_bank()))
+    ready = EmulatedLibrary.of(load(bundled_library()))
     laboratory = Laboratory(given.folder, CENTRE)
     rows = []
     plan = Planner(ready, given.seed, FIRST_SEED).cases(COUNTS)
@@ -49,7 +49,9 @@ def main() -> None:
     reporting.write("signals", {"cases": rows, **reporting.provenance()}, page(rows))
 
 
-def chosen(plan: list[list[Case]], laboratory: Laboratory, each: int) -> Iterator[Case]:
+def chosen(
+    plan: list[list[WithheldCase]], laboratory: Laboratory, each: int
+) -> Iterator[WithheldCase]:
     """The first standing attempts of strong cases, at most `each` of an effect."""
     taken = Counter()
     for attempts in plan:
@@ -64,7 +66,7 @@ def chosen(plan: list[list[Case]], laboratory: Laboratory, each: int) -> Iterato
             yield case
 
 
-def compared(case: Case, laboratory: Laboratory, ready: Ready) -> dict:
+def compared(case: WithheldCase, laboratory: Laboratory, ready: EmulatedLibrary) -> dict:
     """What the plan, the bank at the soil that stands, and simulations say of one case."""
     visible, changes = Visibility(ready, case.soil), laboratory.changes(case)
     strengths = {h.name: h.strength for h in case.hidden}
