@@ -32,10 +32,13 @@ from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.score import lengths
 from calibrate.discrepancy.diagnosis import described
 from calibrate.discrepancy.library import store
-from calibrate.discrepancy.library.description import MEASURING, EmulatedLibrary
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.io.lab import load_lab
 from calibrate.simulation import engine_hash
 from calibrate.validation.plan import COUNTS, STRATA
+from jdem.effects.composite import EFFECTS
+
+INSTRUMENTS = {name for name, effect in EFFECTS.items() if effect.about.kind == "instrument"}
 
 DRAWS = 200  # of each case, with its effect and without
 ALARMS = 0.05
@@ -89,8 +92,8 @@ def shares(cases: list[dict], limit: float) -> dict:
 
 def groups(cases: list[dict]) -> dict[str, list[dict]]:
     """The strata of the targets, whole and by what is hidden."""
-    machine = [case for case in cases if case["hidden"] in MEASURING]
-    soil = [case for case in cases if case["hidden"] not in MEASURING]
+    machine = [case for case in cases if case["hidden"] in INSTRUMENTS]
+    soil = [case for case in cases if case["hidden"] not in INSTRUMENTS]
     return {
         f"{name}, {kind}": [case for case in some if low <= case["snr"] < high]
         for name, low, high in (("2 to 6", 2, 6), ("above 6", 6, np.inf))

@@ -15,9 +15,11 @@ import reporting
 
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.comparison.score import admissible
-from calibrate.discrepancy.library.description import MEASURING, TWO_SIDED
+from calibrate.discrepancy.library.description import TWO_SIDED
 from calibrate.validation.scores import area
 from jdem.effects.composite import EFFECTS
+
+INSTRUMENTS = {name for name, effect in EFFECTS.items() if effect.about.kind == "instrument"}
 
 OWN = "withheld_own"
 RANGE = (2.0, 6.0)
@@ -34,7 +36,7 @@ def chosen(true: dict[str, tuple[dict, list[dict]]]) -> tuple[list[str], list[st
     soils = [
         case for case, (row, hidden) in true.items()
         if row["kind"] == "single" and RANGE[0] <= row["snr"] < RANGE[1]
-        and hidden[0]["name"] not in MEASURING
+        and hidden[0]["name"] not in INSTRUMENTS
     ]  # fmt: skip
     return nothing, soils
 

@@ -115,7 +115,7 @@ class Lightness(AbstractEffect):
     """An effect of a user's own, in one class."""
 
     strength: Real = quantity(0.0)
-    about: ClassVar[About] = About("share", "1", (0.0, 1.0), True, "", "", (), "")
+    about: ClassVar[About] = About("share", "1", (0.0, 1.0), True, "", "", (), "", "soil")
 
     def soil(self, soil, stage):
         softer = soil.shear_modulus * (1 - 0.5 * self.strength * (1 - stage.unconfined))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from effect_lab import NUMERICS, SMALL, SOIL, assert_same, both_tests, lab_with
+from support.settings import SETTINGS, Trial
 
 from calibrate.inference.parameters import FACTORS
 from calibrate.simulation import Campaign
@@ -20,7 +21,6 @@ from jdem.core.smooth import Smoothing
 from jdem.effects.capillary import CUTOFF, DECAY, CapillaryTension
 from jdem.effects.cementation import STRAIN, Bonded
 from jdem.effects.composite import EFFECTS, as_table
-from jdem.laboratory.settings import SETTINGS, Trial
 from jdem.materials.soil import particle_law
 
 # ------------------------------------------------------------------ single contacts

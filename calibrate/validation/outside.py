@@ -21,8 +21,10 @@ PORES = 0.2  # of the volume, filled with air
 ATMOSPHERE = 101325.0  # Pa
 
 
-def _about(quantity_: str, typical: tuple[float, float], one_sided: bool, text: str) -> About:
-    return About(quantity_, "1", typical, one_sided, text, text, (), "outside the library")
+def _about(
+    quantity_: str, typical: tuple[float, float], one_sided: bool, text: str, kind: str
+) -> About:
+    return About(quantity_, "1", typical, one_sided, text, text, (), "outside the library", kind)
 
 
 class AggregateCrushing(AbstractEffect):
@@ -32,7 +34,9 @@ class AggregateCrushing(AbstractEffect):
     """
 
     strength: Real = quantity(0.0)
-    about: ClassVar[About] = _about("weakness s", (0.5, 2.0), True, "softer at large forces")
+    about: ClassVar[About] = _about(
+        "weakness s", (0.5, 2.0), True, "softer at large forces", "soil"
+    )
 
     def law(self, law, stage):
         return Crushable(law, self.strength)
@@ -78,7 +82,9 @@ class HeightGradient(AbstractEffect):
     """Density grows towards the base by e over the height: r -> r (1 + e (1/2 - z/h)/3)."""
 
     strength: Real = quantity(0.0)
-    about: ClassVar[About] = _about("relative change e", (-0.06, 0.06), False, "toe, or none")
+    about: ClassVar[About] = _about(
+        "relative change e", (-0.06, 0.06), False, "toe, or none", "specimen"
+    )
 
     def packing(self, packing):
         share = 0.5 - packing.position.z / packing.height
@@ -95,7 +101,7 @@ class EarlyTurn(AbstractEffect):
     """The platen turns `strength` (N) before its target: part of trapped air's realisation."""
 
     strength: Real = quantity(0.0)
-    about: ClassVar[About] = _about("force N", (0.0, 100.0), True, "turns early")
+    about: ClassVar[About] = _about("force N", (0.0, 100.0), True, "turns early", "specimen")
 
     def programme(self, programme, time_scale):
         target = jnp.asarray(programme.force_target).at[0].add(-self.strength)

@@ -24,13 +24,16 @@ from jdem.laws.base import AbstractContactLaw
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Packing
 
+KINDS = ("instrument", "wall", "soil", "specimen", "numerical")
+
 
 class About(NamedTuple):
     """What a table says about an effect.
 
     quantity and unit (SI) of its strength; `typical` strengths, from small to large;
     one_sided if the strength cannot be negative; where the curves of either test move;
-    confounders by their names (effects, contact parameters, settings); source of the numbers.
+    confounders by their names (effects, contact parameters, settings); source of the numbers;
+    kind: what the effect is of, one of KINDS.
     """
 
     quantity: str
@@ -41,6 +44,7 @@ class About(NamedTuple):
     unconfined: str
     confounders: tuple[str, ...]
     source: str
+    kind: str
 
 
 class Stage(eqx.Module):

@@ -40,6 +40,7 @@ class CapillaryTension(AbstractEffect):
         quantity="stress F0/d^2",
         unit="Pa",
         typical=(1e3, 1e4),
+        kind="soil",
         one_sided=True,
         confined="next to none; longer recovery at the end",
         unconfined="peak higher and later, slower softening, higher residual",

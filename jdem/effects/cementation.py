@@ -42,6 +42,7 @@ class Cementation(AbstractEffect):
         quantity="stress T/d^2 of a bond",
         unit="Pa",
         typical=(1e4, 1e5),
+        kind="soil",
         one_sided=True,
         confined="none: bonds grow after it",
         unconfined="stiffer, higher peak at less strain, brittle drop",

@@ -24,6 +24,7 @@ class LoadFrameCompliance(AbstractEffect):
         quantity="compliance 1/K",
         unit="m/N",
         typical=(5e-8, 1e-6),
+        kind="instrument",
         one_sided=True,
         confined="every slope flatter, unloading most; H up by 200 N/K",
         unconfined="pre-peak flatter, peak later by F/K, same peak force",

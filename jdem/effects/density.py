@@ -29,6 +29,7 @@ class SpecimenDensity(AbstractEffect):
         quantity="relative change e of density",
         unit="1",
         typical=(-0.02, 0.02),
+        kind="specimen",
         one_sided=False,
         confined="denser: no toe, stiffer; looser: toe",
         unconfined="denser: stronger",

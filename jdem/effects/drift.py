@@ -24,6 +24,7 @@ class LoadCellDrift(AbstractEffect):
         quantity="rate c of nominal time",
         unit="N/s",
         typical=(-0.014, 0.014),
+        kind="instrument",
         one_sided=False,
         confined="none: seconds",
         unconfined="ramp c t, highest in the tail",

@@ -27,6 +27,7 @@ class LoadCellGain(AbstractEffect):
         quantity="relative error g",
         unit="1",
         typical=(-0.03, 0.03),
+        kind="instrument",
         one_sided=False,
         confined="all forces x (1 + g), reversal excepted; H through its thresholds",
         unconfined="all forces x (1 + g)",

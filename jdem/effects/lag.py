@@ -28,6 +28,7 @@ class AcquisitionLag(AbstractEffect):
         quantity="time constant tau",
         unit="s",
         typical=(0.02, 0.1),
+        kind="instrument",
         one_sided=True,
         confined="loading shifted by v tau, force beyond the target, rounded reversal, loop",
         unconfined="none: slow; the specimen was pressed harder",

@@ -26,6 +26,7 @@ class LoadCellOffset(AbstractEffect):
         quantity="offset b",
         unit="N",
         typical=(-10.0, 10.0),
+        kind="instrument",
         one_sided=False,
         confined="baseline shifted, also after release; H by curvature only",
         unconfined="all forces shifted by b",

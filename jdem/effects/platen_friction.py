@@ -27,6 +27,7 @@ class PlatenFriction(AbstractEffect):
         quantity="extra coefficient of friction",
         unit="1",
         typical=(0.1, 0.5),
+        kind="wall",
         one_sided=True,
         confined="next to none",
         unconfined="peak higher and later, softer decline",

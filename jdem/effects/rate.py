@@ -35,6 +35,7 @@ class RateDependence(AbstractEffect):
         quantity="rho, relative change per decade of rate",
         unit="1",
         typical=(0.05, 0.15),
+        kind="soil",
         one_sided=True,
         confined="force falls in a hold; next to none without one",
         unconfined="all forces lower, by 3 rho at 2.9 decades; more right after the rest",

@@ -28,6 +28,7 @@ class SeatingGap(AbstractEffect):
         quantity="gap s",
         unit="m",
         typical=(1e-4, 1e-3),
+        kind="instrument",
         one_sided=True,
         confined="long toe below 50 N and tail after unloading; H unchanged",
         unconfined="long toe, peak later by s, same peak force",

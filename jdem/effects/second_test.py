@@ -27,6 +27,7 @@ class SecondTestFactor(AbstractEffect):
         quantity="relative change e of contact forces",
         unit="1",
         typical=(-0.5, 0.75),
+        kind="specimen",
         one_sided=False,
         confined="none",
         unconfined="all forces x (1 + e)",

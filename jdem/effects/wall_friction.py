@@ -30,6 +30,7 @@ class WallFriction(AbstractEffect):
         quantity="extra coefficient of friction",
         unit="1",
         typical=(0.02, 0.3),
+        kind="wall",
         one_sided=True,
         confined="stiffer, faster fall after reversal; base force below platen force",
         unconfined="none but an inherited gradient",

@@ -73,15 +73,6 @@ class LinearStiffness(AbstractLinear):
         return self.factor * self.modulus * radius
 
 
-class GivenStiffness(AbstractLinear):
-    """n = 1 with k1 (N/m) given, the same for all sizes, as in Thakur et al. 2014."""
-
-    stiffness: Real = quantity()
-
-    def normal(self, radius):
-        return self.stiffness * jnp.ones_like(radius)
-
-
 class HertzStiffness(AbstractStiffness):
     """n = 1.5, k1 = 4/3 E* sqrt(R*); tangential 8 G* sqrt(R* d) (Mindlin)."""
 

@@ -15,20 +15,18 @@ import numpy as np
 
 from calibrate.discrepancy.features.base import Feature
 
-KINDS = ("contact", "measuring", "specimen", "numerical")
-
 
 @dataclass(frozen=True)
 class EffectCandidate:
     """A candidate: its name, whether its strength can only be positive, the strength that
-    is typical (in `unit`), what it would change (one of `KINDS`), and how many typical strengths
-    the simulations reach to."""
+    is typical (in `unit`), what it is of (`jdem.effects.base.KINDS`), and how many typical
+    strengths the simulations reach to."""
 
     name: str
     one_sided: bool
     typical: float
     unit: str = ""
-    kind: str = "contact"
+    kind: str = "soil"
     reach: float = 3.0
 
 

@@ -33,6 +33,7 @@ SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing
 BOOTSTRAP = 300
 CENTRES = (0.05, 0.3, 0.6, 0.9)  # of distortions, shares of the largest force
 SPAN_SD = 3.0  # typical strengths, of every direction of a ceiling
+CONTACT_LAW = ("soil", "wall")  # kinds of effects that a change of the contact law spans
 SMOOTH_AMPLITUDE = 2.0  # scatters of a specimen, of the smooth gap in the contact ceiling
 
 
@@ -192,8 +193,8 @@ def _spans(description, measured, noise, base: Refit) -> dict[str, np.ndarray]:
     kind = np.array([effect.kind for effect in description.effects])
     smooth = kernel_factors(description.features, noise.specimen)
     any_shape = [SMOOTH_AMPLITUDE / SPAN_SD * factor for factor in smooth]
-    contact = np.hstack([base.effect_slopes[:, kind == "contact"], *any_shape])
-    instruments = base.effect_slopes[:, kind == "measuring"]
+    contact = np.hstack([base.effect_slopes[:, np.isin(kind, CONTACT_LAW)], *any_shape])
+    instruments = base.effect_slopes[:, kind == "instrument"]
     chain = np.hstack([instruments, distortions(description, measured)])
     return {"contact law": contact, "measuring chain": chain}
 

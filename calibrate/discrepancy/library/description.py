@@ -29,10 +29,7 @@ SETTING_PRIOR_SD = (0.1, 0.2, 0.3)
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
-MEASURING = ("load_frame_compliance", "seating_gap", "load_cell_gain", "load_cell_offset",
-             "load_cell_drift", "acquisition_lag")  # fmt: skip
 CERTAIN = 10**9  # packings; the emulator states its errors itself
-SPECIMEN = ("specimen_density", "second_test_factor")
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,15 +164,9 @@ def candidates(library: RunLibrary) -> tuple[EffectCandidate, ...]:
     )
     return tuple(
         EffectCandidate(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
-               EFFECTS[n].about.unit, _kind(n), float(largest / t))
+               EFFECTS[n].about.unit, EFFECTS[n].about.kind, float(largest / t))
         for n, t, largest in rows
     )  # fmt: skip
-
-
-def _kind(name: str) -> str:
-    if name in MEASURING:
-        return "measuring"
-    return "specimen" if name in SPECIMEN else "contact"
 
 
 def soil_prior_of(

@@ -15,7 +15,7 @@ packing differ in all else, or in an effect alone: what packings have in common 
 slopes (common random numbers), and what they differ by is sampled PACKINGS times.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -186,8 +186,3 @@ def _normal(unit: np.ndarray) -> np.ndarray:
     """Standard normal values cut at `FURTHEST`."""
     edge = norm.cdf(-FURTHEST)
     return norm.ppf(edge + (1 - 2 * edge) * unit)
-
-
-def strengths_by_name(design: Design, row: Sequence[float]) -> dict[str, float]:
-    """A row of strengths (k,), SI, by effect."""
-    return dict(zip(design.effect_names, map(float, row), strict=True))
