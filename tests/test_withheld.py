@@ -324,7 +324,7 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
     def specimen(case, number):
         run = formulas.specimen(formulas.BASE, number)
         factor = 2.0 if case.hidden else 1.0
-        twice = replace(run, unconfined=run.unconfined * [1.0, factor])
+        twice = replace(run, unconfined=run.curves["unconfined"] * [1.0, factor])
         return (None if number == 2 and not case.hidden else twice), 0.0
 
     monkeypatch.setattr(made, "_specimen", specimen)

@@ -6,7 +6,6 @@ A pattern takes the text apart and nothing is ever evaluated (pint alone would c
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +30,6 @@ TIME = Kind("time", "s", "1 s")
 DENSITY = Kind("density", "kg/m^3", "1829.6 kg/m^3")
 FRACTION = Kind("fraction", "", "22.84 %")
 MILLIMETRES = Kind("length", "mm", "3.36 mm")
-STRESS = Kind("stress", "kPa", "200 kPa")
-STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 
 UNITS = pint.UnitRegistry()
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
@@ -71,18 +68,6 @@ def quantity(text: Any, kind: Kind) -> float:
     if not math.isfinite(value):
         raise BadValue(f"{shown(text)} is too large", repair)
     return value
-
-
-def first_of(text: Any, kinds: Sequence[Kind], expected: str) -> tuple[Kind, float]:
-    """`text` as a quantity of the first of the kinds that it fits, and which that is."""
-    for kind in kinds:
-        try:
-            return kind, quantity(text, kind)
-        except BadValue as bad:
-            problem = bad.problem
-    if isinstance(text, str) and problem.endswith("is not a unit of " + kinds[-1].noun):
-        problem = f"{shown(text)} has a unit of something else"
-    raise BadValue(problem, expected)
 
 
 def positive_quantity(text: Any, kind: Kind) -> float:

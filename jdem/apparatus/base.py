@@ -81,6 +81,11 @@ class AbstractApparatus(eqx.Module):
         way, negative or too large where another test runs."""
 
     @property
+    @abc.abstractmethod
+    def observables(self) -> tuple[str, ...]:
+        """Names of the observables that `read` gives."""
+
+    @property
     def names(self) -> tuple[str, ...]:
         """What each movement is called."""
         return tuple(movement.name for movement in self.movements())

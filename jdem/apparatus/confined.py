@@ -61,6 +61,10 @@ class ConfinedCompression(AbstractApparatus):
         )
 
     @property
+    def observables(self) -> tuple[str, ...]:
+        return ("depression_depth",)
+
+    @property
     def required_force(self) -> Real:
         return self.force_high
 

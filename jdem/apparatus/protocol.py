@@ -86,6 +86,10 @@ class Protocol(AbstractApparatus):
         return Reading(curve, found, highest >= needed)
 
     @property
+    def observables(self) -> tuple[str, ...]:
+        return tuple(gauge.name for gauge in self.gauges)
+
+    @property
     def required_force(self) -> Real | None:
         forces = [step.value for step in self.steps if step.kind == TO_FORCE]
         return jnp.max(jnp.stack([jnp.asarray(f, float) for f in forces])) if forces else None

@@ -55,6 +55,10 @@ class UnconfinedCompression(AbstractApparatus):
         whole = curve_of(readings, (movement >= 2) & (movement < len(self.names)))
         return Reading(whole, {"crushing_force": force}, jnp.isfinite(force))
 
+    @property
+    def observables(self) -> tuple[str, ...]:
+        return ("crushing_force",)
+
     def at_rate(self, factor: float) -> "UnconfinedCompression":
         return replace(self, simulated_rate=self.simulated_rate * factor).sampled(1 / factor)
 
