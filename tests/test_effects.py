@@ -126,7 +126,7 @@ class Lightness(AbstractEffect):
     about: ClassVar[About] = About("share", "1", (0.0, 1.0), True, "", "", (), "")
 
     def soil(self, soil, stage):
-        softer = soil.shear_modulus * (1 - 0.5 * self.strength * (1 - stage.unconfined))
+        softer = soil.shear_modulus * (1 - 0.5 * self.strength * (1 - stage.free))
         return eqx.tree_at(lambda s: s.shear_modulus, soil, softer)
 
 
