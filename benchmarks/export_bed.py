@@ -32,6 +32,7 @@ from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Packing, Specimen, prepare
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
 import pressed_bed
 

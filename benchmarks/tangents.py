@@ -11,7 +11,7 @@ itself belongs to the path that this computer took, not to the soil.  Variants:
 
     python benchmarks/tangents.py               about 5 minutes on two cores
 
-Writes benchmarks/results/tangents.json and .md, and docs/images/tangents.png.
+Writes notebooks/data/tangents.json, benchmarks/results/tangents.md and docs/images/tangents.png.
 """
 
 import argparse
