@@ -112,7 +112,8 @@ def observables(lab, packing, point, tangent, time_step):
 
 @eqx.filter_jit
 def depth(lab, packing, point, time_step):
-    return 1e3 * lab.run(packing, soil_of(point), time_step).depression_depth
+    outcome = lab.run(packing, soil_of(point), time_step)
+    return 1e3 * outcome.observables["confined"]["depression_depth"]
 
 
 # ------------------------------------------------------------------ weight and energy

@@ -183,8 +183,12 @@ def test_a_traced_run_is_read_like_a_stored_one():
     valid = np.concatenate([np.zeros(7), np.ones(81), np.zeros(5)])
     padded = [np.pad(part, (7, 5)) for part in (1e-3 * travel, force)]
     curve = Curve(*map(jnp.asarray, (*padded, valid)))
-    numbers = {"depression_depth": jnp.asarray(2e-3), "crushing_force": jnp.asarray(20.0)}
-    traced: Any = SimpleNamespace(confined=curve, unconfined=curve, **numbers)
+    observables = {
+        "confined": {"depression_depth": jnp.asarray(2e-3)},
+        "unconfined": {"crushing_force": jnp.asarray(20.0)},
+    }
+    curves = {"confined": curve, "unconfined": curve}
+    traced: Any = SimpleNamespace(curves=curves, observables=observables)
     points = CurvePoints(4.0 * np.arange(1, POINTS + 1), 0.2 * np.arange(1, POINTS + 1))
     np.testing.assert_allclose(points.traced(traced), points.read(kept), rtol=1e-12)
 
