@@ -82,7 +82,7 @@ def laboratory(lab, slip: float, unloaded: float) -> VirtualLab:
     numerics = numerics_for(specimen(lab, preset), smoothing=smoothing)
     virtual = virtual_lab(lab, preset, numerics)
     return eqx.tree_at(
-        lambda v: (v.tests.confined.damping.unloaded, v.tests.unconfined.damping.unloaded),
+        lambda v: (v.tests["confined"].damping.unloaded, v.tests["unconfined"].damping.unloaded),
         virtual,
         (jnp.asarray(unloaded), jnp.asarray(unloaded)),
     )

@@ -187,7 +187,7 @@ def test_a_time_step_that_is_too_large_is_named(tmp_path):
     work.lab = virtual_lab(tiny_lab(), TINY, replace(work.lab.numerics, safety=0.9))
     run = work.runs([BASE], [0], "large steps")[0][0]
     assert "the time step is too large" in run.failure
-    assert np.isfinite(list(run.observables().values())).all()
+    assert np.isfinite(list(run.observables.values())).all()
 
 
 def test_a_parameter_that_is_no_number_is_named(tmp_path):

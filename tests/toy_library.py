@@ -43,9 +43,9 @@ def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
     dense = np.array([1 - 5 * density, 1 + 10 * density])
     changed = {}
     for test in ("confined", "unconfined"):
-        curve = getattr(plain, test) * (dense if test == "unconfined" else [dense[0], 1.0])
+        curve = plain.curves[test] * (dense if test == "unconfined" else [dense[0], 1.0])
         changed[test] = np.column_stack([curve[:, 0], (1 + gain) * curve[:, 1] + offset])
-    return replace(plain, **changed)
+    return replace(plain, curves=changed)
 
 
 def runs(design: Design) -> list[Run]:
@@ -84,7 +84,7 @@ def write_lab(folder: Path, name: str, offset: float, specimens: int = 4) -> Pat
     for number in range(specimens):
         found = run(np.array([0.1, -0.1]), np.array([0.0, offset, 0.0]), 700 + number)
         records = {
-            test: recorded(getattr(found, test), offset, rng) for test in ("confined", "unconfined")
+            test: recorded(found.curves[test], offset, rng) for test in ("confined", "unconfined")
         }
         made.append(SpecimenRecords(records, 1829.6 * (1 + 0.004 * rng.standard_normal())))
     write_case(name, made, CENTRE, folder)

@@ -59,8 +59,8 @@ def _recorded(outcome) -> tuple[Record, Record]:
     quiet = Instrument(noise_force=0, noise_displacement=0)
     tests = []
     for curve, speed in (
-        (outcome.confined, CONFINED_SPEED),
-        (outcome.unconfined, UNCONFINED_SPEED),
+        (outcome.curves["confined"], CONFINED_SPEED),
+        (outcome.curves["unconfined"], UNCONFINED_SPEED),
     ):
         rows = np.asarray(curve.valid) > 0
         way, force = np.asarray(curve.displacement)[rows], np.asarray(curve.force)[rows]

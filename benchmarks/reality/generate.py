@@ -50,14 +50,14 @@ def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
 
 def depth_mm(run: Run) -> float:
     """Displacement between half the target force and the target, first passages, mm."""
-    way, force = run.confined[: run.confined[:, 0].argmax() + 1].T
+    way, force = run.curves["confined"][: run.curves["confined"][:, 0].argmax() + 1].T
     low, high = np.interp(DEPTH_FORCES, np.maximum.accumulate(force), way)
     return 1e3 * float(high - low)
 
 
 def crushing_n(run: Run) -> float:
     """Largest force of the second test, smoothed over 81 savings, N."""
-    return float(np.convolve(run.unconfined[:, 1], np.full(81, 1 / 81), "valid").max())
+    return float(np.convolve(run.curves["unconfined"][:, 1], np.full(81, 1 / 81), "valid").max())
 
 
 def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:

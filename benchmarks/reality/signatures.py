@@ -35,7 +35,7 @@ def records(setup: Setup, seed: int, folder: Path) -> tuple[Record, Record]:
         if not outcome.stands:
             raise RuntimeError(f"{folder.name}: {outcome.facts}")
         random = np.random.default_rng(0)
-        first, second = outcome.confined, outcome.unconfined
+        first, second = outcome.curves["confined"], outcome.curves["unconfined"]
         chain = setup.instrument
         return (
             record(first[:, 0], first[:, 1], CONFINED_SPEED, chain, 0.0, random),

@@ -43,8 +43,8 @@ def measured(run: Run, instrument: Instrument, random: np.random.Generator) -> S
     """The specimen as weighed, measured and recorded; `random` makes noise and zeros."""
     records = []
     for curve, speed in (
-        (run.confined, CONFINED_SPEED),
-        (run.unconfined, UNCONFINED_SPEED),
+        (run.curves["confined"], CONFINED_SPEED),
+        (run.curves["unconfined"], UNCONFINED_SPEED),
     ):
         way, force = approach(curve[:, 0], curve[:, 1], random.uniform(*GAP))
         zero = random.uniform(-ZERO, ZERO)
