@@ -371,7 +371,7 @@ def test_how_responses_are_differentiated_is_not_part_of_a_run():
 # ------------------------------------------------------------------ keys
 
 
-def test_what_is_inside_a_laboratory_counts(tmp_path):
+def test_what_is_inside_a_laboratory_counts():
     def lab(*effects):
         return VirtualLab.of(SPECIMEN, LabTests(), Numerics(), effects)
 
@@ -379,6 +379,8 @@ def test_what_is_inside_a_laboratory_counts(tmp_path):
     found = [keys.source_hash(lab(*chosen)) for chosen in ([], effects[:1], effects[1:], effects)]
     assert len(set(found)) == 4
     assert keys.engine_hash(lab()) == keys.engine_hash() == keys.engine_hash(soils(1)[0])
+    assert keys.engine_hash(lab(*effects)) != keys.engine_hash()
+    assert keys.engine_hash(Mine) == keys.engine_hash()  # it travels with the objects
 
 
 class Mine:

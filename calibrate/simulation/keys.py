@@ -59,21 +59,23 @@ def content_hash(content: dict) -> str:
 def engine_hash(*given) -> str:
     """Hash of the source of the plain virtual laboratory: of how it makes beds and runs.
 
-    With objects `given` (a laboratory with effects, a soil), of what is inside them as well.
-    How responses are differentiated (`jdem.sensitivity`) is not part of it.
+    With objects `given` (a laboratory with effects, a soil), of what `jdem` and `calibrate`
+    define of the things inside them as well.  How responses are differentiated
+    (`jdem.sensitivity`) is not part of it.
     """
-    return source_hash(*SETTLES, *RUNS, *given)[:16]
+    names = _names(*SETTLES, *RUNS, *given)
+    return _source_hash(frozenset(name for name in names if _package(name) in OURS))[:16]
 
 
 def source_hash(*roots) -> str:
     """Hash of the source that functions, classes, and everything inside objects depend on."""
-    return _source_hash(frozenset(_name(one) for root in roots for one in _definitions(root)))
+    return _source_hash(_names(*roots))
 
 
 @cache
 def _source_hash(names: frozenset[tuple[str, str]]) -> str:
     """A source that cannot be found, as that of a class typed into a notebook, counts by name."""
-    dependencies = _dependencies(frozenset({module.split(".")[0] for module, _ in names}))
+    dependencies = _dependencies(frozenset(map(_package, names)))
     known = {name for name in names if dependencies.sources.module(name[0]) is not None}
     return content_hash({"known": dependencies.hash_of(known), "else": sorted(names - known)})
 
@@ -118,6 +120,14 @@ def _definitions(root) -> Iterator:
 def _each(roots: Iterable) -> Iterator:
     for root in roots:
         yield from _definitions(root)
+
+
+def _names(*roots) -> frozenset[tuple[str, str]]:
+    return frozenset(_name(one) for one in _each(roots))
+
+
+def _package(name: tuple[str, str]) -> str:
+    return name[0].split(".")[0]
 
 
 def _name(definition) -> tuple[str, str]:
