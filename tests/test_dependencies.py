@@ -247,6 +247,22 @@ def test_a_method_does_not_hide_the_function_of_its_name(hashed):
     assert hashed(edited("use", "return 1", "return 2", package), roots) != hashed(package, roots)
 
 
+def test_a_field_that_becomes_the_class_s_own_changes_the_hash(hashed):
+    text = """
+        from typing import ClassVar
+
+        class A:
+            width: float = 1.0
+            height: float = 2.0
+        """
+    package, roots = {**PACKAGE, "use": text}, [("toy.use", "A")]
+    assert hashed(edited("use", "height: float", "height: int", package), roots) == hashed(
+        package, roots
+    )
+    shared = edited("use", "height: float", "height: ClassVar[float]", package)
+    assert hashed(shared, roots) != hashed(package, roots)
+
+
 def test_an_alias_of_types_leads_to_its_classes(hashed):
     text = """
         from toy.state import Bed
