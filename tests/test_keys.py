@@ -90,6 +90,12 @@ def test_an_effect_changes_runs_with_it_alone(copy):
     assert {name for name in before if after[name] != before[name]} == {"cemented"}
 
 
+def test_what_an_effect_says_about_itself_changes_nothing(copy):
+    before = hashes(copy)
+    replaced(copy / "effects" / "cementation.py", 'source="', 'source="see also ')
+    assert hashes(copy) == before
+
+
 def test_how_responses_are_differentiated_is_not_part_of_a_run():
     found = keys._dependencies(frozenset())
     modules = {one.module for roots in ROOTS.values() for one in found.reached(roots)}
@@ -130,3 +136,14 @@ def test_objects_of_all_kinds_are_looked_into():
 def test_keys_of_runs_differ_by_soil_and_packing(tmp_path):
     work = toy_campaign(tmp_path)
     assert len({work.key(soil, seed) for soil in soils(2) for seed in (0, 1)}) == 4
+
+
+def test_a_key_depends_on_the_source_of_the_run_and_of_the_bed(tmp_path, monkeypatch):
+    """Each under a name of its own, or one would stand in the place of the other."""
+    work, (soil,) = toy_campaign(tmp_path), soils(1)
+    found = {work.key(soil, 0)}
+    for part in ("RUNS", "SETTLES"):
+        with monkeypatch.context() as patch:
+            patch.setattr(keys, part, (Mine,))
+            found.add(work.key(soil, 0))
+    assert len(found) == 3

@@ -1,9 +1,10 @@
 """A definition's normal form: what it does, without how it is written down or where it stands.
 
-Left out are comments, docstrings, annotations, line numbers, imports, and the definition's own
-name.  What a name stands for is a reference, written as a hole <> whatever its local name is; a
-name of another package is written in full, @jax.numpy.sum, and so is one of Python's own.  The
-text is this file's own, not `ast.dump`'s, which differs between versions of Python.
+Left out are comments, docstrings, annotations, line numbers, imports, a class's words about
+itself (`WORDS`), and the definition's own name.  What a name stands for is a reference, written
+as a hole <> whatever its local name is; a name of another package is written in full,
+@jax.numpy.sum, and so is one of Python's own.  The text is this file's own, not `ast.dump`'s,
+which differs between versions of Python.
 
 An annotation gives no text: the classes that it names are kept apart, as the types of objects
 that a definition may be handed.
@@ -29,6 +30,7 @@ Scope = Mapping[str, Symbol | None]  # None: a local name
 Scopes = tuple[Scope, ...]
 
 SKIPPED = frozenset({"ctx", "kind", "type_comment", "type_ignores", "lineno", "end_lineno"})
+WORDS = ("About",)  # types of class variables that describe and compute nothing: left out
 CLASS_BODY: Scope = {}  # binds nothing for the functions within
 
 
@@ -195,8 +197,11 @@ class _Writer:
 
     def _annotated(self, node: ast.AnnAssign, scopes: Scopes) -> None:
         """Whether something is a field or the class's own matters, its type does not."""
+        kind = ast.unparse(node.annotation)
+        if any(f"ClassVar[{words}]" in kind for words in WORDS):
+            return
         self._types(node.annotation, scopes)
-        shared = "ClassVar" in ast.unparse(node.annotation)
+        shared = "ClassVar" in kind
         self.parts.append("ClassVar " if shared else "Field ")
         self._plain(node, scopes, but=("annotation", "simple"))
 
