@@ -15,9 +15,11 @@ import jdem
 from calibrate.simulation import keys
 from calibrate.simulation.definitions import Sources
 from calibrate.simulation.dependencies import Dependencies
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.effects.composite import EFFECTS
 from jdem.engine.bed import Numerics
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 
 ROOTS = {
     "prepare": [("jdem.packing.settling", "prepare")],
@@ -107,14 +109,16 @@ def test_how_responses_are_differentiated_is_not_part_of_a_run():
 
 
 def test_what_is_inside_a_laboratory_counts():
-    def lab(*effects):
-        return VirtualLab.of(SPECIMEN, LabTests(), Numerics(), effects)
+    first, second = ConfinedCompression(), UnconfinedCompression()
+
+    def lab(*effects, tests=(first,)):
+        return VirtualLab.of(SPECIMEN, TestSequence(tests), Numerics(), effects)
 
     effects = [EFFECTS[name](0.0) for name in ("cementation", "rate_dependence")]
     found = [keys.source_hash(lab(*chosen)) for chosen in ([], effects[:1], effects[1:], effects)]
-    assert len(set(found)) == 4
-    assert keys.engine_hash(lab()) == keys.engine_hash() == keys.engine_hash(soils(1)[0])
-    assert keys.engine_hash(lab(*effects)) != keys.engine_hash()
+    found.append(keys.source_hash(lab(tests=(first, second))))
+    assert len(set(found)) == 5
+    assert keys.engine_hash(lab()) != keys.engine_hash() == keys.engine_hash(soils(1)[0])
     assert keys.engine_hash(Mine) == keys.engine_hash()  # it travels with the objects
 
 
