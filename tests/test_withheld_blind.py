@@ -173,6 +173,6 @@ def test_a_case_that_is_refused_is_a_wrong_verdict_and_not_the_end(sealed_case, 
 def test_rivals_are_trained_about_a_case_that_shows_what_most_show(monkeypatch):
     shown = {"less": (0,), "whole": (0, 1), "other": (0, 1), "broken": ()}
     cases = [Path(name) for name in shown]
-    monkeypatch.setattr(trial, "_shown", lambda case, emulated: shown[case.name])
+    monkeypatch.setattr(trial, "_features_shown", lambda case, emulated: shown[case.name])
     assert trial.typical(cases, None) == Path("whole")
     assert trial.typical(cases[-1:], None) == Path("broken")

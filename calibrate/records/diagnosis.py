@@ -1,8 +1,8 @@
 """The result of `calibrate diagnose` as a record: the contract's keys, and what figures need.
 
 `content` turns a diagnosis into plain data, `DiagnosisRecord` is that data read back.  Curves are
-at the size of the library of runs, aligned as features read them: confined ones from the
-displacement at half the largest force on loading, unconfined ones from the seating force.
+at the size of the library of runs, their displacement counted as features
+count it (`AbstractTestFeatures.zero`).
 """
 
 from typing import Annotated, Any, Literal

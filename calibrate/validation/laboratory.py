@@ -13,7 +13,8 @@ import numpy as np
 
 from calibrate.core.files import write_text
 from calibrate.discrepancy.comparison.recording import interval_means
-from calibrate.discrepancy.features.curves import TARGETS, feature_values
+from calibrate.discrepancy.features.confined import NAME as CONFINED
+from calibrate.discrepancy.features.curves import TARGETS, TESTS, feature_values
 from calibrate.discrepancy.library.run_library import curves_of, declared
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -149,17 +150,17 @@ class Laboratory:
     def _with_air(self, case: WithheldCase, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
         share, high = strengths["trapped_air"], self.lab.confined.force_high
-        top = int(run.curves["confined"][:, 0].argmax()) + 1
-        way, force = run.curves["confined"][:top].T
+        top = int(run.curves[CONFINED][:, 0].argmax()) + 1
+        way, force = run.curves[CONFINED][:top].T
         together = np.maximum.accumulate(force + self._air(way, share))
         soil_share = float(np.interp(high, together, force))
         early = {**strengths, "early_turn": high - soil_share}
         turned = self._run(case, number, values, early)
-        confined = turned.curves["confined"].copy()
+        confined = turned.curves[CONFINED].copy()
         confined[:, 1] += self._air(confined[:, 0], share)
         depth = np.interp([self.lab.confined.force_low, high], together, way)
         observables = {**turned.observables, "depression_depth_mm": float(depth[1] - depth[0])}
-        curves = {**turned.curves, "confined": confined}
+        curves = {**turned.curves, CONFINED: confined}
         return Run(observables, curves, turned.quality)
 
     def _air(self, way, share: float) -> np.ndarray:
@@ -171,13 +172,7 @@ class Laboratory:
     ) -> SpecimenRecords:
         random = np.random.default_rng([case.seed, number, 1])
         at_rest = sum(h.strength for h in case.hidden if h.name == "load_cell_offset")
-        records = {
-            test: recorded(curve, at_rest, random)
-            for test, curve in (
-                ("confined", run.curves["confined"]),
-                ("unconfined", run.curves["unconfined"]),
-            )
-        }
+        records = {test: recorded(run.curves[test], at_rest, random) for test in TESTS}
         mass = 1 + 0.001 * random.standard_normal()
         return SpecimenRecords(
             records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass)
@@ -210,11 +205,11 @@ def write_case(
             rows = [f"{x:.3f},{f:.1f}" for x, f in record]
             text = "\n".join(["displacement,force", *rows]) + "\n"
             write_text(folder / f"{test}_{number}.csv", text)
-    tests, numbers = ("confined", "unconfined"), range(1, len(specimens) + 1)
+    numbers = range(1, len(specimens) + 1)
     text = TOML.format(
         name=name,
         density=", ".join(f'"{s.density:.0f} kg/m^3"' for s in specimens),
         parameters="\n".join(f"{n} = {v:g}" for n, v in centre.items()),
-        curves="".join(CURVE.format(test=t, number=n) for t in tests for n in numbers),
+        curves="".join(CURVE.format(test=t, number=n) for t in TESTS for n in numbers),
     )
     write_text(folder / "lab.toml", text)

@@ -47,8 +47,8 @@ class SegmentResidual:
 @dataclass(frozen=True, eq=False)
 class CrossTest:
     """One test predicted from the other: difference and its deviation by feature (of that
-    test), p-value of a perfect prediction, and the factor by which the measured displacements
-    (confined) or forces (unconfined) are larger than predicted, with its standard error."""
+    test), p-value of a perfect prediction, and the factor by which the measured values of
+    its commonest unit are larger than predicted, with its standard error."""
 
     predicted: str
     features: np.ndarray
@@ -147,8 +147,8 @@ def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> 
 
 
 def _of_the_commonest_unit(units: Sequence[str]) -> np.ndarray:
-    """Displacements of a confined test, forces of an unconfined one: the machine turns at a force
-    that no soil changes, so that force and displacement have no factor in common."""
+    """Indices of features of the commonest unit, as force and displacement have no common factor:
+    a machine turns at a force that no soil changes."""
     names, counts = np.unique(units, return_counts=True)
     return np.flatnonzero(np.array(units) == names[counts.argmax()])
 

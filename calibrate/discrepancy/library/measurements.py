@@ -2,8 +2,8 @@
 
 Quasi-static tests on specimens of one shape depend on strain and stress alone, so a curve of
 another size is read at the library's: displacement times the ratio of heights, force times that of
-areas.  The i-th confined and the i-th unconfined curve are taken for the same specimen where there
-are as many of both.
+areas.  The i-th curves of all tests are taken for the same specimen where there are as many
+of each.
 """
 
 from collections.abc import Sequence
@@ -66,8 +66,7 @@ def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
         ]
         for test in TESTS
     }
-    counts = [len(curves) for curves in by_test.values()]
-    if counts[0] == counts[1]:
+    if len({len(curves) for curves in by_test.values()}) == 1:
         return [
             dict(zip(by_test, pair, strict=True)) for pair in zip(*by_test.values(), strict=True)
         ]

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from calibrate.core.errors import InputError
+from calibrate.discrepancy.features.curves import TESTS
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import Kernel
@@ -85,9 +86,7 @@ def load(path: Path) -> RunLibrary:
 def _read(stored: xr.Dataset) -> RunLibrary:
     design = json.loads(stored.attrs["design"])
     design["limits"] = {name: tuple(pair) for name, pair in design["limits"].items()}
-    reference = {
-        test: tuple(stored[f"reference_{test}"].values.T) for test in ("confined", "unconfined")
-    }
+    reference = {test: tuple(stored[f"reference_{test}"].values.T) for test in TESTS}
     return RunLibrary(
         design=Design(**design),
         cylinder=Cylinder(**json.loads(stored.attrs["cylinder"])),
