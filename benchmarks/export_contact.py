@@ -34,7 +34,6 @@ from jdem.apparatus.pair import SpherePair, collide, drive_overlap
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
-from jdem.mechanics.contact import ContactHistory
 
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
 import two_spheres
@@ -214,7 +213,7 @@ def _our_slip(found: Found, held: float, slips: np.ndarray) -> np.ndarray:
         force, history = law.force(contact, history)
         return (history, slip), -force.traction().y
 
-    start = (ContactHistory.zeros((), jnp.float64), jnp.asarray(0.0))
+    start = (law.memory((), jnp.float64), jnp.asarray(0.0))
     return np.asarray(jax.lax.scan(advance, start, jnp.asarray(slips))[1])
 
 
@@ -222,7 +221,7 @@ def _our_roll(found: Found, held: float) -> float:
     """Our largest rolling torque on one sphere (N m)."""
     law, pair = law_of(found), _pair(found)
     contact = pair.contact(jnp.asarray(held), jnp.asarray(0.0))
-    force, _ = law.force(contact, ContactHistory.zeros((), jnp.float64))
+    force, _ = law.force(contact, law.memory((), jnp.float64))
     return float(force.rolling_limit * (found.diameter / 2 - held / 2))
 
 

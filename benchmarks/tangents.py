@@ -41,7 +41,6 @@ from jdem.engine.loop import run, start
 from jdem.engine.step import Bed
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.laws.coulomb import CoulombSpring
-from jdem.mechanics.contact import ContactHistory
 from jdem.mechanics.dashpot import dashpot_constant
 from jdem.packing.settling import Packing
 
@@ -56,15 +55,14 @@ class UnlimitedDashpot(CoulombSpring):
     def force(self, contact, normal, stiffness, history):
         limit = contact.friction * normal.frictional_load
         loaded = jnp.where(limit > 0, 1.0, 0.0)
-        stretch = history.stretch.without(contact.normal) + contact.slip * contact.time_step
+        stretch = history.without(contact.normal) + contact.slip * contact.time_step
         stretch = self._shortened(stretch, stiffness, limit) * loaded
         load = smooth.divide(stiffness * smooth.norm(stretch), limit)
         saturated = smooth.saturate(load, self.smoothing.slip)
         secant = jnp.where(load > 0, smooth.divide(saturated, load), 1.0)
         beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, 1e-30))
         sticking = smooth.saturate_slope(load, self.smoothing.slip) * loaded
-        history = ContactHistory(history.max_overlap, history.low_overlap, stretch)
-        return stretch * (-stiffness * secant), contact.slip * (-beta * sticking), history
+        return stretch * (-stiffness * secant), contact.slip * (-beta * sticking), stretch
 
 
 VARIANTS = {

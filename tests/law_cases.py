@@ -17,7 +17,6 @@ from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
-from jdem.mechanics.contact import ContactHistory
 
 RADIUS = 2.5e-3
 PAIR = SpherePair(RADIUS)
@@ -94,10 +93,10 @@ def rows_along(soil, smoothing, overlaps):
 
     def advance(history, overlap):
         force, history = law.force(contact_at(overlap, friction=soil.static_friction), history)
-        memory = jnp.stack([history.max_overlap, history.low_overlap, history.stretch.y])
+        memory = jnp.stack([*jax.tree.leaves(history.normal), history.tangential.y])
         return history, (row_of(force), memory)
 
-    return jax.lax.scan(advance, ContactHistory.zeros((), overlaps.dtype), overlaps)[1]
+    return jax.lax.scan(advance, law.memory((), overlaps.dtype), overlaps)[1]
 
 
 def minimum_of(soil):

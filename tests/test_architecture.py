@@ -302,7 +302,7 @@ GOOD_TREE = {
     "jdem/mechanics/contact.py": "import numpy as np\n",
     "jdem/laws/__init__.py": "from jdem.laws import base, eepa\nfrom jdem.laws.coulomb import B\n",
     "jdem/laws/base.py": "from jdem.mechanics import contact\n",
-    "jdem/laws/eepa.py": "from jdem.laws.base import AbstractLaw\nfrom ..mechanics import contact\n",
+    "jdem/laws/eepa.py": "from jdem.laws.base import A\nfrom ..mechanics import contact\n",
     "jdem/laws/coulomb.py": "from . import base\n",
     "jdem/laws/composite.py": "from jdem.laws import coulomb, eepa\n",
     "jdem/effects/base.py": "from jdem.laws import eepa\n",

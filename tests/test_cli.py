@@ -232,7 +232,7 @@ def test_an_interrupted_command_says_how_to_go_on(calibrate, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("calibrate.inference.calibration.simulate", interrupted)
+    monkeypatch.setattr("calibrate.simulation.specimens.simulate", interrupted)
     status, _, error = calibrate("simulate")
     assert (status, error.count("\n")) == (1, 1)
     assert "goes on from here" in error

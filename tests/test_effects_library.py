@@ -22,7 +22,6 @@ from jdem.effects.cementation import STRAIN, Bonded
 from jdem.effects.composite import EFFECTS, as_table
 from jdem.laboratory.settings import SETTINGS, Trial
 from jdem.materials.soil import particle_law
-from jdem.mechanics.contact import ContactHistory
 
 # ------------------------------------------------------------------ single contacts
 
@@ -36,9 +35,9 @@ def test_capillary_tension_across_a_gap():
     stress, decay = 1e4, DECAY * DIAMETER
     law = CapillaryTension(stress).law(LAW, None)  # pyright: ignore[reportArgumentType]
     overlaps = jnp.asarray([0.0, -decay, -CUTOFF * decay, -1.0])
-    found = -jax.vmap(lambda d: law.force(PAIR.contact(d, 0.0), ContactHistory.zeros((), float)))(
-        overlaps
-    )[0].normal.hysteretic
+    found = -jax.vmap(lambda d: law.force(PAIR.contact(d, 0.0), law.memory((), float)))(overlaps)[
+        0
+    ].normal.hysteretic
     tail = math.exp(-CUTOFF)
     shares = [1.0, (math.exp(-1) - tail) / (1 - tail), 0.0, 0.0]
     np.testing.assert_allclose(found, stress * DIAMETER**2 * np.array(shares), atol=1e-15)
@@ -62,7 +61,7 @@ def bond_path(stress, openings):
         force, history = law.force(PAIR.contact(overlap, 0.0 * overlap), history)
         return history, force.normal.total()
 
-    zeros = ContactHistory.zeros((), float, Bonded(LAW, stress, 0.0).memory((), float))
+    zeros = Bonded(LAW, stress, 0.0).memory((), float)
     forces = jax.lax.scan(advance, zeros, (overlaps, growing))[1]
     return np.asarray(drive_overlap(LAW, PAIR, overlaps) - forces)[1:]
 

@@ -21,9 +21,11 @@ from law_cases import (
 
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
+from jdem.laws.composite import ContactMemory
 from jdem.laws.coulomb import CoulombSpring
+from jdem.laws.eepa import PlasticMemory
 from jdem.laws.rolling import ConstantTorque
-from jdem.mechanics.contact import ContactHistory, NormalForce
+from jdem.mechanics.contact import NormalForce
 
 
 @every_exponent
@@ -62,11 +64,8 @@ pull = eqx.filter_jit(
 
 def spring_cycle(smoothing, stretches, restitution=1.0):
     """Traction (N) for a path of stretches (m) imposed along y under a constant load."""
-    law, history, forces = (
-        CoulombSpring(restitution, smoothing),
-        ContactHistory.zeros((), float),
-        [],
-    )
+    law, forces = CoulombSpring(restitution, smoothing), []
+    history = law.memory((), float)
     for change in np.diff([0.0, *stretches]):
         contact = contact_at(jnp.asarray(1e-6), slip=change / TIME_STEP)
         spring, dashpot, history = pull(law, contact, history)
@@ -110,9 +109,7 @@ def test_sliding_friction_is_the_limit_and_opposes_the_slip(smoothing, restituti
 @pytest.mark.parametrize("speed", [-1.0, -1e-3, 1e-4, 10.0])
 def test_spring_and_dashpot_together_stay_within_the_limit(smoothing, stretch, speed):
     """At any stretch and slip speed (m/s); a dashpot of its own would exceed it many times."""
-    history = ContactHistory(
-        jnp.asarray(0.0), jnp.asarray(0.0), Vector(0.0, stretch * SLIPS_AT, 0.0)
-    )
+    history = Vector(0.0, stretch * SLIPS_AT, 0.0)
     contact = contact_at(jnp.asarray(1e-6), slip=speed)
     spring, dashpot, _ = pull(CoulombSpring(0.1, smoothing), contact, history)
     assert abs(float(spring.y + dashpot.y)) <= LIMIT * (1 + 1e-12)
@@ -120,10 +117,10 @@ def test_spring_and_dashpot_together_stay_within_the_limit(smoothing, stretch, s
 
 @every_smoothing
 def test_no_load_means_no_friction(smoothing):
-    history = ContactHistory(jnp.asarray(0.0), jnp.asarray(0.0), Vector(0.0, 4 * SLIPS_AT, 0.0))
+    history = Vector(0.0, 4 * SLIPS_AT, 0.0)
     free = contact_at(jnp.asarray(1e-6), friction=0.0)
     spring, dashpot, kept = pull(CoulombSpring(0.5, smoothing), free, history)
-    assert spring.y == dashpot.y == kept.stretch.y == 0.0
+    assert spring.y == dashpot.y == kept.y == 0.0
 
 
 force_of = eqx.filter_jit(lambda law, contact, history: law.force(contact, history))
@@ -141,14 +138,15 @@ def test_the_law_turns_with_its_contact(smoothing, seed):
     turn = rotation(seed)
     law = law_of(soil_of(1.5), smoothing)
     stretch = Vector(jnp.asarray(0.0), jnp.asarray(3e-6), jnp.asarray(-1e-6))
-    history = ContactHistory(jnp.asarray(MOST), jnp.asarray(0.8 * MOST), stretch)
+    plastic = PlasticMemory(jnp.asarray(MOST), jnp.asarray(0.8 * MOST))
+    history = ContactMemory(plastic, stretch, ())
     contact = contact_at(jnp.asarray(0.9 * MOST))
     turned = eqx.tree_at(
         lambda c: (c.normal, c.slip),
         contact,
         (turned_by(turn, contact.normal), turned_by(turn, contact.slip)),
     )
-    turned_history = eqx.tree_at(lambda h: h.stretch, history, turned_by(turn, stretch))
+    turned_history = history._replace(tangential=turned_by(turn, stretch))
     force = force_of(law, contact, history)[0]
     rotated = force_of(law, turned, turned_history)[0]
     expected = turned_by(turn, force.traction()).stack()
@@ -163,9 +161,8 @@ def turned_by(matrix, vector):
 def test_a_stretch_along_the_normal_is_forgotten():
     """The contact plane turns with the bodies; what is left along the normal is no stretch."""
     stretch = Vector(jnp.asarray(1e-6), jnp.asarray(0.0), jnp.asarray(0.0))
-    history = ContactHistory(jnp.asarray(0.0), jnp.asarray(0.0), stretch)
-    _, _, kept = pull(CoulombSpring(0.5), contact_at(jnp.asarray(1e-6), slip=0.0), history)
-    assert not np.any(kept.stretch.stack())
+    _, _, kept = pull(CoulombSpring(0.5), contact_at(jnp.asarray(1e-6), slip=0.0), stretch)
+    assert not np.any(kept.stack())
 
 
 @pytest.mark.parametrize("hysteretic", [3.0, -0.5])

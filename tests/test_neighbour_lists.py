@@ -13,7 +13,7 @@ from hand_made_beds import RADIUS, spheres_of
 from jdem.boundaries.walls import Walls
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList, Grid, rebuild
-from jdem.mechanics.contact import ContactHistory
+from jdem.laws.base import AbstractContactLaw
 
 CLOUD = 60
 
@@ -34,8 +34,21 @@ CLOUD_WALLS = Walls(*(jnp.asarray(x) for x in (0.03, 0.0, 0.014, 0.0)))
 relisted = eqx.filter_jit(rebuild)
 
 
+class Keeper(AbstractContactLaw):
+    """No force; remembers a number and an integer, so that any tree of arrays is tried."""
+
+    def force(self, contact, history):
+        raise NotImplementedError
+
+    def stiffness_bound(self, radius):
+        raise NotImplementedError
+
+    def memory(self, shape, dtype):
+        return {"mark": jnp.zeros(shape, dtype), "more": (jnp.zeros(shape, jnp.int32),)}
+
+
 def empty_lists(grid):
-    return ContactList.empty(grid.pairs, float), ContactList.empty(grid.wall_contacts, float)
+    return [ContactList.empty(n, float, Keeper()) for n in (grid.pairs, grid.wall_contacts)]
 
 
 def listed(grid, place, lists):
@@ -46,7 +59,7 @@ def entries(contacts):
     """{(first, second): what the history remembers} of the live entries, each listed once."""
     live = np.flatnonzero(contacts.alive)
     history = contacts.history
-    columns = (contacts.first, contacts.second, history.max_overlap, history.stretch.z)
+    columns = (contacts.first, contacts.second, history["mark"], history["more"][0])
     rows = zip(*(np.asarray(column)[live].tolist() for column in columns), strict=True)
     found = {(i, j): (most, stretch) for i, j, most, stretch in rows}
     assert len(found) == len(live)
@@ -74,7 +87,7 @@ def mark_of(first, second):
 def marked(contacts):
     """Each entry remembers its own key."""
     mark = mark_of(contacts.first, contacts.second) * contacts.alive
-    history = ContactHistory(mark, -mark, Vector(mark, mark, -mark))
+    history = {"mark": mark, "more": (-mark.astype(jnp.int32),)}
     return eqx.tree_at(lambda c: c.history, contacts, history)
 
 

@@ -1,4 +1,8 @@
-"""What a simulation depends on, hashed: soil, packing, machine, numerics, source of `jdem`."""
+"""What a simulation depends on, hashed: soil, packing, machine, numerics, and the simulator.
+
+Of the simulator's source only the definitions count that a run or a packing reaches
+(`calibrate.simulation.dependencies`): a moved file or a comment makes nothing anew.
+"""
 
 import hashlib
 import json
@@ -10,9 +14,10 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from calibrate.simulation.dependencies import Sources, places_of, types_in
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Specimen
+from jdem.packing.settling import Packing, Specimen, prepare
 
 
 def run_content(lab: VirtualLab, soil: SoilParameters) -> dict:
@@ -23,6 +28,7 @@ def run_content(lab: VirtualLab, soil: SoilParameters) -> dict:
         "lab": _numbers(lab),
         "effects": [type(effect).__name__ for effect in lab.effects],
         "static": repr((lab.grid, lab.capacity, lab.tests, lab.numerics)),
+        "simulator": _sources().hash(places_of({VirtualLab, *types_in((lab, soil))})),
     }
 
 
@@ -32,7 +38,7 @@ def packing_content(specimen: Specimen, seed: int, soil: SoilParameters | None) 
         "specimen": repr(specimen),
         "seed": seed,
         "preparation": None if soil is None else [*_numbers(soil), soil.slope_exponent],
-        "engine": engine_hash(),
+        "simulator": _sources().hash([*places_of([Packing]), (prepare.__module__, "prepare")]),
     }
 
 
@@ -42,13 +48,13 @@ def content_hash(content: dict) -> str:
 
 @cache
 def engine_hash() -> str:
-    """Hash of the source of `jdem`: a changed engine never meets old results.
+    """Hash of the simulator's definitions that any run reaches, effects apart: results state it."""
+    return _sources().hash(places_of([VirtualLab]))
 
-    How responses are differentiated (`jdem.sensitivity`) is not part of a run.
-    """
-    root = Path(str(resources.files("jdem")))
-    files = sorted(path for path in root.rglob("*.py") if path.parent.name != "sensitivity")
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
+
+@cache
+def _sources() -> Sources:
+    return Sources.of(Path(str(resources.files("jdem"))))
 
 
 def _numbers(tree) -> list[str]:

@@ -7,12 +7,13 @@ so no bank and no diagnosis knows their signatures.
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.laws.base import AbstractContactLaw
-from jdem.mechanics.contact import Contact, ContactForce, ContactHistory, NormalForce
+from jdem.laws.base import AbstractContactLaw, Memory
+from jdem.mechanics.contact import Contact, ContactForce, NormalForce
 
 ONSET = 0.2  # overlap over R* at which aggregates begin to break, at strength 1
 LOST = 0.75  # largest share of its force that a contact loses
@@ -43,9 +44,9 @@ class Crushable(AbstractContactLaw):
     inner: AbstractContactLaw
     weakness: Real = quantity()
 
-    def force(self, contact: Contact, history: ContactHistory):
+    def force(self, contact: Contact, history: Memory):
         force, history = self.inner.force(contact, history)
-        beyond = self.weakness * history.max_overlap / (ONSET * contact.radius) - 1.0
+        beyond = self.weakness * _largest_overlap(history) / (ONSET * contact.radius) - 1.0
         left = 1.0 - LOST * -jnp.expm1(-jnp.maximum(beyond, 0.0))
         normal = NormalForce(
             force.normal.hysteretic * left,
@@ -62,6 +63,15 @@ class Crushable(AbstractContactLaw):
 
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)
+
+
+def _largest_overlap(history: Memory):
+    """What the plastic law within remembers (m), whatever wraps it."""
+    leaves = jax.tree_util.tree_leaves_with_path(history)
+    return next(leaf for path, leaf in leaves if path[-1] == _LARGEST)
+
+
+_LARGEST = jax.tree_util.GetAttrKey("max_overlap")
 
 
 class HeightGradient(AbstractEffect):

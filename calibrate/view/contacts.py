@@ -92,7 +92,7 @@ def _still(overlap, normal: Vector, radius, mass, friction) -> Contact:
     """Contacts at rest: no approach, no slip, no time passing."""
     zero = jnp.zeros_like(overlap)
     slip = Vector(zero, zero, zero)
-    return Contact(overlap, zero, normal, slip, radius, mass, friction, zero)
+    return Contact(overlap, zero, normal, slip, radius, mass, friction, zero, slip)
 
 
 def _touching(

@@ -14,7 +14,7 @@ from jax import Array
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw
-from jdem.mechanics.contact import Contact, ContactHistory
+from jdem.mechanics.contact import Contact
 
 
 class SpherePair(eqx.Module):
@@ -42,6 +42,7 @@ class SpherePair(eqx.Module):
             mass=self.effective_mass() * one,
             friction=zero,
             time_step=time_step * one,
+            spin=Vector(zero, zero, zero),
         )
 
 
@@ -60,7 +61,7 @@ def drive_overlap(law: AbstractContactLaw, pair: SpherePair, overlaps: Array) ->
         force, history = law.force(pair.contact(overlap, jnp.zeros_like(overlap)), history)
         return history, force.normal.total()
 
-    return jax.lax.scan(advance, ContactHistory.zeros((), overlaps.dtype), overlaps)[1]
+    return jax.lax.scan(advance, law.memory((), overlaps.dtype), overlaps)[1]
 
 
 def collide(
@@ -81,6 +82,6 @@ def collide(
         return (overlap, rate, history, rebound), None
 
     rate = jnp.asarray(speed, dtype=pair.radius.dtype)
-    start = (rate * time_step, rate, ContactHistory.zeros((), rate.dtype), 0.0 * rate)
+    start = (rate * time_step, rate, law.memory((), rate.dtype), 0.0 * rate)
     final = jax.lax.scan(advance, start, None, length=steps)[0]
     return final[3] / rate

@@ -20,8 +20,8 @@ from jax import Array
 from jdem.core.fusion import once
 from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.laws.base import AbstractContactLaw
-from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.laws.base import AbstractContactLaw, Memory
+from jdem.mechanics.contact import Contact, NormalForce
 
 DECAY = 0.02  # of the diameter
 CUTOFF = 4.0  # decay lengths; pairs are listed that far apart
@@ -32,7 +32,7 @@ class CapillaryTension(AbstractEffect):
 
     Hardly anything in the mould but a longer recovery below zero force; a higher and later
     peak, slower softening and more residual force without it.  Friction feels it only through
-    the larger overlaps.  1 to 10 kPa (suction times saturation, recalled).
+    the larger overlaps.  1 to 10 kPa, DECAY and CUTOFF are assumptions.
     """
 
     strength: Real = quantity(0.0)
@@ -44,7 +44,7 @@ class CapillaryTension(AbstractEffect):
         confined="next to none; longer recovery at the end",
         unconfined="peak higher and later, slower softening, higher residual",
         confounders=("surface_energy", "tensile_exponent", "load_cell_drift"),
-        source="1-10 kPa (recalled); form: Willett et al. 2000",
+        source="1-10 kPa, decay length: assumptions; form: after Willett et al. 2000",
     )
 
     def law(self, law, stage):
@@ -60,7 +60,7 @@ class AcrossGaps(AbstractContactLaw):
     inner: AbstractContactLaw
     stress: Real = quantity()
 
-    def force(self, contact: Contact, history: ContactHistory):
+    def force(self, contact: Contact, history: Memory):
         force, history = once(self.inner.force(contact, history))
         normal = force.normal
         pulled = NormalForce(

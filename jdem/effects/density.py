@@ -19,8 +19,9 @@ class SpecimenDensity(AbstractEffect):
     looser one has a toe.  It differs from specimen to specimen with mean 0, so it shows in the
     scatter of repeats rather than in their mean.  Fabric scatter (another packing, other
     friction at filling) is another thing: see the preparation setting in `numerical`.
-    The paper's samples scatter by 17.6 % (from the field); a laboratory fills to a few per
-    cent (recalled).  Beyond |e| = 0.02 overlaps are no longer small.
+    The paper's five samples from the field scatter by 17.6 % (standard deviation over mean of
+    its table 6); that a laboratory fills to 2 % is an assumption.  Beyond |e| = 0.02 overlaps
+    are no longer small.
     """
 
     strength: Real = quantity(0.0)
@@ -32,7 +33,8 @@ class SpecimenDensity(AbstractEffect):
         confined="denser: no toe, stiffer; looser: toe",
         unconfined="denser: stronger",
         confounders=("seating_gap", "shear_modulus", "preparation_friction"),
-        source="17.6 % between the paper's samples; the realisation holds to 2 %",
+        source="2 %: assumption, and as far as the realisation holds; field samples 17.6 % "
+        "(Chen et al. 2023, table 6)",
     )
 
     def packing(self, packing):

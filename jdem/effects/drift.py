@@ -14,7 +14,8 @@ class LoadCellDrift(AbstractEffect):
 
     Nothing is seen in the confined test, which lasts seconds; a slow ramp in the unconfined
     one, which lasts many minutes at the laboratory's rate.  in_servo as for the gain.
-    c = 0.1 to 0.5 % of full scale an hour, 10 kN (recalled).
+    c = 0.014 N/s, 0.5 % of 10 kN an hour, is an assumption: a cell whose data sheet gives a
+    zero of 0.05 % of full scale per 10 K (Octogon FRB) does a tenth of it at 10 K an hour.
     """
 
     strength: Real = quantity(0.0)
@@ -27,7 +28,7 @@ class LoadCellDrift(AbstractEffect):
         confined="none: seconds",
         unconfined="ramp c t, highest in the tail",
         confounders=("load_cell_offset", "second_test_factor", "capillary_tension"),
-        source="0.1-0.5 % of 10 kN an hour (recalled)",
+        source="0.5 % of 10 kN an hour: assumption; zero 0.05 % per 10 K (Octogon FRB, data sheet)",
     )
 
     def force_error(self, reading, time):

@@ -15,8 +15,9 @@ class LoadCellOffset(AbstractEffect):
     """Strength: offset b, N, two-sided; the same in both tests.
 
     The baseline and the peak shift by b; slopes stay, H changes by the curve's curvature, and
-    force does not return to zero.  in_servo as for the gain.  b up to 10 N: 0.1 % of the full
-    scale of a 10 kN cell (class 1, recalled).
+    force does not return to zero.  in_servo as for the gain.  b up to 10 N: zero errors are at
+    most 0.1 % in class 1 of ISO 7500-1 (2018; read second-hand), taken of 10 kN, the cell's
+    full scale, by assumption.
     """
 
     strength: Real = quantity(0.0)
@@ -29,7 +30,7 @@ class LoadCellOffset(AbstractEffect):
         confined="baseline shifted, also after release; H by curvature only",
         unconfined="all forces shifted by b",
         confounders=("load_cell_drift", "surface_energy"),
-        source="0.1 % of 10 kN for class 1 (recalled)",
+        source="0.1 % in class 1 of ISO 7500-1:2018 (second-hand), of 10 kN: assumption",
     )
 
     def force_error(self, reading, time):

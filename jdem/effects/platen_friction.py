@@ -16,8 +16,10 @@ class PlatenFriction(AbstractEffect):
     where the soil's own platen_friction is 0, else no lower than minus that.
 
     Stronger and more ductile without the mould (barrelling), hardly anything in it.  Strength
-    falls with height over diameter, steeply below 1 (Gueneyli and Ruesen 2016);
-    extra coefficients of 0.1 to 0.5 (recalled).
+    falls with height over diameter, steeply just above 1, less so from 1.25 to 2.5 (Gueneyli
+    and Ruesen 2016, abstract; four clays).  Steel on soil: tan(delta) = 0.2 for sandy silt to
+    0.4 for gravel (US Navy 1982, in Carter and Bentley 2016, table 11.1); 0.1 to 0.5 as
+    extra coefficients are an assumption around that.
     """
 
     strength: Real = quantity(0.0)
@@ -29,7 +31,8 @@ class PlatenFriction(AbstractEffect):
         confined="next to none",
         unconfined="peak higher and later, softer decline",
         confounders=("surface_energy", "static_friction", "second_test_factor"),
-        source="0.1-0.5 (recalled); height effect: Gueneyli and Ruesen 2016",
+        source="0.1-0.5: assumption around 0.2-0.4 for steel on soil (US Navy 1982, in Carter "
+        "and Bentley 2016); height effect: Gueneyli and Ruesen 2016",
     )
 
     def soil(self, soil, stage):

@@ -23,8 +23,11 @@ class RateDependence(AbstractEffect):
     The confined test is the reference and hardly moves while it loads; force falls in a hold
     and in the rest; the unconfined test at 0.01 mm/s is weaker by some 3 rho (2.9 decades
     between the tests' speeds).  With one rate a test and no hold it is exactly alike to a
-    factor on the second test.  rho = 0.05 to 0.15 (recalled; 9 % in fast tests on Boston blue
-    clay, Sheahan 1996).
+    factor on the second test.  rho = 0.09 from 5 to 50 % an hour on Boston blue clay, less and
+    down to 0 at slower rates and high overconsolidation (Sheahan et al. 1996, abstract); linear
+    over five decades on sensitive clays ("Rate effects and cyclic loading of sensitive clays",
+    abstract).  The range 0.05 to 0.15, its use at these faster rates and on unsaturated soil,
+    and FADING_STRAIN are assumptions.
     """
 
     strength: Real = quantity(0.0)
@@ -36,7 +39,8 @@ class RateDependence(AbstractEffect):
         confined="force falls in a hold; next to none without one",
         unconfined="all forces lower, by 3 rho at 2.9 decades; more right after the rest",
         confounders=("second_test_factor", "platen_friction", "acquisition_lag", "restitution"),
-        source="9 % per decade (Sheahan 1996); 5-15 % (recalled)",
+        source="9 % per decade, saturated clay, fastest rates (Sheahan et al. 1996); 5-15 %: "
+        "assumption",
     )
 
     def soil(self, soil, stage):

@@ -16,8 +16,10 @@ class SeatingGap(AbstractEffect):
 
     A long toe below some 3 F_s in both tests; H and peak force stay, the strain at peak grows
     by s.  The gap opens again on unloading (the curve's tail).  Displacement counts from a
-    seating force as ever, which hides the part of s that is closed there.  s = 0.1 to 1 mm
-    (recalled), one s for both tests of a specimen.
+    seating force as ever, which hides the part of s that is closed there.  s = 0.1 to 1 mm,
+    F_s and one s for both tests of a specimen are assumptions.  That bedding matters: up to
+    80 % of the axial deformation between lubricated ends (Sarsby et al. 1982, abstract), and
+    an effect on stiffness in plate tests (Barnard and Heymann 2015, abstract).
     """
 
     strength: Real = quantity(0.0)
@@ -30,7 +32,7 @@ class SeatingGap(AbstractEffect):
         confined="long toe below 50 N and tail after unloading; H unchanged",
         unconfined="long toe, peak later by s, same peak force",
         confounders=("acquisition_lag", "specimen_density"),
-        source="0.1-1 mm (recalled); bedding errors: Barnard and Heymann 2015",
+        source="0.1-1 mm: assumption; bedding errors: Sarsby et al. 1982, Barnard and Heymann 2015",
     )
 
     def travel_error(self, force):

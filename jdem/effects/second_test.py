@@ -14,10 +14,12 @@ class SecondTestFactor(AbstractEffect):
 
     Stiffness and adhesion change together, so overlaps stay in balance and the whole
     unconfined curve is multiplied by 1 + e (quasi-static, weight neglected); the confined
-    curve is untouched.  Stands for drying (5 to 15 % per per cent of water, recalled), ageing
-    (x 1.75 in 160 days), disturbance by extrusion and trimming (-10 to -50 %, recalled): with one
-    rate a test these are exactly alike.  The time step is that of e = 0 and good up to e of
-    about 5.
+    curve is untouched.  Stands for drying, ageing, and disturbance by extrusion and trimming:
+    with one rate a test these are exactly alike.  Drying: strength grows by a factor of about
+    35 from liquid to plastic limit (Vardanega and Haigh 2014, abstract), so by 5 to 15 % per
+    per cent of water at plasticity indices of 71 to 24 %.  Ageing: times 1.75 in 160 days
+    (loess; Wei et al. 2023, abstract).  Disturbance: lower (Horng et al. 2011, abstract);
+    by 10 to 50 % is an assumption.  The time step is that of e = 0 and good up to e of about 5.
     """
 
     strength: Real = quantity(0.0)
@@ -29,7 +31,8 @@ class SecondTestFactor(AbstractEffect):
         confined="none",
         unconfined="all forces x (1 + e)",
         confounders=("rate_dependence", "platen_friction", "cementation", "surface_energy"),
-        source="drying, disturbance (recalled); loess x 1.75 after 160 d",
+        source="drying 5-15 % per % of water (from Vardanega and Haigh 2014); loess x 1.75 after "
+        "160 d (Wei et al. 2023); disturbance -50 %: assumption",
     )
 
     def soil(self, soil, stage):

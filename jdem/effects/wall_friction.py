@@ -19,8 +19,10 @@ class WallFriction(AbstractEffect):
     gives while loading, more while unloading, and force falls faster after reversal.  (On a
     rigid soil that is an abrupt drop; here the contacts' tangential springs must turn first,
     within some tenths of a millimetre.)  The unconfined test sees only the gradient that
-    this left.  Interface angles of 1 degree (grease and latex, Tatsuoka
-    1984) to 17 degrees (Teflon and silicone grease): tan = 0.02 to 0.3.
+    this left.  Angles on greased walls: below 1 degree with latex at 150 to 670 kPa (Tatsuoka
+    et al. 1984, abstract), 16.8 degrees with Teflon and silicone grease at low stress, where
+    other lubricants did worse ("Experimental Study on the Effectiveness of Lubricants in
+    Reducing Sidewall Friction", ASCE, abstract): tan = 0.02 to 0.3.  Both on sand.
     """
 
     strength: Real = quantity(0.0)
@@ -32,7 +34,8 @@ class WallFriction(AbstractEffect):
         confined="stiffer, faster fall after reversal; base force below platen force",
         unconfined="none but an inherited gradient",
         confounders=("shear_modulus", "plasticity_ratio", "static_friction", "acquisition_lag"),
-        source="1 degree (Tatsuoka 1984) to 17 degrees",
+        source="tan of 1 degree (grease and latex, Tatsuoka et al. 1984) to 16.8 degrees (Teflon "
+        "and grease, low stress; ASCE study of sidewall lubricants)",
     )
 
     def soil(self, soil, stage):

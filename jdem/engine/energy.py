@@ -50,13 +50,15 @@ class Ledger(eqx.Module):
     @staticmethod
     def of_step(
         contacts: Array,
+        rolling: Array,
         walls: Array,
         absorbed: Array,
         gravity: Array,
         walls_moving: Walls,
         time_step,
     ) -> "Ledger":
-        """One step: contact power (4,) in W, forces on walls (N), energies absorbed (3,) in J."""
+        """One step: contact power (4,) and that of moments in W, forces on walls (N), energies
+        absorbed (3,) in J."""
         return Ledger(
             platen=-walls[PLATEN] * walls_moving.platen_speed * time_step,
             mould=-walls[MOULD] * walls_moving.mould_speed * time_step,
@@ -65,7 +67,7 @@ class Ledger(eqx.Module):
             normal_dashpot=contacts[1] * time_step,
             tangential_spring=contacts[2] * time_step,
             tangential_dashpot=contacts[3] * time_step,
-            rolling=absorbed[1],
+            rolling=absorbed[1] + rolling * time_step,
             background=absorbed[0],
             integration=absorbed[2],
         )

@@ -105,10 +105,8 @@ def start(bed: Bed, position, platen_height, mould_radius) -> BedState:
         walls=Walls(
             jnp.asarray(platen_height, dtype), zero, jnp.asarray(mould_radius, dtype), zero
         ),
-        pairs=ContactList.empty(
-            bed.grid.pairs, dtype, bed.particle_law.memory(bed.grid.pairs, dtype)
-        ),
-        wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype),
+        pairs=ContactList.empty(bed.grid.pairs, dtype, bed.particle_law),
+        wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law),
         wall_force=jnp.zeros(COUNT, dtype),
         mould_drag=zero,
         energy=Ledger.zeros(dtype),

@@ -17,7 +17,7 @@ from jdem.bodies.spheres import Spheres
 from jdem.boundaries import walls as wall_module
 from jdem.boundaries.walls import Walls
 from jdem.core.vector import Vector
-from jdem.mechanics.contact import ContactHistory
+from jdem.laws.base import AbstractContactLaw, Memory
 
 _FORWARD = np.array(
     [(dx, dy, dz) for dx in (-1, 0, 1) for dy in (-1, 0, 1) for dz in (-1, 0, 1)][14:]
@@ -52,15 +52,15 @@ class ContactList(eqx.Module):
     first: Array
     second: Array
     alive: Array
-    history: ContactHistory
+    history: Memory  #: what the law remembers of each entry
 
     @staticmethod
-    def empty(capacity: int, dtype, extra: tuple = ()) -> "ContactList":
-        """Without entries; `extra` is what its law remembers beyond the base model."""
+    def empty(capacity: int, dtype, law: AbstractContactLaw) -> "ContactList":
+        """Without entries, for contacts that follow `law`."""
         zero = jnp.zeros(capacity, jnp.int32)
         key = jnp.full(capacity, _NO_KEY, jnp.int32)
-        history = ContactHistory.zeros(capacity, dtype, extra)
-        return ContactList(key, zero, zero, jnp.zeros(capacity, dtype), history)
+        alive = jnp.zeros(capacity, dtype)
+        return ContactList(key, zero, zero, alive, law.memory(capacity, dtype))
 
 
 class Demand(eqx.Module):
@@ -169,8 +169,8 @@ def _packed(candidates, valid, stride, capacity, old: ContactList):
     return ContactList(key, used // stride, used % stride, alive, history), count
 
 
-def _inherited(key, old: ContactList) -> ContactHistory:
+def _inherited(key, old: ContactList) -> Memory:
     """Histories of the old entries with the same keys, zero for new entries."""
     place = jnp.clip(jnp.searchsorted(old.key, key), 0, old.key.shape[0] - 1)
-    same = ((old.key[place] == key) & (key != _NO_KEY)).astype(old.alive.dtype)
-    return jax.tree.map(lambda leaf: leaf[place], old.history).kept_while(same)
+    same = (old.key[place] == key) & (key != _NO_KEY)
+    return jax.tree.map(lambda leaf: jnp.where(same, leaf[place], 0), old.history)

@@ -82,6 +82,7 @@ class Loads(eqx.Module):
 
     rows: Array  #: (N, 8): force 0-2 (N), torque 3-5 (N m), rolling limit 6 (N m), load 7 (N)
     power: Array  #: (4,), W; absorbed by normal spring and dashpot, tangential spring and dashpot
+    rolling: Array  #: W; absorbed by the moments of laws that give one
 
 
 Motions = Callable[[Bed, Motion, Walls, Array, Command], tuple[Motion, Array]]
@@ -106,6 +107,7 @@ def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedS
     motion, absorbed = motions(bed, state.motion, walls, loads.rows, command)
     power = Ledger.of_step(
         contacts=loads.power,
+        rolling=loads.rolling,
         walls=on_walls,
         absorbed=absorbed,
         gravity=-bed.gravity * jnp.sum(bed.spheres.mass * state.motion.velocity.z),
@@ -131,7 +133,8 @@ def _pair_loads(bed: Bed, rows: Array, pairs: ContactList):
     on_first, on_second, power, history = entrywise(_pair_forces, (bed, rows), entries)
     total = jnp.zeros((rows.shape[0], 8), rows.dtype)
     total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
-    loads = Loads(total, jnp.sum(power, axis=0))
+    sums = jnp.sum(power, axis=0)
+    loads = Loads(total, sums[:4], jnp.sum(sums[4:]))
     return loads, eqx.tree_at(lambda p: p.history, pairs, history)
 
 
@@ -151,12 +154,13 @@ def _wall_loads(bed: Bed, rows: Array, walls: Walls, contacts: ContactList, load
     entries = (contacts.first, contacts.second, contacts.alive, contacts.history)
     on_first, absorbed, history = entrywise(_wall_forces, (bed, rows, walls), entries)
     sums = jnp.sum(absorbed, axis=0)
-    loads = Loads(loads.rows.at[contacts.first].add(on_first), loads.power + sums[:4])
-    return loads, eqx.tree_at(lambda c: c.history, contacts, history), sums[4:]
+    rows = loads.rows.at[contacts.first].add(on_first)
+    loads = Loads(rows, loads.power + sums[4:8], loads.rolling + jnp.sum(sums[8:]))
+    return loads, eqx.tree_at(lambda c: c.history, contacts, history), sums[:4]
 
 
 def _wall_forces(shared: tuple[Bed, Array, Walls], entries):
-    """Rows to add to each sphere, power by channel beside pushes on the walls, new histories."""
+    """Rows to add to each sphere, pushes on the walls beside power by channel, new histories."""
     bed, rows, walls = shared
     first, wall, alive, history = entries
     one = once(jax.lax.optimization_barrier(rows[first]).T)
@@ -164,7 +168,7 @@ def _wall_forces(shared: tuple[Bed, Array, Walls], entries):
     force, history = _law_forces(bed.wall_law, contact, history)
     on_first, on_wall, power = once(_assembled(contact, force, levers))
     pushes = _pushes(contact.normal, on_wall, wall)
-    return on_first, jnp.concatenate([power, pushes], axis=1), history
+    return on_first, jnp.concatenate([pushes, power], axis=1), history
 
 
 def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
@@ -176,8 +180,9 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
     radius_one, radius_two = one[9], two[9]
     overlap = jnp.where(alive > 0, radius_one + radius_two - distance, -1.0)
     lever_one, lever_two = radius_one - 0.5 * overlap, radius_two - 0.5 * overlap
-    spin = Vector(*one[6:9]) * lever_one + Vector(*two[6:9]) * lever_two
-    relative = Vector(*one[3:6]) - Vector(*two[3:6]) - spin.cross(normal)
+    spin_one, spin_two = Vector(*one[6:9]), Vector(*two[6:9])
+    turning = spin_one * lever_one + spin_two * lever_two
+    relative = Vector(*one[3:6]) - Vector(*two[3:6]) - turning.cross(normal)
     relative = once(relative)
     contact = Contact(
         overlap=overlap,
@@ -188,8 +193,9 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
         mass=one[10] * two[10] / (one[10] + two[10]),
         friction=bed.friction * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
+        spin=spin_one - spin_two,
     )
-    return once((contact, (lever_one, lever_two)))
+    return _kept_apart(contact, (lever_one, lever_two))
 
 
 def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array):
@@ -197,8 +203,8 @@ def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array
     surface = once(wall_module.surface(walls, wall, Vector(*one[0:3])))
     overlap = jnp.where(alive > 0, one[9] - surface.distance, -1.0)
     lever = one[9] - overlap
-    spin = Vector(*one[6:9]) * lever
-    relative = Vector(*one[3:6]) - surface.velocity - spin.cross(surface.normal)
+    spin = Vector(*one[6:9])
+    relative = Vector(*one[3:6]) - surface.velocity - (spin * lever).cross(surface.normal)
     relative = once(relative)
     contact = Contact(
         overlap=overlap,
@@ -209,8 +215,19 @@ def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array
         mass=one[10],
         friction=bed.wall_friction[wall] * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
+        spin=spin,
     )
-    return once((contact, (lever, lever)))
+    return _kept_apart(contact, (lever, lever))
+
+
+def _kept_apart(contact: Contact, levers):
+    """Both, computed once, but for the relative spin: most laws never ask for it."""
+    rest, levers = once((eqx.tree_at(_spin, contact, None), levers))
+    return eqx.tree_at(_spin, rest, contact.spin, is_leaf=lambda leaf: leaf is None), levers
+
+
+def _spin(contact: Contact) -> Vector:
+    return contact.spin
 
 
 def _law_forces(law: AbstractContactLaw, contact: Contact, history):
@@ -219,20 +236,27 @@ def _law_forces(law: AbstractContactLaw, contact: Contact, history):
 
 
 def _assembled(contact: Contact, force: ContactForce, levers):
-    """Rows to add to the first and to the second body, and power absorbed by channel."""
+    """Rows to add to the first and to the second body, and power absorbed by channel.
+
+    A law that gives a moment adds a channel; one that gives none costs nothing.
+    """
     traction = force.traction()
     push = contact.normal * force.normal.total() + traction
     twist = traction.cross(contact.normal)
+    torques = [twist * levers[0], twist * levers[1]]
     channels = [
         force.normal.hysteretic * contact.approach_speed,
         force.normal.viscous * contact.approach_speed,
         -force.tangential.dot(contact.slip),
         -force.tangential_viscous.dot(contact.slip),
     ]
+    if force.moment is not None:  # decided as the law is traced
+        torques = [torques[0] + force.moment, torques[1] - force.moment]
+        channels.append(-force.moment.dot(contact.spin))
     load, rolling = force.normal.frictional_load, force.rolling_limit
     return (
-        _row(push, twist * levers[0], rolling * levers[0], load),
-        _row(-push, twist * levers[1], rolling * levers[1], load),
+        _row(push, torques[0], rolling * levers[0], load),
+        _row(-push, torques[1], rolling * levers[1], load),
         jnp.stack(channels, axis=-1),
     )
 

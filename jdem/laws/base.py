@@ -5,33 +5,39 @@
 A law never sees particle numbers, the bed or the neighbour list, so it can be
 plotted in one notebook cell; `jdem.engine.step` vectorises it.  The normal law comes
 first, because the tangential law needs the load that it carries.
+
+Every law owns what it remembers: `memory` states it as a tree of arrays, all zero in a
+contact that has just been listed, and `force` takes and returns that tree and no other.
+The engine carries it as long as the pair is listed and never looks into it: whether it
+outlives a separation is the law's decision.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 from jax import Array
 
 from jdem.core.vector import Vector
-from jdem.mechanics.contact import Contact, ContactForce, ContactHistory, NormalForce
+from jdem.mechanics.contact import Contact, ContactForce, NormalForce
+
+Memory = Any  # a tree of arrays that one law owns
 
 
 class AbstractNormalLaw(eqx.Module):
     """Force along the line of centres."""
 
     @abc.abstractmethod
-    def force(
-        self, contact: Contact, history: ContactHistory
-    ) -> tuple[NormalForce, ContactHistory]:
+    def force(self, contact: Contact, history: Memory) -> tuple[NormalForce, Memory]:
         """Normal force (N) and the memory after this instant."""
-
-    @abc.abstractmethod
-    def loading_stiffness(self, contact: Contact) -> Array:
-        """k1, N/m^n: virgin loading follows k1 d^n."""
 
     @abc.abstractmethod
     def stiffness_bound(self, radius: Array) -> Array:
         """Largest normal stiffness (N/m) at effective radius R*, for the time step."""
+
+    def memory(self, shape, dtype) -> Memory:
+        """What new contacts remember, zeros of this shape: nothing, unless said so."""
+        return ()
 
 
 class AbstractTangentialLaw(eqx.Module):
@@ -39,35 +45,50 @@ class AbstractTangentialLaw(eqx.Module):
 
     @abc.abstractmethod
     def force(
-        self, contact: Contact, normal: NormalForce, stiffness: Array, history: ContactHistory
-    ) -> tuple[Vector, Vector, ContactHistory]:
+        self, contact: Contact, normal: NormalForce, stiffness: Array, history: Memory
+    ) -> tuple[Vector, Vector, Memory]:
         """Spring and dashpot traction on the first body (N), and the memory after.
 
         `stiffness` is the tangential spring's, N/m.
         """
 
+    def memory(self, shape, dtype) -> Memory:
+        """What new contacts remember, zeros of this shape: nothing, unless said so."""
+        return ()
+
 
 class AbstractRollingLaw(eqx.Module):
-    """Resistance to rolling."""
+    """Resistance to rolling: a limit that the engine applies implicitly, or a moment, or both."""
 
     @abc.abstractmethod
     def limit(self, normal: NormalForce) -> Array:
         """Largest rolling torque divided by its lever arm, N."""
+
+    def moment(
+        self, contact: Contact, normal: NormalForce, history: Memory
+    ) -> tuple[Vector | None, Memory]:
+        """Moment on the first body (N m), or None, and the memory after: none, unless said so.
+
+        `contact.spin` is what it works against.
+        """
+        return None, history
+
+    def memory(self, shape, dtype) -> Memory:
+        """What new contacts remember, zeros of this shape: nothing, unless said so."""
+        return ()
 
 
 class AbstractContactLaw(eqx.Module):
     """Everything that acts in one contact."""
 
     @abc.abstractmethod
-    def force(
-        self, contact: Contact, history: ContactHistory
-    ) -> tuple[ContactForce, ContactHistory]:
+    def force(self, contact: Contact, history: Memory) -> tuple[ContactForce, Memory]:
         """The contact's force by part and its memory after this instant."""
 
     @abc.abstractmethod
     def stiffness_bound(self, radius: Array) -> Array:
         """Largest stiffness (N/m) at effective radius R*, for the time step."""
 
-    def memory(self, shape, dtype) -> tuple:
-        """What a new contact remembers in `ContactHistory.extra`: nothing, unless said so."""
+    def memory(self, shape, dtype) -> Memory:
+        """What new contacts remember, zeros of this shape: nothing, unless said so."""
         return ()

@@ -7,7 +7,7 @@ u is the stretch of the spring and v the slip velocity; u follows the slip and s
 where the spring alone saturates, so without a dashpot a closed cycle of u without slip costs
 no energy.  Spring and dashpot share the limit: a dashpot beside it gives lightly loaded
 contacts kicks of many times mu N, and every rattling sphere then spoils all derivatives
-(docs/decisions.md).
+(docs/decisions.md).  The law remembers the stretch, and forgets it where it carries no load.
 """
 
 import equinox as eqx
@@ -17,8 +17,9 @@ from jdem.core import smooth
 from jdem.core.fusion import once
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
 from jdem.laws.base import AbstractTangentialLaw
-from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.mechanics.contact import Contact, NormalForce
 from jdem.mechanics.dashpot import dashpot_constant
 
 
@@ -28,10 +29,10 @@ class CoulombSpring(AbstractTangentialLaw):
     restitution: Real = quantity()
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
-    def force(self, contact: Contact, normal: NormalForce, stiffness, history: ContactHistory):
+    def force(self, contact: Contact, normal: NormalForce, stiffness, history: Vector):
         limit = contact.friction * normal.frictional_load
         loaded = jnp.where(limit > 0, 1.0, 0.0)
-        stretch = history.stretch.without(contact.normal) + contact.slip * contact.time_step
+        stretch = history.without(contact.normal) + contact.slip * contact.time_step
         stretch = once(stretch)
         stretch = once(self._shortened(stretch, stiffness, limit) * loaded)
         beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, _TINY))
@@ -40,8 +41,11 @@ class CoulombSpring(AbstractTangentialLaw):
         saturated = smooth.saturate(load, self.smoothing.slip)
         share = jnp.where(load > 0, smooth.divide(saturated, load), 1.0) * loaded
         share = once(share)
-        history = ContactHistory(history.max_overlap, history.low_overlap, stretch)
-        return stretch * (-stiffness * share), contact.slip * (-beta * share), history
+        return stretch * (-stiffness * share), contact.slip * (-beta * share), stretch
+
+    def memory(self, shape, dtype):
+        """Elastic stretch of the spring, m."""
+        return Vector.zeros(shape, dtype)
 
     def _shortened(self, stretch, stiffness, limit):
         """The stretch cut to where the spring alone reaches the limit for good."""

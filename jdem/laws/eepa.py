@@ -13,6 +13,7 @@ distance (`Smoothing.reload`).  Separation clears the memory.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -21,7 +22,7 @@ from jdem.core.fusion import once
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
-from jdem.mechanics.contact import Contact, ContactHistory, NormalForce
+from jdem.mechanics.contact import Contact, NormalForce
 from jdem.mechanics.dashpot import dashpot_constant
 from jdem.mechanics.elasticity import AbstractStiffness
 
@@ -31,6 +32,13 @@ class Adhesion(eqx.Module):
 
     strength: Array  #: N; f_min, largest tension
     overlap: Array  #: m; d_min, where it is reached
+
+
+class PlasticMemory(eqx.Module):
+    """What EEPA remembers of one contact; zero while the bodies are apart."""
+
+    max_overlap: Array  #: m; largest overlap, which carries the plastic memory
+    low_overlap: Array  #: m; smallest overlap since, from which adhesive reload starts
 
 
 class EEPA(AbstractNormalLaw):
@@ -49,7 +57,7 @@ class EEPA(AbstractNormalLaw):
     pull_off_force: Real = quantity(0.0)
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
 
-    def force(self, contact: Contact, history: ContactHistory):
+    def force(self, contact: Contact, history: PlasticMemory):
         overlap = jnp.maximum(contact.overlap, 0.0)
         touching = jnp.where(contact.overlap > 0, 1.0, 0.0)
         history = self._loaded(overlap, history)
@@ -64,9 +72,14 @@ class EEPA(AbstractNormalLaw):
             viscous=self._viscous(contact, overlap),
             frictional_load=touching * jnp.maximum(hysteretic + tension, 0.0),
         )
-        return once((force, history.kept_while(touching)))
+        return once((force, jax.tree.map(lambda leaf: leaf * touching, history)))
+
+    def memory(self, shape, dtype):
+        zero = jnp.zeros(shape, dtype)
+        return PlasticMemory(zero, zero)
 
     def loading_stiffness(self, contact: Contact):
+        """k1, N/m^n: virgin loading follows k1 d^n."""
         return self.stiffness.normal(contact.radius)
 
     def unloading_stiffness(self, contact: Contact):
@@ -76,13 +89,12 @@ class EEPA(AbstractNormalLaw):
     def stiffness_bound(self, radius: Array):
         return self.stiffness.bound(radius) / (1 - self.plasticity_ratio)
 
-    def _loaded(self, overlap, history: ContactHistory):
+    def _loaded(self, overlap, history: PlasticMemory):
         """Virgin loading carries the plastic memory with it and forgets earlier reloads."""
         virgin = overlap >= history.max_overlap
-        return ContactHistory(
+        return PlasticMemory(
             max_overlap=jnp.maximum(history.max_overlap, overlap),
             low_overlap=jnp.where(virgin, overlap, jnp.minimum(history.low_overlap, overlap)),
-            stretch=history.stretch,
         )
 
     def _plastic_overlap(self, max_overlap):
@@ -105,7 +117,7 @@ class EEPA(AbstractNormalLaw):
         ratio = smooth.divide(overlap, adhesion.overlap)
         return adhesion.strength * smooth.power(ratio, self.tensile_exponent, _RATIO_FLOOR)
 
-    def _reloaded(self, contact: Contact, overlap, plastic, history: ContactHistory):
+    def _reloaded(self, contact: Contact, overlap, plastic, history: PlasticMemory):
         """Plastic overlap after adhesive reload, and the memory once it has taken over.
 
         On the unloading line `lowered` is above `plastic`, so the minimum leaves it alone; a
@@ -122,10 +134,9 @@ class EEPA(AbstractNormalLaw):
         done = (share >= 1.0) & (lowered < plastic)
         raised_max = self.stiffness.raised(lowered) / self.plasticity_ratio
         memory = self.stiffness.root(raised_max)
-        history = ContactHistory(
+        history = PlasticMemory(
             max_overlap=jnp.where(done, memory, history.max_overlap),
             low_overlap=jnp.where(done, memory, low),
-            stretch=history.stretch,
         )
         return plastic + share * (lowered - plastic), history
 

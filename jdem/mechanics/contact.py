@@ -1,12 +1,12 @@
-"""The nouns of one contact: what a law sees, what it remembers, what it returns.
+"""The nouns of one contact: what a law sees and what it returns.
 
 Signs: overlap and approach speed are positive when the bodies interpenetrate and
-close in; normal forces are positive in repulsion; tangential forces act on the
-first body.  All numbers are SI.  Nothing here knows which bodies are in contact.
+close in; normal forces are positive in repulsion; tangential forces and moments act on
+the first body.  All numbers are SI.  Nothing here knows which bodies are in contact, nor
+what a law remembers: that is its own (`jdem.laws.base`).
 """
 
 import equinox as eqx
-import jax
 from jax import Array
 
 from jdem.core.vector import Vector
@@ -23,28 +23,7 @@ class Contact(eqx.Module):
     mass: Array  #: kg; effective mass m* = 1/(1/m1 + 1/m2)
     friction: Array  #: -; sliding friction coefficient of the two surfaces
     time_step: Array  #: s
-
-
-class ContactHistory(eqx.Module):
-    """What a contact remembers; all zero while the bodies are apart.
-
-    `extra` holds what laws beyond the base model remember (`AbstractContactLaw.memory`); it
-    outlasts separation, and the base model's laws neither see nor return it.
-    """
-
-    max_overlap: Array  #: m; largest overlap, which carries the plastic memory
-    low_overlap: Array  #: m; smallest overlap since, from which adhesive reload starts
-    stretch: Vector  #: m; elastic stretch of the tangential spring
-    extra: tuple = ()  #: trees of arrays
-
-    @staticmethod
-    def zeros(shape, dtype, extra: tuple = ()) -> "ContactHistory":
-        stretch = Vector.zeros(shape, dtype)
-        return ContactHistory(stretch.x, stretch.x, stretch, extra)
-
-    def kept_while(self, touching) -> "ContactHistory":
-        """This history where `touching` is 1, and zeros where it is 0."""
-        return jax.tree.map(lambda leaf: leaf * touching, self)
+    spin: Vector  #: rad/s; angular velocity of the first body relative to the second's
 
 
 class NormalForce(eqx.Module):
@@ -59,12 +38,17 @@ class NormalForce(eqx.Module):
 
 
 class ContactForce(eqx.Module):
-    """The whole force of one contact by part; `tangential` and `tangential_viscous` in N."""
+    """The whole force of one contact by part; `tangential` and `tangential_viscous` in N.
+
+    `moment` (N m) acts on the first body, its opposite on the second; None, and no work for
+    the engine, where a law gives none.
+    """
 
     normal: NormalForce
     tangential: Vector
     tangential_viscous: Vector
     rolling_limit: Array  #: N; the rolling torque's limit divided by the lever arm
+    moment: Vector | None = None
 
     def traction(self) -> Vector:
         """Tangential force on the first body, N."""
