@@ -34,18 +34,12 @@ def on_files(files, config):
     for uri, text in made().items():
         files.append(File.generated(config, uri, content=text))
     folder = ROOT / "build" / "notebooks"
-    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tutorials").mkdir(parents=True, exist_ok=True)
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        copy = folder / path.name
-        copy.write_text(rendered(path), encoding="utf-8")
         uri = f"tutorials/{path.name}"
-        files.append(File.generated(config, uri, abs_src_path=str(copy)))
+        (folder / uri).write_text(rendered(path), encoding="utf-8")
+        files.append(File(uri, str(folder), config.site_dir, config.use_directory_urls))
     return files
-
-
-def on_nav(nav, config, files):
-    """Nothing to change: the navigation stands in mkdocs.yml."""
-    return nav
 
 
 def on_config(config):
@@ -152,13 +146,13 @@ def led(found: re.Match, home: Path, uri: str) -> str:
     if "://" in target or not place:
         return found[0]
     there = posixpath.normpath((home.parent / place).as_posix())
-    known = on_site(there)
+    known = place_on_site(there)
     if known is None:
         return text
     return f"{mark}[{text}]({posixpath.relpath(known, posixpath.dirname(uri) or '.')}{hash_}{anchor})"
 
 
-def on_site(path: str) -> str | None:
+def place_on_site(path: str) -> str | None:
     """Where the site keeps a file of the repository; None if nowhere."""
     special = {
         "README.md": "index.md",
