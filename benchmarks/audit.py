@@ -6,7 +6,7 @@
 The bundled soil at 300 spheres: reference slopes by regression over +-20 %, one parameter at a
 time, against those of both strategies, on the same packings; then all of it again on others.
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-benchmarks/results/audit.json and .md, and docs/images/audit*.png, after every seed.
+notebooks/data/audit.json, benchmarks/results/audit.md and docs/images/audit*.png, after every seed.
 """
 
 import argparse

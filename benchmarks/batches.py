@@ -53,7 +53,9 @@ def measured(spheres: int, repeats: int) -> dict[str, float]:
 
 def _ends(lab: VirtualLab, packing, soil):
     outcome = lab.run(packing, soil)
-    return 1e3 * outcome.depression_depth, outcome.crushing_force
+    return 1e3 * outcome.observables["confined"]["depression_depth"], outcome.observables[
+        "unconfined"
+    ]["crushing_force"]
 
 
 def _timed(program, soil, repeats: int):

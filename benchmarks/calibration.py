@@ -12,7 +12,7 @@ within the repeat scatter of their targets; its cost is counted in forward runs 
     python benchmarks/calibration.py               about 25 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-benchmarks/results/calibration.json and .md after every start.
+notebooks/data/calibration.json and benchmarks/results/calibration.md after every start.
 """
 
 import argparse

@@ -3,14 +3,14 @@
     mkdir own && tar xf benchmarks/results/withheld_own_cases.tar.xz -C own
     python benchmarks/ceiling.py own                  resumes
 
-For every single effect of an opened set, at its own signal-to-noise (`retold.py`), about its own
-curves, data are drawn in a linear world, and judged by an observer who knows this world: the
-scatter of specimens exactly, every effect's signature exactly, and that there are no pairs and
-nothing from outside.  All effects are equally likely to it, strengths have the prior of
-`evidence`.  It names the likeliest class where its odds against none exceed what they do in one of
-twenty draws with nothing hidden.  No strict bound (who knows how often each effect is drawn may do
-better), but a diagnosis that has to learn all this from four specimens and a bank will hardly come
-near.  What the diagnosis named is that of the day when the set was opened.
+For every single effect of an opened set, at its own signal-to-noise, about its own curves, data
+are drawn in a linear world, and judged by an observer who knows this world: the scatter of
+specimens exactly, every effect's signature exactly, and that there are no pairs and nothing from
+outside.  All effects are equally likely to it, strengths have the prior of `evidence`.  It names
+the likeliest class where its odds against none exceed what they do in one of twenty draws with
+nothing hidden.  No strict bound (who knows how often each effect is drawn may do better), but a
+diagnosis that has to learn all this from four specimens and a bank will hardly come near.  What the
+diagnosis named is that of the day when the set was opened.
 """
 
 import argparse
@@ -120,7 +120,7 @@ def main() -> None:
     ready = Ready.of(store.load(store.bundled_bank()))
     which = f"withheld_{given.folder.name}"
     known = mismatch.load(reporting.RESULTS / f"{which}_mismatch.json", ready)
-    true = opinion.truths(f"{which}.json")
+    true = opinion.truths(which)
     kept = reporting.CACHE / f"ceiling_{given.folder.name}_{engine_hash()}"
 
     def of(row: dict, hidden: dict) -> dict:

@@ -88,7 +88,9 @@ def _damped(virtual: VirtualLab, factor: float) -> VirtualLab:
     scaled = (factor * rate for rate in (usual.loading, usual.resting, usual.unloaded))
     damping = Damping(*scaled)
     return eqx.tree_at(
-        lambda v: (v.tests.confined.damping, v.tests.unconfined.damping), virtual, (damping,) * 2
+        lambda v: (v.tests["confined"].damping, v.tests["unconfined"].damping),
+        virtual,
+        (damping,) * 2,
     )
 
 
@@ -153,15 +155,15 @@ def _largest(runs: list[Run], name: str) -> float:
 def _values(runs: list[Run], name: str) -> np.ndarray:
     if name == EARLY:
         return np.array([depth_before_servo(run) for run in runs])
-    return np.array([run.observables()[name] for run in runs])
+    return np.array([run.observables[name] for run in runs])
 
 
 def depth_before_servo(run: Run) -> float:
     """Displacement (mm) from force_low to two servo widths below force_high, on loading."""
     test = ConfinedCompression()
-    highest = np.maximum.accumulate(run.confined[:, 1])
+    highest = np.maximum.accumulate(run.curves["confined"][:, 1])
     ends = (float(test.force_low), float(test.force_high - 2 * test.servo_width))
-    low, high = np.interp(ends, highest, run.confined[:, 0])
+    low, high = np.interp(ends, highest, run.curves["confined"][:, 0])
     return float(high - low)
 
 

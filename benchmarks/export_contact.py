@@ -35,8 +35,8 @@ from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
 
-sys.path.insert(0, str(Path(__file__).parent / "peers"))
-import two_spheres
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from support import two_spheres
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "export.png"

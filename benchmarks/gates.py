@@ -2,11 +2,11 @@
 
     python benchmarks/gates.py                     a second
 
-On the fifth and the sixth own set, opened, from the verdicts archived for `opinion.py`: all cases
-with nothing hidden, and all with one effect of soil or walls at a signal-to-noise of 2 to 6, as
-`retold.py` tells it.  Of each number: how often a case that hides something has the larger one
-(area under the ROC curve), and how many of these exceed what one in twenty of the others does.
-ln evidences are those of refitted single effects, no opinion applied.
+On the newest own set, opened, from its archived verdicts: all cases with nothing hidden, and all
+with one effect of soil or walls at a signal-to-noise of 2 to 6.  Of each number: how often a case
+that hides something has the larger one (area under the ROC curve), and how many of these exceed
+what one in twenty of the others does.  ln evidences are those of refitted single effects, no
+opinion applied.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from calibrate.discrepancy.library.description import MEASURING, TWO_SIDED
 from calibrate.validation.scores import area
 from jdem.effects.composite import EFFECTS
 
-OWN = ("withheld_fifth_again_verdicts.tar.xz", "withheld_sixth_verdicts.tar.xz")
+OWN = "withheld_own"
 RANGE = (2.0, 6.0)
 NUMBERS = {
     "p_value": "1 - p of the gate",
@@ -71,7 +71,7 @@ def markdown(rows: list[dict], named: int, counts: tuple[int, int], origin: dict
     head = ["number", "area under the ROC curve", "one in twenty nulls above", "seen above that"]
     text = (
         "# Numbers that tell that something is hidden\n\n"
-        f"Fifth and sixth own set, opened: {counts[0]} cases with nothing hidden, {counts[1]} with "
+        f"Newest own set, opened: {counts[0]} cases with nothing hidden, {counts[1]} with "
         "one effect of soil or walls at a signal-to-noise of 2 to 6. The largest ln evidence is "
         f"that of the hidden effect in {named} of these.\n\n"
     )
@@ -83,15 +83,11 @@ def _area(found: dict) -> str:
 
 
 def main() -> None:
-    nothing, soils, named = [], [], 0
-    for archive in OWN:
-        said = {verdict["case"]: numbers(verdict) for verdict in opinion.verdicts(archive)}
-        every = opinion.truths(opinion.SETS[archive])
-        true = {case: every[case] for case in every if case in said}
-        without, with_one = chosen(true)
-        nothing += [said[case] for case in without]
-        soils += [said[case] for case in with_one]
-        named += sum(said[case]["best"] == true[case][1][0]["name"] for case in with_one)
+    said = {verdict["case"]: numbers(verdict) for verdict in opinion.verdicts(OWN)}
+    true = {case: both for case, both in opinion.truths(OWN).items() if case in said}
+    without, with_one = chosen(true)
+    nothing, soils = ([said[case] for case in cases] for cases in (without, with_one))
+    named = sum(said[case]["best"] == true[case][1][0]["name"] for case in with_one)
     rows, origin = [compared(key, nothing, soils) for key in NUMBERS], reporting.provenance()
     counts = (len(nothing), len(soils))
     content = {**origin, "rows": rows, "named": named, "cases": counts}

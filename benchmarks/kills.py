@@ -8,7 +8,7 @@ amount of processor time and given again, until it ends; then once more in a fre
     unrepeated  none of them was written anew (same file, same time)
 
 and whenever a command got through, its result must equal that of the first run, but for
-counts of simulations and times.  A command is one line of `VERBS`.
+counts of simulations and times (`support.pieces`).
 
 By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
 part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
@@ -24,21 +24,21 @@ results/benchmarks/kills, with a log of each folder.
 
 import argparse
 import contextlib
-import json
 import os
 import random
 import shutil
 import signal
 import sys
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import psutil
 import reporting
-import xarray as xr
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from support.pieces import VERBS, Tally, Whole, inspected, result_of, written
 
 from calibrate import cli
 from calibrate.discrepancy import diagnosis as diagnosed
@@ -46,35 +46,15 @@ from calibrate.discrepancy.library import simulate
 from calibrate.io.lab import bundled_lab
 from calibrate.reports import study
 from calibrate.reports import withheld as withheld_report
-from calibrate.simulation import NETCDF, Campaign, session
+from calibrate.simulation import Campaign, session
 from calibrate.simulation import resolution as presets
 from calibrate.simulation.executors import AbstractPlace
 from calibrate.simulation.resolution import Preset
-from calibrate.simulation.store import Store
 from calibrate.validation import plan, run, trial
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.packing.settling import Packing
 
-
-@dataclass(frozen=True)
-class Verb:
-    """A command without --out, what --out names in its folder, its result there."""
-
-    command: tuple[str, ...]
-    result: str
-    out: str = "."
-    takes_lab: bool = True
-
-
-VERBS = {
-    "fit": Verb(("fit", "--free", "shear_modulus,surface_energy"), "result.json"),
-    "doe": Verb(("doe",), "result.json"),
-    "bank": Verb(("bank", "--packings", "8", "--spheres", "60"), "bank.nc", out="bank.nc"),
-    "withheld": Verb(("withheld",), "withheld.json", takes_lab=False),
-}
-PIECES = ("runs/*.nc", "sealed/*.attempt", "verdicts/*.json")  # simulations, cases, verdicts
-DIFFERS = ("simulations", "runtime_s", "particle_steps_per_s", "command")
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
 SEED = 1  # of the withheld cases
 CASES = {"none": 1, "above 6": 1}  # 309 in earnest
@@ -173,76 +153,6 @@ def killed(child: int, budget: float) -> bool:
     return False
 
 
-@dataclass
-class Tally:
-    """What was seen over all kills of one verb."""
-
-    kills: int = 0
-    finished: int = 0
-    lost: int = 0
-    repeated: int = 0
-    different: int = 0
-
-
-def written(folder: Path) -> dict[str, tuple[int, int]]:
-    """Finished pieces by path, each with what would change if its file were written again."""
-    return {
-        str(path.relative_to(folder)): (path.stat().st_ino, path.stat().st_mtime_ns)
-        for piece in PIECES
-        for path in folder.rglob(piece)
-    }
-
-
-def readable(path: Path) -> bool:
-    """Whether a finished piece is whole."""
-    if path.suffix == ".nc":
-        return Store(path.parents[1]).run(path.stem) is not None
-    try:
-        json.loads(path.read_text(encoding="utf-8"))  # an attempt is a number
-    except (OSError, ValueError):
-        return False
-    return True
-
-
-def inspected(folder: Path, before: dict, tally: Tally) -> dict:
-    """Counts what a kill has lost or a start repeated; what is finished now."""
-    after = written(folder)
-    tally.lost += len(before.keys() - after.keys())
-    tally.lost += sum(not readable(folder / path) for path in after)
-    tally.repeated += sum(path in after and after[path] != before[path] for path in before)
-    return after
-
-
-def result_of(path: Path) -> dict:
-    """What a command found, from its JSON or NetCDF file."""
-    if path.suffix == ".json":
-        return without(json.loads(path.read_text(encoding="utf-8")))
-    with xr.open_dataset(path, engine=NETCDF) as data:
-        return without(data.load().to_dict())
-
-
-def without(value):
-    """The result but for what may differ between starts."""
-    if isinstance(value, dict):
-        return {key: without(item) for key, item in value.items() if key not in DIFFERS}
-    return [without(item) for item in value] if isinstance(value, list) else value
-
-
-@dataclass(frozen=True)
-class Whole:
-    """The undisturbed run: processor time (s), result, finished pieces."""
-
-    processor_s: float
-    result: dict
-    pieces: frozenset[str]
-
-    def equals(self, verb: str, folder: Path) -> bool:
-        """Whether a command that was killed ended with the same result and pieces."""
-        return self.pieces == written(folder).keys() and self.result == result_of(
-            folder / VERBS[verb].result
-        )
-
-
 def undisturbed(verb: str, folder: Path, dem: bool) -> Whole:
     """Runs the verb without a kill."""
     begun, child = os.times(), started(verb, folder, dem)
@@ -295,7 +205,6 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--dem", action="store_true", help="simulate 48 spheres")
     chosen = options.parse_args()
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     name = "kills_dem" if chosen.dem else "kills"
     origin, rows = reporting.provenance(), reporting.earlier(name, "verbs")
     for verb in chosen.verbs:

@@ -70,7 +70,7 @@ def _measured(name: str, seed: int) -> dict:
         "steps": run.quality["steps"],
         "inertial_number": run.quality["inertial_number"],
         "failure": run.failure,
-        **run.observables(),
+        **run.observables,
     }
 
 

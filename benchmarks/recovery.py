@@ -133,7 +133,10 @@ def _curves(runs: list[Run], folder: Path) -> str:
     """Writes the curves as CSV; the lab file's tables that name them."""
     tables = []
     for number, run in enumerate(runs, start=1):
-        for test, curve in (("confined", run.confined), ("unconfined", run.unconfined)):
+        for test, curve in (
+            ("confined", run.curves["confined"]),
+            ("unconfined", run.curves["unconfined"]),
+        ):
             file = f"{test}_{number}.csv"
             _write_curve(folder / file, curve)
             tables.append(

@@ -16,6 +16,8 @@ from calibrate.simulation import engine_hash
 
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
+SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
+OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -40,17 +42,22 @@ def provenance() -> dict:
     }
 
 
+def file_of(name: str) -> Path:
+    """Where a result's JSON is kept."""
+    return (OF_NOTEBOOKS if name in SHOWN else RESULTS) / f"{name}.json"
+
+
 def write(name: str, content: dict, markdown: str) -> None:
-    """benchmarks/results/<name>.json and .md; says where they are."""
-    write_json(RESULTS / f"{name}.json", content)
+    """The result's JSON and benchmarks/results/<name>.md; says where they are."""
+    write_json(file_of(name), content)
     write_text(RESULTS / f"{name}.md", markdown)
     print(markdown)
-    print(f"written: {RESULTS / name}.json and .md", file=sys.stderr)
+    print(f"written: {file_of(name)}, {RESULTS / name}.md", file=sys.stderr)
 
 
 def earlier(name: str, key: str) -> dict:
     """Entry `key` of results written before by the same engine, or an empty dict."""
-    path = RESULTS / f"{name}.json"
+    path = file_of(name)
     if not path.exists():
         return {}
     content = json.loads(path.read_text(encoding="utf-8"))

@@ -11,7 +11,7 @@ itself belongs to the path that this computer took, not to the soil.  Variants:
 
     python benchmarks/tangents.py               about 5 minutes on two cores
 
-Writes benchmarks/results/tangents.json and .md, and docs/images/tangents.png.
+Writes notebooks/data/tangents.json, benchmarks/results/tangents.md and docs/images/tangents.png.
 """
 
 import argparse
@@ -82,7 +82,7 @@ def laboratory(lab, slip: float, unloaded: float) -> VirtualLab:
     numerics = numerics_for(specimen(lab, preset), smoothing=smoothing)
     virtual = virtual_lab(lab, preset, numerics)
     return eqx.tree_at(
-        lambda v: (v.tests.confined.damping.unloaded, v.tests.unconfined.damping.unloaded),
+        lambda v: (v.tests["confined"].damping.unloaded, v.tests["unconfined"].damping.unloaded),
         virtual,
         (jnp.asarray(unloaded), jnp.asarray(unloaded)),
     )

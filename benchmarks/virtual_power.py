@@ -3,7 +3,7 @@
     python benchmarks/virtual_power.py                 8 packings of 300 spheres
     python benchmarks/virtual_power.py --float32       in single precision: 150 s a packing
 
-The references and the ensemble's slopes are those of benchmarks/results/audit.json (all of its
+The references and the ensemble's slopes are those of notebooks/data/audit.json (all of its
 packings of one seed); virtual power is computed on the first of the same packings, and once more
 on some of them with nothing carried over from the tests before (`FrozenMotion.carried`).  The
 blend weighs virtual power and ensemble (`jdem.sensitivity.composite`).  Cost is processor time of
@@ -110,7 +110,7 @@ class Bench:
 
 def committed(seed: str) -> tuple[Sensitivity, Sensitivity, int]:
     """The audit's reference and ensemble (slopes and standard errors), and its packings."""
-    content = json.loads((reporting.RESULTS / "audit.json").read_text(encoding="utf-8"))
+    content = json.loads(reporting.file_of("audit").read_text(encoding="utf-8"))
     found = content["audits"][seed]
     rows = {(r["observable"], r["parameter"]): r for r in found["rows"]}
     keys = [[(observable, name) for name in NAMES] for observable in OBSERVABLES]
@@ -127,7 +127,7 @@ def committed(seed: str) -> tuple[Sensitivity, Sensitivity, int]:
 
 def curve_means(seed: str, found: list[dict]) -> list[dict]:
     """Slopes (N) of the force averaged over the whole crushing curve: audit's and these."""
-    content = json.loads((reporting.RESULTS / "audit.json").read_text(encoding="utf-8"))
+    content = json.loads(reporting.file_of("audit").read_text(encoding="utf-8"))
     curves = content["audits"][seed]["curves"]["unconfined"]["slopes"]
     each = np.array([one["result"][-POINTS:].mean(axis=0) for one in found])
     return [

@@ -4,10 +4,14 @@ A curve has a fixed number of rows of which some are masked, so that the functio
 be compiled once, vectorised and differentiated.
 """
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
+
+from jdem.core.quantity import Real, quantity
 
 
 class Curve(eqx.Module):
@@ -69,3 +73,55 @@ def running_mean(curve: Curve, rows: int) -> Curve:
 def inertial_number(rate, height, diameter, density, pressure) -> Array:
     """I = (rate/height) d sqrt(density/pressure), dimensionless (MiDi 2004)."""
     return rate / height * diameter * jnp.sqrt(density / pressure)
+
+
+class AbstractGauge(eqx.Module):
+    """One observable of a whole curve; `name` is what it is called in results."""
+
+    name: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def of(self, curve: Curve, movement: Array) -> Array:
+        """The number, SI; `movement` (samples,) is the number of the movement under way."""
+
+
+class LargestDisplacement(AbstractGauge):
+    """The farthest that the platen went, m."""
+
+    name: str = eqx.field(static=True, default="settlement")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        return jnp.max(jnp.where(curve.valid > 0, curve.displacement, -jnp.inf))
+
+
+class DisplacementBetween(AbstractGauge):
+    """Displacement (m) between two forces (N) on first loading."""
+
+    force_low: Real = quantity()
+    force_high: Real = quantity()
+    name: str = eqx.field(static=True, default="depression_depth")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        return depression_depth(curve, self.force_low, self.force_high)
+
+
+class ForceLeft(AbstractGauge):
+    """Force (N) at the end of movement `held`."""
+
+    held: int = eqx.field(static=True)
+    name: str = eqx.field(static=True, default="force_left")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        rows = jnp.arange(curve.force.shape[0])
+        return curve.force[jnp.max(jnp.where(movement == self.held, rows, 0))]
+
+
+class LargestForce(AbstractGauge):
+    """The largest force (N), smoothed over `width` (N) and averaged over `rows` samples."""
+
+    width: float = eqx.field(static=True, default=2.0)
+    rows: int = eqx.field(static=True, default=5)
+    name: str = eqx.field(static=True, default="largest_force")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        return crushing_force(running_mean(curve, self.rows), self.width)

@@ -7,7 +7,7 @@ import numpy as np
 from calibrate.simulation.resolution import numerics_for
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Specimen
 
@@ -25,7 +25,7 @@ def both_tests(hold=0.0):
         stroke=0.2 * SMALL.height,
         hold=hold,
     )
-    return LabTests(confined, UnconfinedCompression(stroke=1e-3, rest=2e-3, opening=1e-4))
+    return TestSequence((confined, UnconfinedCompression(stroke=1e-3, rest=2e-3, opening=1e-4)))
 
 
 def lab_with(*effects, hold=0.0):

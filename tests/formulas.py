@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
+from two_tests import two_tests
 
 from calibrate.core.progress import Silent
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
-from calibrate.simulation import Run
 from calibrate.simulation.resolution import PRESETS, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
 
@@ -62,7 +62,9 @@ def specimen(soil, seed):
     travel = np.linspace(0, 12, 241)
     confined = np.stack([np.append(up, down[1:]), np.append(force, force[-2::-1])], axis=1)
     crushing = np.stack([travel, strength * -np.expm1(-travel / scale)], axis=1)
-    return Run(depth * (1 - 0.5**exponent), float(crushing[-1, 1]), confined, crushing, QUALITY)
+    return two_tests(
+        depth * (1 - 0.5**exponent), float(crushing[-1, 1]), confined, crushing, QUALITY
+    )
 
 
 @dataclass

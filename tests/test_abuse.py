@@ -8,7 +8,6 @@ import ast
 import errno
 import json
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from support import malformed
 from test_fit import BASE, TINY, tiny_campaign, tiny_lab
 from toy_place import Toy
 
@@ -34,8 +34,6 @@ from jdem.core.smooth import Smoothing
 from jdem.materials.soil import SoilParameters, particle_law
 
 ROOT = Path(__file__).parents[1]
-sys.path.append(str(ROOT / "benchmarks"))
-import fuzz  # noqa: E402
 
 # ------------------------------------------------------------------ laws
 
@@ -91,11 +89,9 @@ def test_every_accepted_soil_gives_finite_forces_and_slopes(exponent, values, tu
 # ------------------------------------------------------------------ readers
 
 
-@pytest.mark.parametrize("kind", fuzz.KINDS)
-def test_accidents_to_files_are_refused_in_one_line(kind, tmp_path, monkeypatch):
-    """The first 25 of `benchmarks/fuzz.py`, with other accidents."""
-    monkeypatch.setattr(fuzz, "STRANGE", tmp_path)
-    counts, _ = fuzz.fuzzed(kind, refused=25, seed=100)
+@pytest.mark.parametrize("kind", malformed.KINDS)
+def test_accidents_to_files_are_refused_in_one_line(kind, tmp_path):
+    counts, _ = malformed.fuzzed(kind, 25, seed=100, strange=tmp_path)
     assert counts["refused"] == 25
     assert not counts["strange"], next(tmp_path.glob("*.txt")).read_text()
 
@@ -112,9 +108,9 @@ def test_no_content_of_a_lab_file_or_curve_is_too_strange(tmp_path, content):
     (tmp_path / "lab.toml").write_bytes(content)
     with pytest.raises(InputError):
         load_lab(tmp_path / "lab.toml")
-    (tmp_path / "lab.toml").write_bytes(fuzz.GOOD["lab.toml"])
+    (tmp_path / "lab.toml").write_bytes(malformed.GOOD["lab.toml"])
     (tmp_path / "confined.csv").write_bytes(content)
-    (tmp_path / "unconfined.csv").write_bytes(fuzz.GOOD["unconfined.csv"])
+    (tmp_path / "unconfined.csv").write_bytes(malformed.GOOD["unconfined.csv"])
     with pytest.raises(InputError):
         load_lab(tmp_path / "lab.toml")
 
@@ -191,7 +187,7 @@ def test_a_time_step_that_is_too_large_is_named(tmp_path):
     work.lab = virtual_lab(tiny_lab(), TINY, replace(work.lab.numerics, safety=0.9))
     run = work.runs([BASE], [0], "large steps")[0][0]
     assert "the time step is too large" in run.failure
-    assert np.isfinite(list(run.observables().values())).all()
+    assert np.isfinite(list(run.observables.values())).all()
 
 
 def test_a_parameter_that_is_no_number_is_named(tmp_path):

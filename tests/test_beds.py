@@ -1,11 +1,9 @@
 """Beds that ship with the package: all there, of this engine, and like those that settle here."""
 
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import shipped_beds
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation import Campaign
@@ -15,14 +13,11 @@ from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from calibrate.simulation.store import SHIPPED
 from jdem.packing.settling import prepare
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-import beds  # the maker's own list of soils and seeds
-
 WANTED = [
     (soil, preset, seed)
-    for soil in beds.SOILS
+    for soil in shipped_beds.SOILS
     for preset in ("quick", "standard")
-    for seed in beds.seeds(preset)
+    for seed in shipped_beds.seeds(preset)
 ]
 
 
@@ -52,9 +47,10 @@ def test_a_shipped_bed_fills_its_mould(soil, preset, seed):
 
 
 def test_beds_of_one_specimen_have_centres_of_their_own():
-    found = [SHIPPED.packing(name_of("trumao", "quick", seed)) for seed in beds.seeds("quick")]
+    seeds = shipped_beds.seeds("quick")
+    found = [SHIPPED.packing(name_of("trumao", "quick", seed)) for seed in seeds]
     tops = [float(bed.position.z.max()) for bed in found if bed is not None]
-    assert len(set(tops)) == len(beds.seeds("quick"))
+    assert len(set(tops)) == len(seeds)
 
 
 def test_a_bed_that_settles_here_is_like_the_shipped_one():

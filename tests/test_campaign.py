@@ -31,7 +31,10 @@ SEEDS = (0, 1)
 def numbers(rows):
     """Everything of rows of runs, comparable with ==."""
     return [
-        [(run.observables(), run.confined.tolist(), run.unconfined.tolist()) for run in row]
+        [
+            (run.observables, run.curves["confined"].tolist(), run.curves["unconfined"].tolist())
+            for run in row
+        ]
         for row in rows
     ]
 
@@ -261,7 +264,7 @@ def test_a_run_that_no_machine_finishes_is_a_labelled_row_and_not_kept(tmp_path)
     work = replace(toy_campaign(tmp_path, fails=3), workers=1)
     (first,), (second,) = work.runs(soils(2), (0,), "retried")
     assert first.failure == "not simulated, tried 3 times: out of memory"
-    assert np.isnan(list(first.observables().values())).all()
+    assert np.isnan(list(first.observables.values())).all()
     assert second.failure == ""
     assert work.simulated == 1
     result = simulation_json([first, second])

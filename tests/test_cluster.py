@@ -40,7 +40,7 @@ def place(dask):
 
 
 def curves(rows):
-    return [[(run.observables(), run.confined.tolist()) for run in row] for row in rows]
+    return [[(run.observables, run.curves["confined"].tolist()) for run in row] for row in rows]
 
 
 def kill_one_worker_after(folder, finished, dask, killed):
@@ -99,7 +99,7 @@ def deadly(lab, specimen, packing, soil):
     if float(soil.surface_energy) < 10.5:
         assert get_worker()
         os.kill(os.getpid(), signal.SIGKILL)
-    return not_simulated("the other one")
+    return not_simulated(lab, "the other one")
 
 
 def test_a_worker_with_another_engine_is_refused():

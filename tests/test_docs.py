@@ -101,12 +101,13 @@ def test_the_effect_is_nothing_at_strength_0(examples):
     np.testing.assert_allclose(effect(1e-5).force_error(reading, reading), [0, 0.4, 1.6])
 
 
-def test_the_apparatus_states_its_segments(examples):
-    apparatus = examples["DeadLoad"](force=80.0)
-    loading, holding = apparatus.segments()
-    assert len(apparatus.names) == len(apparatus.time_scales) == 2
-    assert float(loading.force_target) == 80.0
-    assert float(holding.platen_speed) == 0.0
+def test_the_test_states_its_movements(examples):
+    test = examples["relaxation"](force=80.0)
+    loading, holding = test.movements()
+    assert test.names == ("loading", "holding")
+    assert float(loading.segment.force_target) == 80.0
+    assert float(holding.segment.platen_speed) == 0.0
+    assert float(holding.time_scale * holding.segment.duration) == pytest.approx(60.0)
 
 
 def test_the_strategy_finds_the_slopes_of_a_plane(examples):

@@ -62,7 +62,7 @@ def outcome(packing, time_step):
     def run(hold=0.0, /, **values):
         key = (hold, *sorted(values.items()))
         if key not in known:
-            lab = eqx.tree_at(lambda lab: lab.tests.confined.hold, ALL, jnp.asarray(hold, float))
+            lab = eqx.tree_at(lambda lab: lab.tests["confined"].hold, ALL, jnp.asarray(hold, float))
             effects = with_strengths(ALL.effects, strengths(**values))
             lab = eqx.tree_at(lambda lab: lab.effects, lab, effects)
             known[key] = altered(lab, packing, SOIL, time_step)
@@ -95,8 +95,11 @@ def test_strength_zero_is_the_base_model_bit_for_bit(base, outcome):
     """All effects at once, in one program that is not the base model's."""
     nothing = outcome()
     assert not base.failed
-    assert len(rows(base.unconfined)[0]) > 20 and base.crushing_force > 5.0
-    for field in ("depression_depth", "crushing_force", "confined", "unconfined", "nominal_time"):
+    assert (
+        len(rows(base.curves["unconfined"])[0]) > 20
+        and base.observables["unconfined"]["crushing_force"] > 5.0
+    )
+    for field in ("observables", "curves", "nominal_time"):
         assert_same(getattr(nothing, field), getattr(base, field))
     assert_same(nothing.record.samples, base.record.samples)
     assert_same(nothing.record.state.motion, base.record.state.motion)
@@ -107,7 +110,12 @@ def test_effects_keep_single_precision(packing):
     numerics = replace(NUMERICS, dtype="float32")
     lab = VirtualLab.of(SMALL, both_tests(), numerics, ALL.effects)
     outcome = eqx.filter_eval_shape(VirtualLab.run, lab, packing, SOIL)
-    shown = (outcome.depression_depth, outcome.confined, outcome.unconfined, outcome.nominal_time)
+    shown = (
+        outcome.observables["confined"]["depression_depth"],
+        outcome.curves["confined"],
+        outcome.curves["unconfined"],
+        outcome.nominal_time,
+    )
     assert {leaf.dtype for leaf in jax.tree.leaves(shown)} == {jnp.dtype("float32")}
 
 
@@ -118,16 +126,19 @@ class Lightness(AbstractEffect):
     about: ClassVar[About] = About("share", "1", (0.0, 1.0), True, "", "", (), "")
 
     def soil(self, soil, stage):
-        softer = soil.shear_modulus * (1 - 0.5 * self.strength * (1 - stage.unconfined))
+        softer = soil.shear_modulus * (1 - 0.5 * self.strength * (1 - stage.free))
         return eqx.tree_at(lambda s: s.shear_modulus, soil, softer)
 
 
 def test_an_effect_of_a_users_own(base, packing, time_step):
     run = eqx.filter_jit(eqx.debug.assert_max_traces(VirtualLab.run, max_traces=1))
     outcomes = [run(lab_with(Lightness(s)), packing, SOIL, time_step) for s in (0.0, 1.0)]
-    assert_same(outcomes[0].confined, base.confined)
-    assert_same(outcomes[0].unconfined, base.unconfined)
-    assert outcomes[1].depression_depth > 1.5 * base.depression_depth
+    assert_same(outcomes[0].confined, base.curves["confined"])
+    assert_same(outcomes[0].unconfined, base.curves["unconfined"])
+    assert (
+        outcomes[1].observables["confined"]["depression_depth"]
+        > 1.5 * base.observables["confined"]["depression_depth"]
+    )
 
 
 # ------------------------------------------------------------------ instruments
@@ -145,26 +156,38 @@ def test_compliance_flattens_slopes_by_the_closed_form(outcome):
     unloading = segment(true, "unloading")
     steep = -np.diff(unloading.platen_force[:5]).sum() / np.diff(unloading.platen_height[:5]).sum()
     count = len(segment(true, "loading").time) + len(segment(true, "holding").time)
-    d, force = (row[count : count + 5] for row in rows(shown.confined))
+    d, force = (row[count : count + 5] for row in rows(shown.curves["confined"]))
     slope = (force[-1] - force[0]) / (d[-1] - d[0])
     assert slope == pytest.approx(steep / (1 + compliance * steep), rel=1e-9)
     assert slope < 0.97 * steep
-    deeper = shown.depression_depth - true.depression_depth
+    deeper = (
+        shown.observables["confined"]["depression_depth"]
+        - true.observables["confined"]["depression_depth"]
+    )
     assert deeper == pytest.approx(100.0 * compliance, rel=1e-9)
-    assert shown.crushing_force == true.crushing_force
+    assert (
+        shown.observables["unconfined"]["crushing_force"]
+        == true.observables["unconfined"]["crushing_force"]
+    )
 
 
 def test_a_seating_gap_is_a_toe(outcome):
     gap = 5e-4
     true, shown = outcome(), outcome(seating_gap=gap)
-    (d, force), (shifted, same) = rows(true.unconfined), rows(shown.unconfined)
+    (d, force), (shifted, same) = rows(true.curves["unconfined"]), rows(shown.curves["unconfined"])
     np.testing.assert_array_equal(same, force)
     closed = gap * (1 - np.exp(-np.maximum(force, 0) / 15.0))
     assert np.abs(shifted - shifted[0] - (d - d[0]) - (closed - closed[0])).max() < 1e-12
     # Between 100 and 200 N exp(-100/15) of the gap is left to close.
-    change = shown.depression_depth - true.depression_depth
+    change = (
+        shown.observables["confined"]["depression_depth"]
+        - true.observables["confined"]["depression_depth"]
+    )
     assert abs(change) < 1.01 * gap * math.exp(-100 / 15)
-    assert shown.crushing_force == true.crushing_force
+    assert (
+        shown.observables["unconfined"]["crushing_force"]
+        == true.observables["unconfined"]["crushing_force"]
+    )
 
 
 def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
@@ -195,13 +218,15 @@ def test_the_machine_turns_at_what_its_load_cell_shows(outcome):
     """The record tops out where the base model's does; the true force is 3 % lower."""
     gain = 0.03
     true, shown = outcome(), outcome(load_cell_gain=gain)
-    tops = [float(o.confined.force.max()) for o in (true, shown)]
+    tops = [float(o.curves["confined"].force.max()) for o in (true, shown)]
     assert tops[1] == pytest.approx(tops[0], abs=1.0)  # within the servo's tolerance
     pressed = [segment(o, "loading").platen_force.max() for o in (true, shown)]
     assert pressed[1] == pytest.approx(pressed[0] / (1 + gain), abs=1.0)
-    loading = Curve(*(np.asarray(x) for x in jax.tree.leaves(true.confined)))
+    loading = Curve(*(np.asarray(x) for x in jax.tree.leaves(true.curves["confined"])))
     reached = [displacement_at(loading, force / (1 + gain)) for force in (100.0, 200.0)]
-    assert shown.depression_depth == pytest.approx(float(reached[1] - reached[0]), rel=2e-3)
+    assert shown.observables["confined"]["depression_depth"] == pytest.approx(
+        float(reached[1] - reached[0]), rel=2e-3
+    )
 
 
 def test_a_late_reading_shifts_loading_and_overshoots(outcome):
@@ -222,17 +247,22 @@ def test_a_late_reading_shifts_loading_and_overshoots(outcome):
     print(f"overshoot {over:.1f} N, v tau S {speed * lag * slope:.1f} N")
     assert over == pytest.approx(speed * lag * slope, rel=0.25)
     # The reading is still below the force as the platen turns, and rises for a while.
-    assert shown.confined.force.max() > true.confined.force.max() + 2.0
+    assert shown.curves["confined"].force.max() > true.curves["confined"].force.max() + 2.0
 
 
 def test_drift_shows_only_in_the_slow_test(outcome):
     drift = 0.014
     true, shown = outcome(), outcome(load_cell_drift=drift)
     seconds = 5e-3 / 8e-3  # a few millimetres at the nominal rate
-    change = np.abs(rows(shown.confined)[1][:50] - rows(true.confined)[1][:50]).max()
+    change = np.abs(
+        rows(shown.curves["confined"])[1][:50] - rows(true.curves["confined"])[1][:50]
+    ).max()
     assert 0 < change < drift * seconds
-    minutes = np.asarray(true.nominal_time)[np.asarray(true.unconfined.valid) > 0][-1]
-    grown = float(shown.crushing_force - true.crushing_force)
+    minutes = np.asarray(true.nominal_time)[np.asarray(true.curves["unconfined"].valid) > 0][-1]
+    grown = float(
+        shown.observables["unconfined"]["crushing_force"]
+        - true.observables["unconfined"]["crushing_force"]
+    )
     assert grown == pytest.approx(drift * minutes, rel=0.1)
 
 
@@ -250,38 +280,58 @@ def test_wall_friction_keeps_force_from_the_base_and_falls_fast_after_reversal(o
         late = travel > 5e-4
         assert np.mean(unloading.base_force[late]) > np.mean(unloading.platen_force[late])
     assert shares[1] < 0.9 * shares[0]
-    assert high.depression_depth < low.depression_depth
+    assert (
+        high.observables["confined"]["depression_depth"]
+        < low.observables["confined"]["depression_depth"]
+    )
     print(f"base/platen {shares}, force left after 0.5 mm of unloading {drops}")
     assert drops[1] < 0.95 * drops[0]
 
 
 def secant(outcome, travel=5e-4):
     """Mean force (N) of the unconfined curve up to a displacement (m)."""
-    d, force = rows(outcome.unconfined)
+    d, force = rows(outcome.curves["unconfined"])
     return force[d < travel].mean()
 
 
 def test_platen_friction_acts_without_the_mould(outcome):
     low, high = outcome(), outcome(platen_friction=0.5)
-    assert high.crushing_force > low.crushing_force
-    depth = high.depression_depth / low.depression_depth - 1
-    force = high.crushing_force / low.crushing_force - 1
+    assert (
+        high.observables["unconfined"]["crushing_force"]
+        > low.observables["unconfined"]["crushing_force"]
+    )
+    depth = (
+        high.observables["confined"]["depression_depth"]
+        / low.observables["confined"]["depression_depth"]
+        - 1
+    )
+    force = (
+        high.observables["unconfined"]["crushing_force"]
+        / low.observables["unconfined"]["crushing_force"]
+        - 1
+    )
     print(f"platen friction: depth {float(depth):+.3f}, crushing force {float(force):+.3f}")
     assert abs(depth) < 0.5 * abs(force)
 
 
 def test_the_second_test_alone_is_multiplied(outcome):
     low, high = outcome(), outcome(second_test_factor=0.3)
-    assert_same(high.confined, low.confined)
+    assert_same(high.curves["confined"], low.curves["confined"])
     assert secant(high) / secant(low) == pytest.approx(1.3, rel=0.1)
-    assert high.crushing_force / low.crushing_force == pytest.approx(1.3, rel=0.1)
+    assert high.observables["unconfined"]["crushing_force"] / low.observables["unconfined"][
+        "crushing_force"
+    ] == pytest.approx(1.3, rel=0.1)
 
 
 def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
     rho = 0.1
     low, high = outcome(), outcome(rate_dependence=rho)
     decades = math.log10(1e-5 / 8e-3)
-    change = float(high.depression_depth / low.depression_depth - 1)
+    change = float(
+        high.observables["confined"]["depression_depth"]
+        / low.observables["confined"]["depression_depth"]
+        - 1
+    )
     assert abs(change) < 0.02
     ratio = secant(high) / secant(low)
     slowest = math.exp(rho * decades)
@@ -330,8 +380,16 @@ def standing_at(height, time):
 
 def test_capillary_tension_strengthens_without_the_mould(outcome):
     low, high = outcome(), outcome(capillary_tension=1e4)
-    depth = float(high.depression_depth / low.depression_depth - 1)
-    force = float(high.crushing_force / low.crushing_force - 1)
+    depth = float(
+        high.observables["confined"]["depression_depth"]
+        / low.observables["confined"]["depression_depth"]
+        - 1
+    )
+    force = float(
+        high.observables["unconfined"]["crushing_force"]
+        / low.observables["unconfined"]["crushing_force"]
+        - 1
+    )
     print(f"capillary tension: depth {depth:+.3f}, crushing force {force:+.3f}")
     assert force > 0.1
     assert abs(depth) < 0.3 * force
@@ -339,14 +397,17 @@ def test_capillary_tension_strengthens_without_the_mould(outcome):
 
 def test_cementation_acts_after_the_confined_test(outcome):
     low, high = outcome(), outcome(cementation=5e4)
-    assert_same(high.confined, low.confined)
-    assert high.crushing_force > 1.1 * low.crushing_force
+    assert_same(high.curves["confined"], low.curves["confined"])
+    assert (
+        high.observables["unconfined"]["crushing_force"]
+        > 1.1 * low.observables["unconfined"]["crushing_force"]
+    )
     assert secant(high) > secant(low)
 
 
 def test_a_denser_specimen_is_stiffer(outcome):
     loose, usual, dense = (outcome(specimen_density=e) for e in (-0.01, 0.0, 0.01))
-    at = [float(displacement_at(o.confined, 100.0)) for o in (loose, usual, dense)]
+    at = [float(displacement_at(o.curves["confined"], 100.0)) for o in (loose, usual, dense)]
     print(f"displacement at 100 N, loose to dense: {at}")
     assert at[0] > at[1] > at[2]
 
@@ -362,7 +423,12 @@ def slopes(packing, time_step):
         effects = with_strengths(ALL.effects, list(values))
         lab = eqx.tree_at(lambda lab: lab.effects, ALL, effects)
         outcome = lab.run(packing, SOIL, time_step)
-        return jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+        return jnp.stack(
+            [
+                1e3 * outcome.observables["confined"]["depression_depth"],
+                outcome.observables["unconfined"]["crushing_force"],
+            ]
+        )
 
     def push(direction):
         return jax.jvp(response, (jnp.zeros(len(NAMES)),), (direction,))[1]
@@ -380,7 +446,16 @@ def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
     found = slopes[NAMES.index(name)] * typical
     low = 0.0 if name == "acquisition_lag" else -size
     ends = [outcome(**{name: end}) for end in (size, low)]
-    pairs = [np.array([1e3 * o.depression_depth, o.crushing_force], float) for o in ends]
+    pairs = [
+        np.array(
+            [
+                1e3 * o.observables["confined"]["depression_depth"],
+                o.observables["unconfined"]["crushing_force"],
+            ],
+            float,
+        )
+        for o in ends
+    ]
     expected = (pairs[0] - pairs[1]) / (size - low) * typical
     print(f"{name}: tangent {found}, difference {expected} (mm, N per typical strength)")
     np.testing.assert_allclose(found[0], expected[0], rtol=0.01, atol=1e-6)

@@ -110,7 +110,7 @@ def test_a_setting_changes_what_it_says_and_nothing_at_strength_zero(name):
     assert same.lab().grid == trial.lab().grid
     read = {
         "smoothing_width": lambda t: float(t.numerics.smoothing.slip),
-        "simulated_rate": lambda t: float(t.tests.confined.simulated_rate),
+        "simulated_rate": lambda t: float(t.tests["confined"].simulated_rate),
         "sphere_number": lambda t: t.specimen.count,
         "preparation_friction": lambda t: float(t.preparation.static_friction),
         "time_step": lambda t: t.numerics.safety,

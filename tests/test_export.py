@@ -9,7 +9,6 @@ import csv
 import io
 import json
 import shutil
-import sys
 from pathlib import Path
 from types import SimpleNamespace as Namespace
 
@@ -17,6 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import two_spheres
 
 from calibrate.core.errors import InputError
 from calibrate.export import asjson, edem, liggghts, yade
@@ -41,9 +41,6 @@ CASES = {  # as in benchmarks/export_contact.py
     "capped": {"plasticity_ratio": 0.358, "surface_energy": 170.0, "pull_off_force": -0.5},
 }
 PATH = (0.02, 0.004, 0.03, -0.01)  # radii
-
-sys.path.insert(0, str(TESTS.parent / "benchmarks" / "peers"))
-import two_spheres  # noqa: E402
 
 
 def bundled(**changes):

@@ -35,8 +35,8 @@ SEEDS = range(3)
 def measured_lab(soil, seed, curves):
     """What a laboratory with four specimens of this soil would report."""
     runs = [specimen(soil, 10_000 + 10 * seed + k) for k in range(4)]
-    pairs = [("confined", run.confined) for run in runs]
-    pairs += [("unconfined", run.unconfined) for run in runs]
+    pairs = [("confined", run.curves["confined"]) for run in runs]
+    pairs += [("unconfined", run.curves["unconfined"]) for run in runs]
     return SimpleNamespace(
         file="lab.toml",
         targets={},
@@ -48,7 +48,7 @@ def measured_lab(soil, seed, curves):
 
 def scalar_problem(runs):
     """Both observables: mean, and variance of the mean, of four specimens."""
-    values = np.array([list(run.observables().values()) for run in runs])
+    values = np.array([list(run.observables.values()) for run in runs])
     features = (
         Feature("depression_depth_mm", "mm", "target"),
         Feature("crushing_force_n", "N", "target"),
@@ -354,8 +354,8 @@ def test_a_damaged_run_is_simulated_again(tiny_result, tiny_folder, damage):
     run = work.runs([BASE], [0], "again")[0][0]
     assert work.simulated == 1
     again = tiny_campaign(tiny_folder).runs([BASE], [0], "stored")[0][0]
-    np.testing.assert_array_equal(again.confined, run.confined)
-    assert again.observables() == run.observables()
+    np.testing.assert_array_equal(again.curves["confined"], run.curves["confined"])
+    assert again.observables == run.observables
 
 
 def test_a_damaged_packing_is_prepared_again(tiny_result, tiny_folder):
@@ -385,7 +385,7 @@ def test_a_run_comes_back_from_disk_as_it_was_written(tiny_result, tiny_folder):
     fresh = Campaign(work.lab, work.specimen, tiny_folder / "other", workers=1)
     run = fresh.runs([BASE], [0], "fresh")[0][0]
     assert work.simulated == 0
-    assert stored.observables() == run.observables()
-    np.testing.assert_array_equal(stored.unconfined, run.unconfined)
+    assert stored.observables == run.observables
+    np.testing.assert_array_equal(stored.curves["unconfined"], run.curves["unconfined"])
     assert stored.failure == run.failure
     assert stored.quality.keys() == run.quality.keys()

@@ -4,17 +4,14 @@ Folders are laid out as commands leave them, then harmed by hand; nothing is sim
 """
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from formulas import BASE, specimen
+from support import pieces
 
 from calibrate.simulation.store import Store
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import kills
 
 RESULT = {"observables": {"depression_depth_mm": 2.5}, "simulations": 2, "command": "calibrate"}
 
@@ -35,13 +32,13 @@ def write_result(folder: Path, result: dict) -> None:
     (folder / "result.json").write_text(json.dumps(result))
 
 
-def seen(folder: Path, harm) -> kills.Tally:
+def seen(folder: Path, harm) -> pieces.Tally:
     """What is counted if `harm` happens between a kill and the next start."""
-    tally = kills.Tally()
-    before = kills.inspected(folder, {}, tally)
+    tally = pieces.Tally()
+    before = pieces.inspected(folder, {}, tally)
     assert len(before) == 4 and (tally.lost, tally.repeated) == (0, 0)
     harm(folder)
-    kills.inspected(folder, before, tally)
+    pieces.inspected(folder, before, tally)
     return tally
 
 
@@ -68,8 +65,8 @@ def test_each_kind_of_piece_is_missed_found_damaged_or_found_rewritten(folder, p
 
 
 def test_an_end_that_differs_is_told_from_one_that_does_not(folder):
-    result = kills.result_of(folder / "result.json")
-    whole = kills.Whole(1.0, result, frozenset(kills.written(folder)))
+    result = pieces.result_of(folder / "result.json")
+    whole = pieces.Whole(1.0, result, frozenset(pieces.written(folder)))
     assert whole.equals("fit", folder)
     write_result(folder, {**RESULT, "simulations": 1, "command": "other"})
     assert whole.equals("fit", folder)
@@ -85,9 +82,9 @@ def test_banks_are_compared_by_their_numbers(tmp_path):
 
     bank = store.load(store.bundled_bank())
     store.save(bank, tmp_path / "bank.nc")
-    found = kills.result_of(tmp_path / "bank.nc")
+    found = pieces.result_of(tmp_path / "bank.nc")
     store.save(bank, tmp_path / "bank.nc")
-    assert found == kills.result_of(tmp_path / "bank.nc")
+    assert found == pieces.result_of(tmp_path / "bank.nc")
     bank.values[0, 0] = np.nextafter(np.float32(bank.values[0, 0]), np.float32(np.inf))
     store.save(bank, tmp_path / "bank.nc")
-    assert found != kills.result_of(tmp_path / "bank.nc")
+    assert found != pieces.result_of(tmp_path / "bank.nc")

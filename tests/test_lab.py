@@ -22,7 +22,7 @@ from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import build_bed, steps_per_sample
 from jdem.engine.loop import KEEP, REMOVE, Segment, run, stack, start
 from jdem.engine.step import GRAVITY
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
 from jdem.packing.settling import Specimen, load, neutral_soil, prepare, save
@@ -41,20 +41,20 @@ def brief(**numerics):
         simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
     unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-3, opening=1e-4)
-    return VirtualLab.of(SMALL, LabTests(confined, unconfined), replace(NUMERICS, **numerics))
+    return VirtualLab.of(SMALL, TestSequence((confined, unconfined)), replace(NUMERICS, **numerics))
 
 
 def full():
     """The paper's forces, and crushing past the first peak; rates in m/s, strokes in m."""
     confined = ConfinedCompression(simulated_rate=0.05, stroke=0.35 * SMALL.height)
-    tests = LabTests(confined, UnconfinedCompression(stroke=0.004))
+    tests = TestSequence((confined, UnconfinedCompression(stroke=0.004)))
     return VirtualLab.of(SMALL, tests, NUMERICS)
 
 
 WHOLE, BRIEF = full(), brief()
 # The same laboratory with the paper's forces.
 PRESSED = eqx.tree_at(
-    lambda lab: (lab.tests.confined.force_low, lab.tests.confined.force_high),
+    lambda lab: (lab.tests["confined"].force_low, lab.tests["confined"].force_high),
     BRIEF,
     (jnp.asarray(200.0, float), jnp.asarray(400.0, float)),
 )
@@ -98,7 +98,12 @@ def observables(lab, packing, point, tangent, time_step):
 
     def response(point):
         outcome = lab.run(packing, soil_of(point), time_step)
-        both = jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+        both = jnp.stack(
+            [
+                1e3 * outcome.observables["confined"]["depression_depth"],
+                outcome.observables["unconfined"]["crushing_force"],
+            ]
+        )
         return both, outcome.failed
 
     values, tangents, failed = jax.jvp(response, (point,), (tangent,), has_aux=True)
@@ -107,7 +112,8 @@ def observables(lab, packing, point, tangent, time_step):
 
 @eqx.filter_jit
 def depth(lab, packing, point, time_step):
-    return 1e3 * lab.run(packing, soil_of(point), time_step).depression_depth
+    outcome = lab.run(packing, soil_of(point), time_step)
+    return 1e3 * outcome.observables["confined"]["depression_depth"]
 
 
 # ------------------------------------------------------------------ weight and energy
@@ -162,9 +168,9 @@ def test_the_specimen_rests_before_it_is_crushed(outcome):
 
 def test_nothing_failed(outcome):
     assert not outcome.failed
-    assert 0.5e-3 < outcome.depression_depth < 10e-3
-    assert outcome.crushing_force > 5.0
-    assert 400.0 < outcome.confined.force.max() < 404.0  # two servo widths beyond 400 N
+    assert 0.5e-3 < outcome.observables["confined"]["depression_depth"] < 10e-3
+    assert outcome.observables["unconfined"]["crushing_force"] > 5.0
+    assert 400.0 < outcome.curves["confined"].force.max() < 404.0  # two servo widths beyond 400 N
 
 
 # ------------------------------------------------------------------ one program for all
@@ -174,10 +180,10 @@ def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_pack
     """`whole` may be traced once; the fixture `outcome` was its first call."""
     harder = replace(SOIL, shear_modulus=jnp.asarray(2e7), restitution=jnp.asarray(0.5))
     slower = eqx.tree_at(
-        lambda lab: lab.tests.confined.simulated_rate, WHOLE, jnp.asarray(0.07, float)
+        lambda lab: lab.tests["confined"].simulated_rate, WHOLE, jnp.asarray(0.07, float)
     )
     outcomes = [whole(WHOLE, other_packing, harder), whole(slower, other_packing, SOIL)]
-    depths = [float(o.depression_depth) for o in (outcome, *outcomes)]
+    depths = [float(o.observables["confined"]["depression_depth"]) for o in (outcome, *outcomes)]
     assert len(set(depths)) == 3
 
 
@@ -340,9 +346,9 @@ def test_presets_press_quasi_statically(name):
     """
     lab, preset = load_lab(bundled_lab()), PRESETS[name]
     cylinder, tests = specimen(lab, preset), virtual_lab(lab, preset).tests
-    pressure = float(tests.confined.force_low) / (np.pi * cylinder.diameter**2 / 4)
+    pressure = float(tests["confined"].force_low) / (np.pi * cylinder.diameter**2 / 4)
     number = inertial_number(
-        tests.confined.simulated_rate,
+        tests["confined"].simulated_rate,
         cylinder.height,
         2 * cylinder.mean_radius(),
         cylinder.density / 0.55,

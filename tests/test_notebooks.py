@@ -44,8 +44,7 @@ def outputs(path: Path) -> list:
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
     """A folder beside copies of what notebooks read, with one cache of compiled programs."""
-    shutil.copytree(ROOT / "benchmarks" / "results", tmp_path / "benchmarks" / "results")
-    (tmp_path / "notebooks").mkdir()
+    shutil.copytree(FOLDER / "data", tmp_path / "notebooks" / "data")
     monkeypatch.setenv("JDEM_NOTEBOOK_QUICK", "1")
     monkeypatch.setenv("XDG_CACHE_HOME", str(ROOT / ".jax_cache"))
     return tmp_path / "notebooks"

@@ -1,25 +1,21 @@
 """The opinion that comes with the package is that which opened verdicts gave."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from support import evidences
 
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.compare import named
 from calibrate.discrepancy.comparison.probability_calibration import (
     NAMED_BELOW,
     NONE,
+    Opinion,
     hypotheses,
     learned,
 )
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-import opinion
-
 
 def test_it_follows_from_the_archived_evidences():
-    found, again = learned(), opinion.learn(opinion.cases())
+    found, again = learned(), evidences.learn(evidences.cases())
     names = tuple(again.habits)
     assert found.numbers(names) == pytest.approx(again.numbers(names), abs=1e-3)
     assert 0 < found.smallest < 0.5
@@ -27,19 +23,19 @@ def test_it_follows_from_the_archived_evidences():
 
 def test_it_states_better_than_evidences_as_they_are():
     """By the logarithmic score of the cases that each fifth left out."""
-    cases = opinion.cases()
-    others = opinion.quality(cases, opinion.by_other_folds(cases))
-    plain = opinion.quality(cases, [opinion.Opinion()] * len(cases))
+    cases = evidences.cases()
+    others = evidences.quality(cases, evidences.by_other_folds(cases))
+    plain = evidences.quality(cases, [Opinion()] * len(cases))
     assert others["log_score"] > plain["log_score"]
 
 
-def named_right(case: opinion.Known) -> set[tuple[str, ...]]:
+def named_right(case: evidences.Known) -> set[tuple[str, ...]]:
     every = hypotheses(case.facts)
     return {h for h, right in zip(every, case.right, strict=True) if right}
 
 
 def test_right_explanations_are_those_of_the_right_class():
-    cases = opinion.cases()
+    cases = evidences.cases()
     nothing = next(c for c in cases if c.truth == NONE)
     assert named_right(nothing) == {(NONE,)}
     joined = next(c for c in cases if JOINED in c.truth and TOGETHER not in c.truth)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 from scipy import stats
+from two_tests import two_tests
 
 from calibrate.core.errors import InputError
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
@@ -18,7 +19,6 @@ from calibrate.inference.parameters import RANGES, Space, space
 from calibrate.inference.problem import SEATING, Feature, Problem, pose, shrunk_covariance
 from calibrate.io.lab import Curve, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.simulation import Run
 from jdem.materials.soil import SoilParameters
 
 LAB = load_lab(bundled_lab())
@@ -87,7 +87,7 @@ def test_a_dip_on_the_way_up_does_not_confuse_the_reading():
 
 def run_of(depth=3.0, force=200.0, failure=""):
     confined, crushing = (np.stack(c, axis=1) for c in (confined_curve(), crushing_curve()))
-    return Run(depth, force, confined, crushing, {}, failure)
+    return two_tests(depth, force, confined, crushing, {}, failure)
 
 
 def test_a_run_is_read_by_observable_or_by_curve():

@@ -6,61 +6,66 @@ Nothing here needs LIGGGHTS but the last test, which is skipped without it.
 import json
 import math
 import shutil
-import sys
+import tarfile
 import tomllib
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.reality import instrument, labfiles, referee
+from support.reality.cases import plan
+from support.reality.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
+from support.reality.physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force
+from support.reality.soil import PLATEN, TYPES, Soil, draw_soil
+from support.reality.specimen import run
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import load_lab
 from calibrate.validation.seal import digest, open_seal, write_seal
 
-FOLDER = Path(__file__).parents[1] / "benchmarks" / "reality"
-sys.path.insert(0, str(FOLDER))
+ARCHIVE = Path(__file__).parent / "data" / "liggghts" / "withheld_liggghts_fifth_cases.tar.xz"
 
-import instrument  # noqa: E402
-import labfiles  # noqa: E402
-import referee  # noqa: E402
-from cases import plan  # noqa: E402
-from effects import BY_NAME, LIBRARY, OUTSIDE, Setup  # noqa: E402
-from physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force  # noqa: E402
-from soil import PLATEN, TYPES, Soil, draw_soil  # noqa: E402
-from specimen import run  # noqa: E402
 
-SETS = (FOLDER, *(FOLDER / name for name in ("strong", "third", "fourth", "fifth")))
-CASES_OF = {
-    folder: sorted(path.parent for path in folder.glob("cases/*/lab.toml")) for folder in SETS
-}
-CASES = [case for cases in CASES_OF.values() for case in cases]
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """The newest sealed set, unpacked."""
+    place = tmp_path_factory.mktemp("liggghts")
+    with tarfile.open(ARCHIVE) as archive:
+        archive.extractall(place, filter="data")
+    return place
+
+
+@pytest.fixture(scope="module")
+def cases(folder) -> list[Path]:
+    return sorted(path.parent for path in folder.glob("cases/*/lab.toml"))
 
 
 # ---------------------------------------------------------------- the files
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda path: path.name)
-def test_a_case_reads_as_a_lab_file(case):
-    lab = load_lab(case / "lab.toml")
-    assert Counter(curve.test for curve in lab.curves) == {"confined": 3, "unconfined": 3}
-    assert all(len(curve.force_n) == instrument.READINGS for curve in lab.curves)
-    for curve in lab.curves:
-        if curve.test == "confined":
-            assert 330 < curve.force_n.max() < 460
-            assert curve.displacement_mm.argmax() < len(curve.force_n) - 5  # it turns back
-        else:
-            assert np.ptp(curve.displacement_mm) > 8
+def test_every_case_reads_as_a_lab_file(cases):
+    assert len(cases) == 56
+    for case in cases:
+        lab = load_lab(case / "lab.toml")
+        assert Counter(curve.test for curve in lab.curves) == {"confined": 3, "unconfined": 3}
+        assert all(len(curve.force_n) == instrument.READINGS for curve in lab.curves)
+        for curve in lab.curves:
+            if curve.test == "confined":
+                assert 330 < curve.force_n.max() < 460
+                assert curve.displacement_mm.argmax() < len(curve.force_n) - 5  # it turns back
+            else:
+                assert np.ptp(curve.displacement_mm) > 8
 
 
-def test_a_case_is_written_as_the_committed_ones_were(tmp_path):
+def test_a_case_is_written_as_the_committed_ones_were(tmp_path, cases):
     """Name, densities and height are the specimens' own; all else stands in every lab file."""
     row = np.zeros(instrument.READINGS)
     record = instrument.Record(row, row, row)
     specimens = [labfiles.Specimen(300.0, height, record, record) for height in (90.0, 91.0, 92.0)]
     labfiles.write_case("0a1b2c3d", specimens, tmp_path)
     written, committed = (
-        tomllib.loads((folder / "lab.toml").read_text()) for folder in (tmp_path, CASES[0])
+        tomllib.loads((case / "lab.toml").read_text()) for case in (tmp_path, cases[0])
     )
     soil, cylinder = written.pop("soil"), written.pop("specimen")
     assert soil["name"] == "soil 0a1b2c3d" and cylinder.pop("height") == "91.0 mm"
@@ -70,18 +75,17 @@ def test_a_case_is_written_as_the_committed_ones_were(tmp_path):
     assert written == committed
 
 
-def test_all_cases_look_alike_from_outside():
+def test_all_cases_look_alike_from_outside(cases):
     def outside(case: Path) -> tuple:
         names = tuple(sorted(path.name for path in case.iterdir()))
         rows = tuple(len((case / name).read_text().splitlines()) for name in names)
         return names, rows, (case / "confined_1.csv").read_text().splitlines()[0]
 
-    assert len({outside(case) for case in CASES}) == 1
+    assert len({outside(case) for case in cases}) == 1
 
 
-@pytest.mark.parametrize("folder", SETS, ids=lambda path: path.name)
-def test_labels_match_the_published_hashes(folder):
-    assert sorted(open_seal(folder)) == [case.name for case in CASES_OF[folder]]
+def test_labels_match_the_published_hashes(folder, cases):
+    assert sorted(open_seal(folder)) == [case.name for case in cases]
 
 
 def metadata(case: Path) -> np.ndarray:
@@ -100,9 +104,8 @@ def neighbour_accuracy(features: np.ndarray, labels: np.ndarray) -> float:
     return float(np.mean([np.mean(votes[labels == kind] == kind) for kind in (0, 1)]))
 
 
-@pytest.mark.parametrize("folder", SETS, ids=lambda path: path.name)
-def test_metadata_do_not_tell_whether_something_is_hidden(folder):
-    labels, cases = open_seal(folder), CASES_OF[folder]
+def test_metadata_do_not_tell_whether_something_is_hidden(folder, cases):
+    labels = open_seal(folder)
     hidden = np.array([len(labels[case.name]["effects"]) > 0 for case in cases]).astype(int)
     features = np.array([metadata(case) for case in cases])
     seen = neighbour_accuracy(features, hidden)
@@ -281,6 +284,6 @@ def test_a_stretched_bond_breaks_once(tmp_path, monkeypatch):
 def test_a_specimen_stands_and_is_crushed(tmp_path):
     outcome = run(Soil(), Physics(), instrument.Instrument(), 1, tmp_path / "run")
     assert outcome.stands, json.dumps(outcome.facts)
-    assert outcome.confined[:, 1].max() == pytest.approx(400, abs=10)
-    assert 100 < outcome.unconfined[:, 1].max() < 500
+    assert outcome.curves["confined"][:, 1].max() == pytest.approx(400, abs=10)
+    assert 100 < outcome.curves["unconfined"][:, 1].max() < 500
     assert BASE_LAW in (tmp_path / "run" / "materials.in").read_text()

@@ -8,7 +8,6 @@ import json
 import random
 import re
 import shutil
-import sys
 from collections import Counter
 from dataclasses import replace
 from functools import partial, reduce
@@ -19,6 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas
+from support import browser
 
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
@@ -32,9 +32,6 @@ from calibrate.reports import kinds, results, study
 from calibrate.simulation import specimens
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.session import Session, origin_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import browser
 
 HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
+from two_tests import two_tests
 
 from calibrate.figures.audit import MARKS
 from calibrate.inference.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, verdict
@@ -18,7 +19,6 @@ from calibrate.inference.fit import Evaluation, secant
 from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.records.audit import Strategy
-from calibrate.simulation import Run
 from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
@@ -165,13 +165,13 @@ def test_curves_are_read_where_the_audit_says():
     travel = np.linspace(0, 4, 81)
     confined = np.column_stack([travel, np.concatenate([100 * travel[:-1], [0.0]])])
     unconfined = np.column_stack([travel, 5 * travel])
-    run = Run(2.0, 20.0, confined, unconfined, {})
+    run = two_tests(2.0, 20.0, confined, unconfined, {})
     points = CurvePoints(10.0 * np.arange(1, POINTS + 1), 0.1 * np.arange(1, POINTS + 1))
     read = points.read(run)
     assert read[:2].tolist() == [2.0, 20.0]
     assert read[points.slices()["confined"]] == pytest.approx(points.loading_n / 100)
     assert read[points.slices()["unconfined"]] == pytest.approx(5 * points.crushing_mm)
-    failed = Run(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
+    failed = two_tests(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
     assert np.all(np.isnan(points.read(failed)))
 
 
@@ -179,12 +179,16 @@ def test_a_traced_run_is_read_like_a_stored_one():
     """Masked rows before and after a curve do not count."""
     travel, force = np.linspace(0, 4, 81), 100 * np.sin(np.linspace(0, 2, 81))
     table = np.column_stack([travel, force])
-    kept = Run(2.0, 20.0, table, table, {})
+    kept = two_tests(2.0, 20.0, table, table, {})
     valid = np.concatenate([np.zeros(7), np.ones(81), np.zeros(5)])
     padded = [np.pad(part, (7, 5)) for part in (1e-3 * travel, force)]
     curve = Curve(*map(jnp.asarray, (*padded, valid)))
-    numbers = {"depression_depth": jnp.asarray(2e-3), "crushing_force": jnp.asarray(20.0)}
-    traced: Any = SimpleNamespace(confined=curve, unconfined=curve, **numbers)
+    observables = {
+        "confined": {"depression_depth": jnp.asarray(2e-3)},
+        "unconfined": {"crushing_force": jnp.asarray(20.0)},
+    }
+    curves = {"confined": curve, "unconfined": curve}
+    traced: Any = SimpleNamespace(curves=curves, observables=observables)
     points = CurvePoints(4.0 * np.arange(1, POINTS + 1), 0.2 * np.arange(1, POINTS + 1))
     np.testing.assert_allclose(points.traced(traced), points.read(kept), rtol=1e-12)
 

@@ -41,11 +41,9 @@ class Rough(Formulas):
         numbers = [float(getattr(soil, name)) for name in NAMES]
         rng = np.random.default_rng([seed, *(int(1e6 * n) % 2**31 for n in numbers)])
         depth, force = 1 + 0.01 * rng.normal(size=2)
-        return replace(
-            run,
-            depression_depth_mm=run.depression_depth_mm * depth,
-            crushing_force_n=run.crushing_force_n * force,
-        )
+        factors = {"depression_depth_mm": depth, "crushing_force_n": force}
+        scaled = {name: value * factors[name] for name, value in run.observables.items()}
+        return replace(run, observables=scaled)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from calibrate.view.vtk import write_series
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.step import GRAVITY
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Specimen, prepare
 
@@ -38,7 +38,7 @@ def seen():
     )
     unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-2, opening=1e-4)
     numerics = numerics_for(SMALL)
-    lab = VirtualLab.of(SMALL, LabTests(confined, unconfined), numerics)
+    lab = VirtualLab.of(SMALL, TestSequence((confined, unconfined)), numerics)
     states = frames(lab, packing, SOIL, 6)
     return packing, lab, states, [contacts_of(f.bed, f.state) for f in states]
 

@@ -324,13 +324,17 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
     def specimen(case, number):
         run = formulas.specimen(formulas.BASE, number)
         factor = 2.0 if case.hidden else 1.0
-        twice = replace(run, unconfined=run.unconfined * [1.0, factor])
+        twice = replace(
+            run, curves={**run.curves, "unconfined": run.curves["unconfined"] * [1.0, factor]}
+        )
         return (None if number == 2 and not case.hidden else twice), 0.0
 
     monkeypatch.setattr(made, "_specimen", specimen)
     changes = made.changes(case)
     peak = [f.name for f in declared(400.0)].index("peak force, unconfined")
-    expected = [formulas.specimen(formulas.BASE, n).unconfined[:, 1].max() for n in (0, 1, 3)]
+    expected = [
+        formulas.specimen(formulas.BASE, n).curves["unconfined"][:, 1].max() for n in (0, 1, 3)
+    ]
     assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # averaged over a window
     confined = [i for i, f in enumerate(declared(400.0)[:-2]) if f.test == "confined"]
     assert not changes[:, confined].any()

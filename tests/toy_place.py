@@ -11,16 +11,19 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from two_tests import two_tests
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import AbstractPlace, Campaign, Run
 from calibrate.simulation.executors import MachineFailure
 from calibrate.simulation.run import QUALITY
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.packing.settling import Packing, Specimen
 
 SPECIMEN = Specimen(height=0.05, count=48)
@@ -38,7 +41,7 @@ def formula(packing: Packing, soil) -> Run:
     points = np.linspace(0.0, 1.0, 20)
     curve = np.stack([points, scale * energy * points], axis=1)
     quality = {name: 1.0 for name in QUALITY} | {"overflow": 0.0}
-    return Run(scale, energy, curve, 2 * curve, quality)
+    return two_tests(scale, energy, curve, 2 * curve, quality)
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,8 @@ class Toy(AbstractPlace):
 
 def toy_campaign(folder: Path, **choices) -> Campaign:
     """A campaign in `folder`/cache with its notes in `folder`/notes."""
-    lab = VirtualLab.of(SPECIMEN, LabTests(), Numerics())
+    lab = VirtualLab.of(
+        SPECIMEN, TestSequence((ConfinedCompression(), UnconfinedCompression())), Numerics()
+    )
     place = Toy(folder / "notes", **choices)
     return Campaign(lab, SPECIMEN, folder / "cache", workers=2, place=place)

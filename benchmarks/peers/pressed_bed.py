@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from two_spheres import run_program
+from support.two_spheres import run_program
 
 PLATE = Path(__file__).parent / "plate.stl"
 ROWS = 1200  # readings on the way down

@@ -9,6 +9,7 @@ the LIGGGHTS recipe.  Runs are kept in DIR, LIGGGHTS' shared with signatures.py.
 
 import argparse
 import json
+import sys
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -17,12 +18,14 @@ import equinox as eqx
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-from effects import Setup
-from instrument import CONFINED_SPEED, UNCONFINED_SPEED, Instrument, Record, record
-from labfiles import BUNDLED_ROLLING
+
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
 from signatures import cached, features, records
-from soil import TENSILE_EXPONENT, Soil
-from specimen import CRUSHING, LOADING, SPHERES
+from support.reality.effects import Setup
+from support.reality.instrument import CONFINED_SPEED, UNCONFINED_SPEED, Instrument, Record, record
+from support.reality.labfiles import BUNDLED_ROLLING
+from support.reality.soil import TENSILE_EXPONENT, Soil
+from support.reality.specimen import CRUSHING, LOADING, SPHERES
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
@@ -56,8 +59,8 @@ def _recorded(outcome) -> tuple[Record, Record]:
     quiet = Instrument(noise_force=0, noise_displacement=0)
     tests = []
     for curve, speed in (
-        (outcome.confined, CONFINED_SPEED),
-        (outcome.unconfined, UNCONFINED_SPEED),
+        (outcome.curves["confined"], CONFINED_SPEED),
+        (outcome.curves["unconfined"], UNCONFINED_SPEED),
     ):
         rows = np.asarray(curve.valid) > 0
         way, force = np.asarray(curve.displacement)[rows], np.asarray(curve.force)[rows]

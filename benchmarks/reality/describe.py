@@ -1,23 +1,24 @@
 """What the cases are like as data, without opening their labels.
 
-    python describe.py        -> cases.json, images/cases.png
+    python describe.py FOLDER        -> cases.json, cases.png beside its cases/
 
 Depth H is the displacement between readings of 200 and 395 N, crushing force F the largest
 reading; scatter is the coefficient of variation between the specimens of one case.
 """
 
 import json
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from instrument import CONFINED_SPEED, UNCONFINED_SPEED
-from soil import MEAN_DIAMETER
-from specimen import CRUSHING, DENSITY, LOADING, MOULD_RADIUS
+
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
+from support.reality.instrument import CONFINED_SPEED, UNCONFINED_SPEED
+from support.reality.soil import MEAN_DIAMETER
+from support.reality.specimen import CRUSHING, DENSITY, LOADING, MOULD_RADIUS
 
 from calibrate.io.lab import Curve, Lab, load_lab
-
-HERE = Path(__file__).parent
 
 
 def depth(curve: Curve) -> float:
@@ -58,7 +59,8 @@ def plot(labs: list[Lab], path: Path) -> None:
 
 
 def main() -> None:
-    labs = [load_lab(path) for path in sorted(HERE.glob("cases/*/lab.toml"))]
+    folder = Path(sys.argv[1])
+    labs = [load_lab(path) for path in sorted(folder.glob("cases/*/lab.toml"))]
     rows = [of_case(lab) for lab in labs]
     height = float(np.mean([lab.specimen.height for lab in labs]))
     middle = {
@@ -80,8 +82,8 @@ def main() -> None:
         },
         "quantiles": middle,
     }  # fmt: skip
-    (HERE / "cases.json").write_text(json.dumps(facts, indent=1) + "\n")
-    plot(labs, HERE / "images" / "cases.png")
+    (folder / "cases.json").write_text(json.dumps(facts, indent=1) + "\n")
+    plot(labs, folder / "cases.png")
     print(json.dumps(facts, indent=1))
 
 

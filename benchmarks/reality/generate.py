@@ -1,6 +1,6 @@
 """Generate cases whose reality LIGGGHTS computes, with sealed labels.
 
-    python generate.py --work DIR [--cases 67] [--seed N] [--jobs 1] [--out DIR]
+    python generate.py --work DIR --out OUT [--cases 67] [--seed N] [--jobs 1]
                        [--nothing-hidden | --strong]
 
 Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
@@ -12,19 +12,21 @@ specimens stand; then its label joins OUT/sealed and its hash OUT/labels.sha256.
 import argparse
 import json
 import secrets
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
-from instrument import TARGET_FORCE
-from labfiles import Specimen, measured, write_case
-from specimen import Run, run
+
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
+from support.reality.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
+from support.reality.instrument import TARGET_FORCE
+from support.reality.labfiles import Specimen, measured, write_case
+from support.reality.specimen import Run, run
 
 from calibrate.validation.seal import write_seal
 
-HERE = Path(__file__).parent
 DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)
 
 
@@ -48,14 +50,14 @@ def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
 
 def depth_mm(run: Run) -> float:
     """Displacement between half the target force and the target, first passages, mm."""
-    way, force = run.confined[: run.confined[:, 0].argmax() + 1].T
+    way, force = run.curves["confined"][: run.curves["confined"][:, 0].argmax() + 1].T
     low, high = np.interp(DEPTH_FORCES, np.maximum.accumulate(force), way)
     return 1e3 * float(high - low)
 
 
 def crushing_n(run: Run) -> float:
     """Largest force of the second test, smoothed over 81 savings, N."""
-    return float(np.convolve(run.unconfined[:, 1], np.full(81, 1 / 81), "valid").max())
+    return float(np.convolve(run.curves["unconfined"][:, 1], np.full(81, 1 / 81), "valid").max())
 
 
 def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:
@@ -98,7 +100,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--out", type=Path, default=HERE)
+    parser.add_argument("--out", type=Path, required=True)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--nothing-hidden", action="store_true")
     what.add_argument("--strong", action="store_true", help="single effects from the upper third")

@@ -8,16 +8,19 @@ at 50 N, displacement recovered on unloading, displacement at the peak and the e
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from effects import BY_NAME, Effect, Setup
-from instrument import CONFINED_SPEED, UNCONFINED_SPEED, Record, record
-from soil import Soil
-from specimen import run
+
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
+from support.reality.effects import BY_NAME, Effect, Setup
+from support.reality.instrument import CONFINED_SPEED, UNCONFINED_SPEED, Record, record
+from support.reality.soil import Soil
+from support.reality.specimen import run
 
 HERE = Path(__file__).parent
 SEEDS = (1, 2)
@@ -32,7 +35,7 @@ def records(setup: Setup, seed: int, folder: Path) -> tuple[Record, Record]:
         if not outcome.stands:
             raise RuntimeError(f"{folder.name}: {outcome.facts}")
         random = np.random.default_rng(0)
-        first, second = outcome.confined, outcome.unconfined
+        first, second = outcome.curves["confined"], outcome.curves["unconfined"]
         chain = setup.instrument
         return (
             record(first[:, 0], first[:, 1], CONFINED_SPEED, chain, 0.0, random),

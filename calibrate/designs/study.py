@@ -129,7 +129,7 @@ _LEAST = 0.02  # half-range of a factor that starts at its bound
 
 
 def _observed(run: Run) -> list[float]:
-    return [run.observables()[name] for name in OBSERVABLES]
+    return [run.observables[name] for name in OBSERVABLES]
 
 
 @dataclass(frozen=True, eq=False)

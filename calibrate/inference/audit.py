@@ -23,6 +23,8 @@ from jax import Array
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
 from calibrate.simulation import Campaign, Run
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.observables import displacement_at
 from jdem.packing.settling import Packing
@@ -54,32 +56,35 @@ class CurvePoints:
     @staticmethod
     def of(work: Campaign) -> "CurvePoints":
         share = np.arange(1, POINTS + 1) / POINTS
-        tests = work.lab.tests
+        confined, unconfined = work.lab.tests.apparatus
+        assert isinstance(confined, ConfinedCompression)
+        assert isinstance(unconfined, UnconfinedCompression)
         return CurvePoints(
-            float(tests.confined.force_high) * share, 1e3 * float(tests.unconfined.stroke) * share
+            float(confined.force_high) * share, 1e3 * float(unconfined.stroke) * share
         )
 
     def read(self, run: Run) -> np.ndarray:
         """H (mm), F (N), displacements (mm) on loading, forces (N) on crushing; NaN: failed."""
         if run.failure:
             return np.full(len(OBSERVABLES) + 2 * POINTS, np.nan)
-        travel, force = run.confined.T
+        travel, force = run.curves["confined"].T
         highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
         loading = np.interp(self.loading_n, highest, travel[: len(highest)])
-        crushing = np.interp(self.crushing_mm, *run.unconfined.T)
-        values = [run.observables()[name] for name in OBSERVABLES]
+        crushing = np.interp(self.crushing_mm, *run.curves["unconfined"].T)
+        values = [run.observables[name] for name in OBSERVABLES]
         return np.concatenate([values, loading, crushing])
 
     def traced(self, outcome: Outcome) -> Array:
         """The same numbers as `read`, traced by JAX."""
-        loading, crushing = outcome.confined, outcome.unconfined.filled()
+        loading, crushing = outcome.curves["confined"], outcome.curves["unconfined"].filled()
         travel = jax.vmap(lambda force: displacement_at(loading, force))(
             jnp.asarray(self.loading_n)
         )
         force = jnp.interp(
             jnp.asarray(self.crushing_mm), 1e3 * crushing.displacement, crushing.force
         )
-        observables = jnp.stack([1e3 * outcome.depression_depth, outcome.crushing_force])
+        depth = outcome.observables["confined"]["depression_depth"]
+        observables = jnp.stack([1e3 * depth, outcome.observables["unconfined"]["crushing_force"]])
         return jnp.concatenate([observables, 1e3 * travel, force])
 
     def slices(self) -> dict[str, slice]:

@@ -39,8 +39,8 @@ class Feature:
     def of_run(self, run: Run) -> float:
         """This feature of a simulated specimen."""
         if self.kind == "target":
-            return run.observables()[self.name]
-        curve = run.unconfined if self.kind == "crushing" else run.confined
+            return run.observables[self.name]
+        curve = run.curves["unconfined" if self.kind == "crushing" else "confined"]
         return self.of_curve(curve[:, 0], curve[:, 1])
 
     def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:

@@ -112,7 +112,8 @@ class Campaign:
         try:
             run = self._tried(lambda: self.place.simulate(self.lab, self.specimen, packing, soil))
         except MachineFailure as failure:
-            return not_simulated(f"not simulated, tried {TRIES} times: {one_line(str(failure))}")
+            reason = f"not simulated, tried {TRIES} times: {one_line(str(failure))}"
+            return not_simulated(self.lab, reason)
         self._store.keep_run(key, run)
         with self._lock:
             self.simulated += 1

@@ -33,6 +33,7 @@ class Sources:
 
     modules: dict[str, Module]
     _dumps: dict[Place, str] = field(default_factory=dict)
+    _hashes: dict[frozenset[Place], str] = field(default_factory=dict)
 
     @staticmethod
     def of(root: Path) -> "Sources":
@@ -40,10 +41,12 @@ class Sources:
         return Sources({name: _parsed(path, name) for name, path in _files(root)})
 
     def hash(self, roots: Iterable[Place]) -> str:
-        """Of all definitions that the roots reach."""
-        reached = self._reached(roots)
-        texts = sorted({self._dump(place) for place in reached})
-        return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
+        """Of all definitions that the roots reach; found once for the same roots."""
+        key = frozenset(roots)
+        if key not in self._hashes:
+            texts = sorted({self._dump(place) for place in self._reached(key)})
+            self._hashes[key] = hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
+        return self._hashes[key]
 
     def reached(self, roots: Iterable[Place]) -> set[Place]:
         """Module and name of all definitions that the roots reach."""

@@ -16,7 +16,7 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import Numerics
 from jdem.engine.step import GRAVITY
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.packing.settling import Specimen
 
 
@@ -55,6 +55,9 @@ def specimen(lab: Lab, preset: Preset) -> Specimen:
 
 def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> VirtualLab:
     """Both tests of the lab at the preset's simulated rates."""
+    cylinder = specimen(lab, preset)
+    numerics = numerics_for(cylinder) if numerics is None else numerics
+    rows = PEAK_WINDOW / (preset.unconfined_rate * numerics.sample_time)
     confined = ConfinedCompression(
         simulated_rate=preset.confined_rate,
         nominal_rate=lab.confined.rate,
@@ -67,12 +70,9 @@ def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> V
         nominal_rate=lab.unconfined.rate,
         nominal_rest=lab.unconfined.rest,
         stroke=CRUSHING_STRAIN * lab.specimen.height,
+        peak_rows=2 * int(rows / 2) + 1,
     )
-    cylinder = specimen(lab, preset)
-    numerics = numerics_for(cylinder) if numerics is None else numerics
-    rows = PEAK_WINDOW / (preset.unconfined_rate * numerics.sample_time)
-    tests = LabTests(confined, unconfined, peak_rows=2 * int(rows / 2) + 1)
-    return VirtualLab.of(cylinder, tests, numerics)
+    return VirtualLab.of(cylinder, TestSequence((confined, unconfined)), numerics)
 
 
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:

@@ -14,6 +14,14 @@ from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
 from jdem.packing.settling import Packing
 
+# What the apparatus' observables (SI) are called in results, and their factors to those units.
+UNITS = {
+    "depression_depth": ("depression_depth_mm", 1e3),
+    "crushing_force": ("crushing_force_n", 1.0),
+    "settlement": ("settlement_mm", 1e3),
+    "force_left": ("force_left_n", 1.0),
+    "largest_force": ("largest_force_n", 1.0),
+}
 UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
 QUALITY = (
     "inertial_number",
@@ -32,28 +40,22 @@ QUALITY = (
 class Run:
     """One finished simulation in the units of the observables.
 
-    Curves are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
+    Curves by test are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
     or one sentence; a failed run keeps its place and its numbers.
     """
 
-    depression_depth_mm: float
-    crushing_force_n: float
-    confined: np.ndarray
-    unconfined: np.ndarray
+    observables: dict[str, float]
+    curves: dict[str, np.ndarray]
     quality: dict[str, float]
     failure: str = ""
 
-    def observables(self) -> dict[str, float]:
-        return {
-            "depression_depth_mm": self.depression_depth_mm,
-            "crushing_force_n": self.crushing_force_n,
-        }
 
-
-def not_simulated(failure: str) -> Run:
-    """The row of a run that no machine could finish: no curves, numbers that are NaN."""
+def not_simulated(lab: VirtualLab, failure: str) -> Run:
+    """The row of a run that no machine could finish: empty curves, numbers that are NaN."""
     quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
-    return Run(np.nan, np.nan, np.zeros((0, 2)), np.zeros((0, 2)), quality, failure)
+    curves = {test.name: np.zeros((0, 2)) for test in lab.tests.apparatus}
+    found = {UNITS[name][0]: np.nan for test in lab.tests.apparatus for name in test.observables}
+    return Run(found, curves, quality, failure)
 
 
 def summary(
@@ -64,20 +66,10 @@ def summary(
     samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
     steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
     energy = record.state.energy
-    pressure = float(tests.confined.force_low) / (np.pi * float(packing.mould_radius) ** 2)
-    density = float(packing.bulk_density() / packing.solid_fraction())
     rest = np.flatnonzero(np.asarray(record.samples.segment) == tests.names.index("resting"))
     kinetic = np.asarray(record.samples.kinetic_energy)
     quality = {
-        "inertial_number": float(
-            inertial_number(
-                tests.confined.simulated_rate,
-                packing.height,
-                packing.mean_diameter(),
-                density,
-                pressure,
-            )
-        ),
+        "inertial_number": _inertial_number(lab, packing),
         "overflow": float(_overflowed(lab, outcome)),
         "energy_balance": _integration_error(outcome),
         "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
@@ -88,13 +80,33 @@ def summary(
         "runtime_s": seconds,
     }
     return Run(
-        depression_depth_mm=1e3 * float(outcome.depression_depth),
-        crushing_force_n=float(outcome.crushing_force),
-        confined=_points(outcome.confined),
-        unconfined=_points(outcome.unconfined),
+        observables=_observables(outcome),
+        curves={name: _points(curve) for name, curve in outcome.curves.items()},
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
     )
+
+
+def _observables(outcome: Outcome) -> dict[str, float]:
+    """All observables of an outcome by their names in results."""
+    return {
+        UNITS[name][0]: UNITS[name][1] * float(value)
+        for found in outcome.observables.values()
+        for name, value in found.items()
+    }
+
+
+def _inertial_number(lab: VirtualLab, packing: Packing) -> float:
+    """The largest of all tests that state a force for it; NaN if none does."""
+    area = np.pi * float(packing.mould_radius) ** 2
+    density = float(packing.bulk_density() / packing.solid_fraction())
+    size = (packing.height, packing.mean_diameter(), density)
+    found = [
+        float(inertial_number(test.simulated_rate, *size, float(test.reference_force) / area))
+        for test in lab.tests.apparatus
+        if test.reference_force is not None
+    ]
+    return max(found, default=np.nan)
 
 
 def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
@@ -108,7 +120,8 @@ def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: O
     for find in (_bad_input(packing, soil), _bad_numerics(lab, outcome), _bad_course(lab, outcome)):
         if find:
             return find
-    force = float(lab.tests.confined.force_high)
+    forces = [test.required_force for test in lab.tests.apparatus]
+    force = max((float(force) for force in forces if force is not None), default=np.nan)
     return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
 
 
@@ -149,7 +162,7 @@ def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
     """Tests that did not come to their end."""
     if not bool(outcome.record.finished):
         return "the tests took longer than their capacity of samples"
-    if not (np.isfinite(outcome.depression_depth) and np.isfinite(outcome.crushing_force)):
+    if not all(np.isfinite(leaf) for leaf in jax.tree.leaves(outcome.observables)):
         return "a number of the result is not finite: the tests took an unforeseen course"
     return ""
 

@@ -75,7 +75,7 @@ def simulation_json(runs: Sequence[Run]) -> dict:
         "observables": mean_observables(runs),
         "spread": spread_observables(runs),
         "curves": curves_json(runs[0]),
-        "packings": [{**run.observables(), "failure": run.failure} for run in runs],
+        "packings": [{**run.observables, "failure": run.failure} for run in runs],
         "quality": quality_json(runs),
         "failures": [run.failure for run in runs if run.failure],
         "runtime_s": seconds,
@@ -97,12 +97,12 @@ def rates_json(work: Campaign) -> dict:
     """Nominal and simulated platen speeds (mm/s) of both tests, and their ratio."""
     tests = work.lab.tests
     return {
-        name: {
+        test.name: {
             "nominal_mm_s": 1e3 * float(test.nominal_rate),
             "simulated_mm_s": 1e3 * float(test.simulated_rate),
             "scaled_by": float(test.simulated_rate / test.nominal_rate),
         }
-        for name, test in (("confined", tests.confined), ("unconfined", tests.unconfined))
+        for test in tests.apparatus
     }
 
 
@@ -110,7 +110,7 @@ def curves_json(run: Run) -> dict:
     """A run's curves as lists."""
     return {
         name: {"displacement_mm": curve[:, 0].tolist(), "force_n": curve[:, 1].tolist()}
-        for name, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+        for name, curve in run.curves.items()
     }
 
 
@@ -127,12 +127,11 @@ def drawn(displacement_mm: np.ndarray, force_n: np.ndarray) -> dict[str, list[fl
 
 def packing_json(seed: int, run: Run) -> dict:
     """One simulated specimen with its curves as drawn."""
-    curves = {"confined": run.confined, "unconfined": run.unconfined}
     return {
         "seed": seed,
-        **run.observables(),
+        **run.observables,
         "failure": run.failure,
-        "curves": {name: drawn(*curve.T) for name, curve in curves.items()},
+        "curves": {name: drawn(*curve.T) for name, curve in run.curves.items()},
     }
 
 
@@ -162,8 +161,8 @@ def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
 
 
 def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
-    names = runs[0].observables()
-    return {n: float(statistic([run.observables()[n] for run in runs])) for n in names}
+    names = runs[0].observables
+    return {n: float(statistic([run.observables[n] for run in runs])) for n in names}
 
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:

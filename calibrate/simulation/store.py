@@ -30,6 +30,7 @@ from calibrate.simulation.seal import sealed, unsealed
 from jdem.packing.settling import Packing, load, save
 
 NETCDF = "h5netcdf"
+OBSERVED = "observable "  # before the names of observables among an entry's attributes
 POLL = 0.2  # s between looks at a lock that another process holds
 ABANDONED = 3600.0  # s; a part file older than this has no writer any more
 
@@ -152,12 +153,14 @@ def _write(path: Path, data: bytes) -> None:
 
 def _bytes_of(run: Run) -> bytes:
     data = xr.Dataset(
-        {
-            "confined": (("confined_point", "column"), run.confined),
-            "unconfined": (("unconfined_point", "column"), run.unconfined),
-        },
+        {name: ((f"{name}_point", "column"), curve) for name, curve in run.curves.items()},
         coords={"column": ["displacement_mm", "force_n"]},
-        attrs={**run.observables(), **run.quality, "failure": run.failure, "sealed": 1.0},
+        attrs={
+            **{f"{OBSERVED}{name}": value for name, value in run.observables.items()},
+            **run.quality,
+            "failure": run.failure,
+            "sealed": 1.0,
+        },
     )
     return bytes(data.to_netcdf(engine=NETCDF))
 
@@ -168,11 +171,11 @@ def _run_of(content: bytes, had_seal: bool) -> Run:
         pass  # what HDF5 cannot open makes h5netcdf complain on standard error
     with xr.open_dataset(io.BytesIO(content), engine=NETCDF) as data:
         attributes = {str(k): v for k, v in data.attrs.items()}
-        confined, unconfined = (np.array(data[name].values) for name in ("confined", "unconfined"))
+        curves = {str(name): np.array(values.values) for name, values in data.items()}
     if attributes.pop("sealed", 0.0) and not had_seal:
         raise ValueError("the seal is gone")
-    depth = float(attributes.pop("depression_depth_mm"))
-    force = float(attributes.pop("crushing_force_n"))
     failure = str(attributes.pop("failure"))
+    observed = [name for name in attributes if name.startswith(OBSERVED)]
+    observables = {n.removeprefix(OBSERVED): float(attributes.pop(n)) for n in observed}
     quality = {name: float(value) for name, value in attributes.items()}
-    return Run(depth, force, confined, unconfined, quality, failure)
+    return Run(observables, curves, quality, failure)

@@ -100,8 +100,8 @@ class Laboratory:
                 return None
             runs.append(run)
             measured.append(self._measured(case, number, run, density))
-        depth = float(np.mean([r.depression_depth_mm for r in runs]))
-        force = float(np.mean([r.crushing_force_n for r in runs]))
+        depth = float(np.mean([r.observables["depression_depth_mm"] for r in runs]))
+        force = float(np.mean([r.observables["crushing_force_n"] for r in runs]))
         inside = ACCEPTED_DEPTH[0] <= depth <= ACCEPTED_DEPTH[1]
         inside &= ACCEPTED_CRUSHING[0] <= force <= ACCEPTED_CRUSHING[1]
         whole = numbers.start == 0 and len(numbers) >= SPECIMENS
@@ -146,17 +146,18 @@ class Laboratory:
     def _with_air(self, case: Case, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
         share, high = strengths["trapped_air"], self.lab.confined.force_high
-        top = int(run.confined[:, 0].argmax()) + 1
-        way, force = run.confined[:top].T
+        top = int(run.curves["confined"][:, 0].argmax()) + 1
+        way, force = run.curves["confined"][:top].T
         together = np.maximum.accumulate(force + self._air(way, share))
         soil_share = float(np.interp(high, together, force))
         early = {**strengths, "early_turn": high - soil_share}
         turned = self._run(case, number, values, early)
-        confined = turned.confined.copy()
+        confined = turned.curves["confined"].copy()
         confined[:, 1] += self._air(confined[:, 0], share)
         depth = np.interp([self.lab.confined.force_low, high], together, way)
-        return Run(float(depth[1] - depth[0]), turned.crushing_force_n, confined,
-                   turned.unconfined, turned.quality)  # fmt: skip
+        observables = {**turned.observables, "depression_depth_mm": float(depth[1] - depth[0])}
+        curves = {**turned.curves, "confined": confined}
+        return Run(observables, curves, turned.quality)
 
     def _air(self, way, share: float) -> np.ndarray:
         size = (self.lab.specimen.height, self.lab.specimen.diameter)
@@ -167,7 +168,10 @@ class Laboratory:
         at_rest = sum(h.strength for h in case.hidden if h.name == "load_cell_offset")
         records = {
             test: recorded(curve, at_rest, random)
-            for test, curve in (("confined", run.confined), ("unconfined", run.unconfined))
+            for test, curve in (
+                ("confined", run.curves["confined"]),
+                ("unconfined", run.curves["unconfined"]),
+            )
         }
         mass = 1 + 0.001 * random.standard_normal()
         return Specimen(records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass))

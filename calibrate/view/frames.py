@@ -79,10 +79,8 @@ class _Pieces:
 
     def run(self) -> Iterator[tuple[Frame, bool]]:
         """Frames of all movements, each with whether it ends its movement."""
-        tests = self.lab.tests
-        segments = [segment for test in tests.apparatus for segment in test.segments()]
-        for movement, segment in zip(tests.names, segments, strict=True):
-            yield from self._movement(movement, segment)
+        for movement in self.lab.tests.movements():
+            yield from self._movement(movement.name, movement.segment)
 
     def _movement(self, name: str, segment: Segment) -> Iterator[tuple[Frame, bool]]:
         left, target = float(segment.duration), float(segment.force_target)

@@ -1,15 +1,19 @@
-"""The contract of an apparatus: it states what the machine does, as segments.
+"""The contract of an apparatus: it states what the machine does, and reads what was recorded.
 
 An apparatus knows rates, forces and durations.  It does not know how a bed is advanced
-(`jdem.engine.loop`) nor what soil is in it.
+(`jdem.engine`) nor what soil is in it.  Several of them make a sequence on one specimen: each
+goes on with the specimen as the one before left it.
 """
 
 import abc
 
 import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
 
 from jdem.core.quantity import Real, quantity
 from jdem.engine.loop import Segment
+from jdem.observables import Curve
 
 
 class Damping(eqx.Module):
@@ -24,19 +28,89 @@ class Damping(eqx.Module):
     unloaded: Real = quantity(4000.0)
 
 
+class Movement(eqx.Module):
+    """One movement of the machine: a segment of its programme, and what it means in the test.
+
+    time_scale is nominal over simulated time: what passes in the laboratory.  `testing`: the
+    test runs, and its time counts; `free`: the specimen stands without a mould; `resting`: it
+    comes to rest.
+    """
+
+    name: str = eqx.field(static=True)
+    segment: Segment
+    time_scale: Real = quantity(1.0)
+    testing: bool = eqx.field(static=True, default=True)
+    free: bool = eqx.field(static=True, default=False)
+    resting: bool = eqx.field(static=True, default=False)
+
+
+class Readings(eqx.Module):
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N)."""
+
+    travel: Array
+    force: Array
+
+
+class Reading(eqx.Module):
+    """What one test gives: its curve, its observables by name (SI), and whether the machine came
+    as far as it was to."""
+
+    curve: Curve
+    observables: dict[str, Array]
+    complete: Array
+
+
 class AbstractApparatus(eqx.Module):
-    """One test, run on the specimen as the previous one left it."""
+    """One test, run on the specimen as the previous one left it.
+
+    `name` is unique in a sequence; simulated_rate and nominal_rate (m/s) are the platen's, in
+    the simulation and in the laboratory.
+    """
+
+    name: eqx.AbstractVar[str]
+    simulated_rate: eqx.AbstractVar[Real]
+    nominal_rate: eqx.AbstractVar[Real]
 
     @abc.abstractmethod
-    def segments(self) -> list[Segment]:
+    def movements(self) -> list[Movement]:
         """The machine's movements in order."""
 
-    @property
     @abc.abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """What each segment is called in the curves."""
+    def read(self, readings: Readings, movement: Array) -> Reading:
+        """Curve and observables; `movement` (samples,) is the number of the test's movement under
+        way, negative or too large where another test runs."""
 
     @property
     @abc.abstractmethod
-    def time_scales(self) -> tuple[Real, ...]:
-        """Nominal over simulated time of each segment: what passes in the laboratory."""
+    def observables(self) -> tuple[str, ...]:
+        """Names of the observables that `read` gives."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each movement is called."""
+        return tuple(movement.name for movement in self.movements())
+
+    @property
+    def required_force(self) -> Real | None:
+        """Force (N) that the test has to reach, None if it has none."""
+        return None
+
+    @property
+    def reference_force(self) -> Real | None:
+        """Force (N) at which the inertial number of loading is stated, None if there is none."""
+        return None
+
+    @abc.abstractmethod
+    def at_rate(self, factor: float) -> "AbstractApparatus":
+        """The same test simulated `factor` times as fast."""
+
+    def sampled(self, ratio: float) -> "AbstractApparatus":
+        """The same test where samples are `ratio` times as dense."""
+        return self
+
+
+def curve_of(readings: Readings, chosen: Array) -> Curve:
+    """The chosen samples' curve; displacement counts from the first of them."""
+    valid = chosen.astype(readings.force.dtype)
+    first = readings.travel[jnp.argmax(valid)]
+    return Curve((readings.travel - first) * valid, readings.force * valid, valid)

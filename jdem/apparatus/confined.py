@@ -4,11 +4,16 @@ The nominal rate is the laboratory's (8 mm/s in the paper); the simulated rate i
 and explicit, and has to be shown to be quasi-static (inertial number, halved rate).
 """
 
-import equinox as eqx
+from dataclasses import replace
 
-from jdem.apparatus.base import AbstractApparatus, Damping
-from jdem.core.quantity import Real, quantity
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
+from jdem.core.quantity import Real, cast, quantity
 from jdem.engine.loop import KEEP, LOWER, Segment
+from jdem.observables import Curve, depression_depth, displacement_at
 
 OVERSHOOT = 2.0  # servo widths
 
@@ -19,7 +24,8 @@ class ConfinedCompression(AbstractApparatus):
     The platen slows down within servo_width (N) of its target and stops when the force
     is within `tolerance` (N) of it.  On loading the target lies OVERSHOOT widths beyond
     force_high, so that force_high is passed at full speed and no creep of the bed at
-    standstill is counted as depression; stroke (m) is the farthest it may go.
+    standstill is counted as depression; stroke (m) is the farthest it may go.  The curve's
+    displacement counts from seating_force (N).  `further` movements may follow.
     """
 
     simulated_rate: Real = quantity(0.1)
@@ -31,23 +37,52 @@ class ConfinedCompression(AbstractApparatus):
     stroke: Real = quantity(0.025)
     hold: Real = quantity(0.0)
     damping: Damping = eqx.field(default_factory=Damping)
+    seating_force: float = eqx.field(static=True, default=2.0)
+    name: str = eqx.field(static=True, default="confined")
+    further: tuple[Movement, ...] = ()
 
-    @property
-    def names(self):
-        return ("loading", "holding", "unloading")
-
-    @property
-    def time_scales(self):
-        return (self.simulated_rate / self.nominal_rate,) * 3
-
-    def segments(self):
+    def movements(self) -> list[Movement]:
+        scale, longest = self.simulated_rate / self.nominal_rate, self.stroke / self.simulated_rate
         return [
-            self._towards(self._beyond_force_high(), self.stroke / self.simulated_rate, LOWER),
-            self._holding(),
-            self._towards(0.0, self.stroke / self.simulated_rate, KEEP),
+            Movement("loading", self._towards(self._beyond_force_high(), longest, LOWER), scale),
+            Movement("holding", self._holding(), scale),
+            Movement("unloading", self._towards(0.0, longest, KEEP), scale),
+            *self.further,
         ]
 
-    def _beyond_force_high(self):
+    def read(self, readings: Readings, movement: Array) -> Reading:
+        loading = curve_of(readings, movement == 0)
+        thresholds = cast((self.force_low, self.force_high), readings.force.dtype)
+        highest = jnp.max(loading.force * loading.valid)
+        return Reading(
+            curve=self._whole(readings, movement, loading),
+            observables={"depression_depth": depression_depth(loading, *thresholds)},
+            complete=highest >= self.force_high,
+        )
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        return ("depression_depth",)
+
+    @property
+    def required_force(self) -> Real:
+        return self.force_high
+
+    @property
+    def reference_force(self) -> Real:
+        return self.force_low
+
+    def at_rate(self, factor: float) -> "ConfinedCompression":
+        return replace(self, simulated_rate=self.simulated_rate * factor)
+
+    def _whole(self, readings: Readings, movement: Array, loading: Curve) -> Curve:
+        """All movements; displacement counts from the seating force."""
+        valid = ((movement >= 0) & (movement < len(self.names))).astype(readings.force.dtype)
+        zero = displacement_at(loading, self.seating_force)
+        travel = readings.travel - readings.travel[jnp.argmax(valid)] - zero
+        return Curve(travel * valid, readings.force * valid, valid)
+
+    def _beyond_force_high(self) -> Real:
         return self.force_high + OVERSHOOT * self.servo_width
 
     def _towards(self, force, duration, platen) -> Segment:

@@ -46,13 +46,13 @@ class About(NamedTuple):
 class Stage(eqx.Module):
     """Where the tests stand, as numbers that a hook can multiply with.
 
-    unconfined is 1 from the opening of the mould on; resting is 1 while the specimen rests
-    between the tests; log_rate is log10 of the nominal axial strain rate that the soil feels
-    over the nominal rate of the confined test (0 as it begins).  Felt rates follow the
+    free is 1 where the specimen stands without its mould; resting is 1 while it comes to rest
+    there; log_rate is log10 of the nominal axial strain rate that the soil feels over the
+    nominal rate of the first test (0 as it begins).  Felt rates follow the
     machine's over a strain of FADING_STRAIN and fade as 1/time where it stands still.
     """
 
-    unconfined: Array
+    free: Array
     resting: Array
     log_rate: Array
 

@@ -1,4 +1,4 @@
-"""All effects of the library, and what several of them do together to one pair of tests.
+"""All effects of the library, and what several of them do together to a sequence of tests.
 
 A new effect is one file beside this one and one line in EFFECTS.  Laws are wrapped in the
 order of the effects; errors of instruments add up.
@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.apparatus.base import Readings
 from jdem.core.quantity import Real, as_quantity, cast, quantity
 from jdem.core.smooth import Smoothing
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, Stage
@@ -77,30 +78,31 @@ class Timetable(eqx.Module):
     """What the segments of the tests are to effects; arrays (segments,).
 
     time_scale is nominal over simulated time (-); platen_speed (m/s, simulated) the machine's,
-    0 where it stands; loading is 1 in segments in which a test runs and time counts; unconfined
-    and resting as in `Stage`.
+    0 where it stands; testing is 1 in segments in which a test runs and time counts; free and
+    resting as in `Stage`; test is the number of the test.
     """
 
     time_scale: Array
     platen_speed: Array
-    loading: Array
-    unconfined: Array
+    testing: Array
+    free: Array
     resting: Array
+    test: Array
 
 
 class Clock(eqx.Module):
-    """Nominal time (s) since the load cell was tared, and the rate of the confined test over
-    the rate that the soil feels (-)."""
+    """Nominal time (s) since the load cell was tared, and the rate of the first test over the
+    rate that the soil feels (-)."""
 
     time: Array
     slowness: Array
 
 
 class Altered(AbstractSurroundings):
-    """The surroundings of both tests under some effects.
+    """The surroundings of the tests under some effects.
 
     soil and smoothing are the base model's; mean_diameter (m) the spheres'; reference_rate
-    (1/s) the nominal axial strain rate of the confined test.
+    (1/s) the nominal axial strain rate of the first test.
     """
 
     effects: tuple[AbstractEffect, ...]
@@ -143,7 +145,7 @@ class Altered(AbstractSurroundings):
         # way to turn, and a soil that softened by it would never let it arrive.
         strain = self.timetable.platen_speed[segment] * elapsed / before.walls.platen_height
         clock = Clock(
-            (memory.time + interval) * self.timetable.loading[segment],
+            (memory.time + interval) * self.timetable.testing[segment],
             _slowed(memory.slowness, strain, self.reference_rate * interval),
         )
         return cast(clock, after.time.dtype)
@@ -151,7 +153,7 @@ class Altered(AbstractSurroundings):
     def stage(self, segment: Array, memory: Clock) -> Stage:
         """Where the tests stand in this segment."""
         return Stage(
-            unconfined=self.timetable.unconfined[segment],
+            free=self.timetable.free[segment],
             resting=self.timetable.resting[segment],
             log_rate=-jnp.log10(memory.slowness),
         )
@@ -161,20 +163,13 @@ def _slowed(slowness: Array, strain: Array, reference: Array) -> Array:
     """The slowness w = v_c/v after an interval, v following dv/dt = v (v_machine - v)/A.
 
     w' = w exp(-x) + (r/A) (1 - exp(-x))/x, x = strain/A: exact for a steady machine; r is the
-    strain of the interval at the confined test's nominal rate.
+    strain of the interval at the first test's nominal rate.
     """
     share = strain / FADING_STRAIN
     moving = share > 1e-6
     safe = jnp.where(moving, share, 1.0)
     mean = jnp.where(moving, -jnp.expm1(-safe) / safe, 1.0)
     return slowness * jnp.exp(-share) + reference / FADING_STRAIN * mean
-
-
-class Readings(eqx.Module):
-    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N)."""
-
-    travel: Array
-    force: Array
 
 
 def recorded(

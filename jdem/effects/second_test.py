@@ -36,4 +36,4 @@ class SecondTestFactor(AbstractEffect):
     )
 
     def soil(self, soil, stage):
-        return with_contacts_scaled(soil, 1 + self.strength * stage.unconfined)
+        return with_contacts_scaled(soil, 1 + self.strength * stage.free)

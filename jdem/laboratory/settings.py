@@ -16,20 +16,20 @@ import jax
 
 from jdem.effects.base import About, AbstractEffect
 from jdem.engine.bed import Numerics
-from jdem.laboratory.virtual_lab import LabTests, VirtualLab
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Specimen, neutral_soil
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """All that a simulation of both tests starts from besides the soil and a seed.
+    """All that a simulation of the tests starts from besides the soil and a seed.
 
     preparation is the soil that beds settle with (None: neutral).
     """
 
     specimen: Specimen
-    tests: LabTests
+    tests: TestSequence
     numerics: Numerics
     preparation: SoilParameters | None = None
 
@@ -68,7 +68,7 @@ class SmoothingWidth(AbstractSetting):
 
 
 class SimulatedRate(AbstractSetting):
-    """Both tests' simulated platen speeds; what is left of inertia lies above -infinity."""
+    """The tests' simulated platen speeds; what is left of inertia lies above -infinity."""
 
     about: ClassVar[About] = About(
         quantity="ln of the simulated rates' factor",
@@ -82,13 +82,7 @@ class SimulatedRate(AbstractSetting):
     )
 
     def changed(self, trial: Trial, strength: float) -> Trial:
-        tests, factor = trial.tests, math.exp(strength)
-        tests = eqx.tree_at(
-            lambda t: (t.confined.simulated_rate, t.unconfined.simulated_rate),
-            tests,
-            (tests.confined.simulated_rate * factor, tests.unconfined.simulated_rate * factor),
-        )
-        return replace(trial, tests=_averaged_over(tests, 1 / factor))
+        return replace(trial, tests=trial.tests.at_rate(math.exp(strength)))
 
 
 class SphereNumber(AbstractSetting):
@@ -111,7 +105,7 @@ class SphereNumber(AbstractSetting):
         ratio = other.mean_radius() / specimen.mean_radius()
         interval = trial.numerics.sample_time * ratio  # as the skin, which is in diameters
         numerics = replace(trial.numerics, sample_time=interval)
-        tests = _averaged_over(trial.tests, 1 / ratio)
+        tests = trial.tests.sampled(1 / ratio)
         return replace(trial, specimen=other, tests=tests, numerics=numerics)
 
 
@@ -153,11 +147,6 @@ class TimeStep(AbstractSetting):
     def changed(self, trial: Trial, strength: float) -> Trial:
         safety = trial.numerics.safety * math.exp(strength)
         return replace(trial, numerics=replace(trial.numerics, safety=safety))
-
-
-def _averaged_over(tests: LabTests, ratio: float) -> LabTests:
-    """The tests with the peak averaged over `ratio` times as many rows (an odd number)."""
-    return replace(tests, peak_rows=2 * int(tests.peak_rows * ratio / 2) + 1)
 
 
 SETTINGS: dict[str, AbstractSetting] = {

@@ -1,82 +1,97 @@
-"""Both laboratory tests in sequence on one specimen, and what comes out of them.
+"""Laboratory tests in sequence on one specimen, and what comes out of them.
 
-The unconfined test inherits the specimen that the confined test left.  All machine
-movements form one programme for the one loop, so the pair is compiled once.
+Each test inherits the specimen that the one before it left.  All movements of the machine form
+one programme for the one loop, so the sequence is compiled once.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus
-from jdem.apparatus.confined import ConfinedCompression
-from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.apparatus.base import AbstractApparatus, Movement, Readings
 from jdem.core.quantity import cast
 from jdem.effects.base import AbstractEffect
-from jdem.effects.composite import Altered, Readings, Timetable, recorded
+from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
 from jdem.engine.loop import AbstractFrozen, Record, Sample, Segment, run, stack, start
 from jdem.engine.neighbors import Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters
-from jdem.observables import Curve, crushing_force, depression_depth, displacement_at, running_mean
+from jdem.observables import Curve
 from jdem.packing.settling import Packing, Specimen
 
 
-class LabTests(eqx.Module):
-    """Confined, then unconfined compression.
+class TestSequence(eqx.Module):
+    """Tests one after the other on one specimen; their names differ."""
 
-    seating_force (N) sets the zero of displacement; the crushing force is the maximum,
-    smoothed over peak_width (N), of the force averaged over peak_rows samples.
-    """
+    __test__ = False  # for pytest
 
-    confined: ConfinedCompression = eqx.field(default_factory=ConfinedCompression)
-    unconfined: UnconfinedCompression = eqx.field(default_factory=UnconfinedCompression)
-    seating_force: float = eqx.field(static=True, default=2.0)
-    peak_width: float = eqx.field(static=True, default=2.0)
-    peak_rows: int = eqx.field(static=True, default=5)
+    apparatus: tuple[AbstractApparatus, ...]
 
-    @property
-    def apparatus(self) -> tuple[AbstractApparatus, ...]:
-        return (self.confined, self.unconfined)
+    def __check_init__(self):
+        names = [test.name for test in self.apparatus]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"tests are called {names}; give at least one, and each its own name")
+
+    def __getitem__(self, name: str) -> AbstractApparatus:
+        """The test of this name."""
+        return self.apparatus[[test.name for test in self.apparatus].index(name)]
+
+    def movements(self) -> list[Movement]:
+        """All movements in the order of their numbers."""
+        return [movement for test in self.apparatus for movement in test.movements()]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Segment names in the order of their numbers."""
-        return tuple(name for test in self.apparatus for name in test.names)
+        """What the movements are called."""
+        return tuple(movement.name for movement in self.movements())
 
-    def programme(self):
-        return stack([segment for test in self.apparatus for segment in test.segments()])
+    def programme(self) -> Segment:
+        return stack([movement.segment for movement in self.movements()])
+
+    def first_movement(self, number: int) -> int:
+        """Number of the first movement of test `number`."""
+        return sum(len(test.movements()) for test in self.apparatus[:number])
 
     def timetable(self) -> Timetable:
-        """What the segments are to effects and to nominal time."""
-        scales = [jnp.asarray(s, float) for test in self.apparatus for s in test.time_scales]
-        speed = jnp.asarray(self.programme().platen_speed, float)
-        unconfined = [name in self.unconfined.names for name in self.names]
-        resting = [name == "resting" for name in self.names]
-        loading = [name not in ("opening", "resting") for name in self.names]
-        flags = [jnp.asarray(flag, float) for flag in (loading, unconfined, resting)]
-        return Timetable(jnp.stack(scales), speed, *flags)
+        """What the movements are to effects and to nominal time."""
+        movements = self.movements()
+        tests = [k for k, test in enumerate(self.apparatus) for _ in test.movements()]
+        return Timetable(
+            time_scale=jnp.stack([jnp.asarray(m.time_scale, float) for m in movements]),
+            platen_speed=jnp.asarray(self.programme().platen_speed, float),
+            testing=jnp.asarray([m.testing for m in movements], float),
+            free=jnp.asarray([m.free for m in movements], float),
+            resting=jnp.asarray([m.resting for m in movements], float),
+            test=jnp.asarray(tests, jnp.int32),
+        )
+
+    def at_rate(self, factor: float) -> "TestSequence":
+        """The same tests simulated `factor` times as fast."""
+        return TestSequence(tuple(test.at_rate(factor) for test in self.apparatus))
+
+    def sampled(self, ratio: float) -> "TestSequence":
+        """The same tests where samples are `ratio` times as dense."""
+        return TestSequence(tuple(test.sampled(ratio) for test in self.apparatus))
 
 
 class Outcome(eqx.Module):
-    """Results of one specimen: observables in SI units, curves, and the full record.
+    """Results of one specimen: observables in SI units and curves by test, and the full record.
 
     Curves and observables are what the laboratory would have recorded, instruments' errors
     included; the record has the truth.
     """
 
-    depression_depth: Array  #: m
-    crushing_force: Array  #: N
-    confined: Curve
-    unconfined: Curve
+    observables: dict[str, dict[str, Array]]
+    curves: dict[str, Curve]
     record: Record
     nominal_time: Array  #: s, (samples,); since the load cell was tared, as in the laboratory
-    failed: Array  #: True where a list overflowed, a number is not finite or 400 N was not reached
+    failed: Array  #: True where a list overflowed, a number is not finite, or a test fell short
 
 
 class VirtualLab(eqx.Module):
@@ -86,7 +101,7 @@ class VirtualLab(eqx.Module):
     the specimen, every soil, and every strength of its effects.
     """
 
-    tests: LabTests
+    tests: TestSequence
     numerics: Numerics
     grid: Grid = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
@@ -96,7 +111,7 @@ class VirtualLab(eqx.Module):
     @staticmethod
     def of(
         specimen: Specimen,
-        tests: LabTests,
+        tests: TestSequence,
         numerics: Numerics,
         effects: Sequence[AbstractEffect] = (),
     ) -> "VirtualLab":
@@ -114,8 +129,7 @@ class VirtualLab(eqx.Module):
             wall_layer=1.5 * self.numerics.wall_layer,
             per_cell=self.numerics.per_cell + 4,
         )
-        tests = replace(self.tests, peak_rows=3 * self.tests.peak_rows)
-        larger = VirtualLab.of(specimen, tests, numerics, self.effects)
+        larger = VirtualLab.of(specimen, self.tests.sampled(3), numerics, self.effects)
         return replace(larger, frozen=self.frozen)
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:
@@ -125,7 +139,7 @@ class VirtualLab(eqx.Module):
     def run(
         self, packing: Packing, soil: SoilParameters, time_step: Array | None = None
     ) -> "Outcome":
-        """Runs both tests on a packing; to be jitted and differentiated through `soil`.
+        """Runs all tests on a packing; to be jitted and differentiated through `soil`.
 
         With `time_step` (s) given, no step is derived from the soil's stiffness.
         """
@@ -162,7 +176,7 @@ class VirtualLab(eqx.Module):
             smoothing=self.numerics.smoothing,
             timetable=self.tests.timetable(),
             mean_diameter=packing.mean_diameter(),
-            reference_rate=self.tests.confined.nominal_rate / packing.height,
+            reference_rate=self.tests.apparatus[0].nominal_rate / packing.height,
         )
 
     def _bed(self, packing: Packing, soil: SoilParameters, time_step) -> Bed:
@@ -170,53 +184,36 @@ class VirtualLab(eqx.Module):
 
 
 def outcome(
-    tests: LabTests, bed: Bed, record: Record, effects: Sequence[AbstractEffect] = ()
+    tests: TestSequence, bed: Bed, record: Record, effects: Sequence[AbstractEffect] = ()
 ) -> Outcome:
     """Observables and curves of a finished record, as the instruments show them."""
     samples = record.samples
     time = nominal_time(tests, samples)
     readings = Readings(-samples.platen_height, samples.reading)
     readings = recorded(effects, readings, samples.platen_force, time)
-    loading = _curve(readings, samples.segment == tests.names.index("loading"))
-    crushing = _curve(readings, samples.segment == tests.names.index("crushing"))
-    thresholds = (tests.confined.force_low, tests.confined.force_high)
-    depth = depression_depth(loading, *cast(thresholds, readings.force.dtype))
-    force = crushing_force(running_mean(crushing, tests.peak_rows), tests.peak_width)
-    highest = jnp.max(loading.force * loading.valid)
-    short = highest < tests.confined.force_high
-    bad = ~(jnp.isfinite(depth) & jnp.isfinite(force))
+    found = {
+        test.name: test.read(readings, samples.segment - tests.first_movement(number))
+        for number, test in enumerate(tests.apparatus)
+    }
+    observables = {name: reading.observables for name, reading in found.items()}
+    finite = [jnp.isfinite(value) for value in jax.tree.leaves(observables)]
+    complete = [reading.complete for reading in found.values()]
+    sound = jnp.all(jnp.stack([*finite, *complete]))
     return Outcome(
-        depression_depth=depth,
-        crushing_force=force,
-        confined=_whole(tests, readings, samples.segment, loading),
-        unconfined=crushing,
+        observables=observables,
+        curves={name: reading.curve for name, reading in found.items()},
         record=record,
         nominal_time=time,
-        failed=record.overflow_of(bed.grid) | ~record.finished | short | bad,
+        failed=record.overflow_of(bed.grid) | ~record.finished | ~sound,
     )
 
 
-def nominal_time(tests: LabTests, samples: Sample) -> Array:
+def nominal_time(tests: TestSequence, samples: Sample) -> Array:
     """Laboratory's time (s) at each sample since the load cell was tared for its test."""
     timetable, segment = tests.timetable(), jnp.maximum(samples.segment, 0)
     interval = jnp.diff(samples.time, prepend=0.0) * timetable.time_scale[segment]
-    passed = jnp.where(samples.segment >= 0, interval * timetable.loading[segment], 0.0)
-    unconfined = timetable.unconfined[segment]
-    totals = [jnp.cumsum(passed * (unconfined == test)) for test in (0, 1)]
-    return jnp.where(unconfined == 1, totals[1], totals[0]).astype(samples.time.dtype)
-
-
-def _curve(readings: Readings, chosen: Array) -> Curve:
-    """The chosen samples' curve; displacement counts from the first of them."""
-    valid = chosen.astype(readings.force.dtype)
-    first = readings.travel[jnp.argmax(valid)]
-    return Curve((readings.travel - first) * valid, readings.force * valid, valid)
-
-
-def _whole(tests: LabTests, readings: Readings, segment: Array, loading: Curve) -> Curve:
-    """Loading, holding and unloading; displacement counts from the seating force."""
-    last = tests.names.index("unloading")
-    valid = ((segment >= 0) & (segment <= last)).astype(readings.force.dtype)
-    zero = displacement_at(loading, tests.seating_force)
-    travel = readings.travel - readings.travel[0] - zero
-    return Curve(travel * valid, readings.force * valid, valid)
+    passed = jnp.where(samples.segment >= 0, interval * timetable.testing[segment], 0.0)
+    number, time = timetable.test[segment], jnp.zeros_like(passed)
+    for test in range(len(tests.apparatus)):
+        time = jnp.where(number == test, jnp.cumsum(passed * (number == test)), time)
+    return time.astype(samples.time.dtype)

@@ -194,7 +194,10 @@ def limits(design: Design) -> np.ndarray:
 
 def curves_of(run: Run) -> Curves:
     """A run's curves as features read them."""
-    return {"confined": tuple(run.confined.T), "unconfined": tuple(run.unconfined.T)}
+    return {
+        "confined": tuple(run.curves["confined"].T),
+        "unconfined": tuple(run.curves["unconfined"].T),
+    }
 
 
 def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.ndarray:
@@ -202,7 +205,7 @@ def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.n
     values = np.full((len(runs), len(features)), np.nan)
     for row, run in enumerate(runs):
         if run is not None and not run.failure:
-            values[row] = vector(features, curves_of(run), run.observables())
+            values[row] = vector(features, curves_of(run), run.observables)
     return values
 
 

@@ -1,0 +1,1 @@
+"""What tests share with benchmarks, which import it from here."""

@@ -1,0 +1,117 @@
+"""Evidences on cases whose seals have been opened, and the opinion that they give.
+
+`tests/data/opinion/evidences.jsonl.xz` has one case a line: the ln evidences of its verdict,
+rounded to 1e-4, what was hidden, and its signal-to-noise as told since the seventh own set.  They
+are those of the fifth own set, judged again (in 64 of its 309 with fits of commits before 9f3d01c),
+of the sixth as they were stated, and of LIGGGHTS' fourth, judged again; the sets themselves are in
+commit a289456.  `python benchmarks/opinion.py --add` appends further ones.
+"""
+
+import json
+import lzma
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.classes import TOGETHER, Classes
+from calibrate.discrepancy.comparison.compare import label, named, stated
+from calibrate.discrepancy.comparison.evidence import Evidence
+from calibrate.discrepancy.comparison.probability_calibration import (
+    NONE,
+    UNKNOWN,
+    Facts,
+    Opinion,
+    fitted,
+    hypotheses,
+)
+from calibrate.validation.scores import expected_error, truth_of
+
+TABLE = Path(__file__).parents[1] / "data" / "opinion" / "evidences.jsonl.xz"
+LEAST = 0.01  # probability below which a logarithmic score falls no further
+FOLDS = 5
+EDGES, STRATA = (2.0, 6.0), ("single below 2", "single 2 to 6", "single above 6")
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A case whose seal is open: facts, classes of alike effects, the class that is right, and its
+    kind or, of a single effect, its signal-to-noise."""
+
+    facts: Facts
+    classes: Classes
+    truth: str
+    stratum: str
+
+    @property
+    def right(self) -> np.ndarray:
+        """Mask over the hypotheses."""
+        return np.array([label(self.classes, h) == self.truth for h in hypotheses(self.facts)])
+
+    def said(self, opinion: Opinion) -> dict[str, float]:
+        """Probabilities by class."""
+        return stated(self.facts, self.classes, opinion)[1]
+
+
+def rows() -> list[dict]:
+    """The lines of the table."""
+    with lzma.open(TABLE, "rt", encoding="utf-8") as lines:
+        return [json.loads(line) for line in lines]
+
+
+def cases() -> list[Known]:
+    """All of the table."""
+    return [known(row) for row in rows()]
+
+
+def known(row: dict) -> Known:
+    """One line's evidences beside what was hidden."""
+    found: dict[str, float] = row["ln_evidence"]
+    names = tuple(n for n in found if n not in (NONE, UNKNOWN) and TOGETHER not in n)
+    pairs = [n.split(TOGETHER) for n in found if TOGETHER in n]
+    index = np.array([[names.index(one) for one in pair] for pair in pairs])
+    singles = np.array([found[n] for n in names])
+    together = np.array([found[TOGETHER.join(pair)] for pair in pairs])
+    evidence = Evidence(singles, together, index, found[UNKNOWN])
+    facts = Facts(names, evidence, row["p_before"], row["p_after"])
+    members = row["classes"]
+    classes = Classes(names, tuple(tuple(group) for group in members), ())
+    hidden = [{"name": name} for name in row["hidden"]]
+    truth = truth_of({"kind": row["kind"], "hidden": hidden}, members)
+    single = np.searchsorted(EDGES, row["snr"], side="right")
+    stratum = STRATA[single] if row["kind"] == "single" else row["kind"]
+    return Known(facts, classes, truth, stratum)
+
+
+def learn(some: list[Known]) -> Opinion:
+    return fitted([case.facts for case in some], [case.right for case in some])
+
+
+def quality(some: list[Known], by: list[Opinion]) -> dict:
+    """Shares, calibration error of the verdict, mean logarithmic score; `by_stratum`: how many are
+    right of how many."""
+    said = [case.said(opinion) for case, opinion in zip(some, by, strict=True)]
+    best = [named(p) for p in said]
+    sure = np.array([p[name] for p, name in zip(said, best, strict=True)])
+    right = np.array([name == case.truth for name, case in zip(best, some, strict=True)], float)
+    score = [np.log(max(p.get(c.truth, 0.0), LEAST)) for p, c in zip(said, some, strict=True)]
+    alarms = [name != NONE for name, case in zip(best, some, strict=True) if case.truth == NONE]
+    return {
+        "right": float(right.mean()),
+        "false_alarm": float(np.mean(alarms)),
+        "wrong_and_sure": float(((sure >= 0.8) & (right == 0)).mean()),
+        "calibration_error": expected_error(sure, right),
+        "log_score": float(np.mean(score)),
+        "by_stratum": {
+            name: [int(right[[c.stratum == name for c in some]].sum()), count]
+            for name, count in sorted(Counter(case.stratum for case in some).items())
+        },
+    }
+
+
+def by_other_folds(some: list[Known]) -> list[Opinion]:
+    """For each case the opinion that the other folds' cases gave."""
+    fold = np.random.default_rng(0).permutation(len(some)) % FOLDS
+    of = [learn([some[i] for i in np.flatnonzero(fold != k)]) for k in range(FOLDS)]
+    return [of[k] for k in fold]
