@@ -36,10 +36,7 @@ def _page(folder: Path) -> str:
 
 def index() -> str:
     """All folders with what each is, in one line."""
-    rows = [
-        f"| [{dotted(f)}]({dotted(f)}.md) | {first_paragraph(f / '__init__.py').split(chr(10))[0]} |"
-        for f in folders()
-    ]
+    rows = [f"| [{dotted(f)}]({dotted(f)}.md) | {first_line(f)} |" for f in folders()]
     head = "# Modules\n\nImports run downward only: see `ORDER` in tests/test_architecture.py.\n"
     return "\n".join([head, "| folder | holds |", "| --- | --- |", *rows, ""])
 
@@ -47,3 +44,7 @@ def index() -> str:
 def first_paragraph(path: Path) -> str:
     doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return doc.split("\n\n")[0].replace("|", "\\|")
+
+
+def first_line(folder: Path) -> str:
+    return first_paragraph(folder / "__init__.py").split("\n")[0]

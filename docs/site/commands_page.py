@@ -26,7 +26,9 @@ def program() -> Any:
 def page() -> str:
     """All verbs in the order of `calibrate --help`."""
     verbs = program().commands
-    return "\n".join([HEAD, *[_verb(name, verb) for name, verb in verbs.items()]])
+    return "\n".join(
+        [HEAD, *[_verb(name, verb) for name, verb in verbs.items() if not verb.hidden]]
+    )
 
 
 def _verb(name: str, verb: Any) -> str:
@@ -43,4 +45,3 @@ def _row(parameter: Any) -> str:
     meaning = (getattr(parameter, "help", "") or "").replace("|", "\\|")
     default = "" if parameter.default is None else f"`{parameter.default}`"
     return f"| {shown} | {meaning} | {default} |"
-

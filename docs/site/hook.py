@@ -149,7 +149,9 @@ def led(found: re.Match, home: Path, uri: str) -> str:
     known = place_on_site(there)
     if known is None:
         return text
-    return f"{mark}[{text}]({posixpath.relpath(known, posixpath.dirname(uri) or '.')}{hash_}{anchor})"
+    return (
+        f"{mark}[{text}]({posixpath.relpath(known, posixpath.dirname(uri) or '.')}{hash_}{anchor})"
+    )
 
 
 def place_on_site(path: str) -> str | None:
