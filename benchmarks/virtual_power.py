@@ -103,7 +103,7 @@ class Bench:
     def _hash(self, variant: str | None = None) -> str:
         strategy = VARIANTS[variant] if variant else None
         kind = f"{strategy.first} {strategy.carried}" if strategy else "run"
-        content = [engine_hash(), kind, repr(self.lab.numerics)]
+        content = [engine_hash(self.lab), kind, repr(self.lab.numerics)]
         content.append(repr(self.work.specimen))
         return hashlib.sha256("".join(content).encode()).hexdigest()[:16]
 

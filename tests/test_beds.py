@@ -1,38 +1,28 @@
 """Beds that ship with the package: all there, of this engine, and like those that settle here."""
 
+import shutil
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from support import shipped_beds
+from support.shipped_beds import WANTED, cylinder, name_of, seeds
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation import Campaign
 from calibrate.simulation.executors import Here
-from calibrate.simulation.keys import content_hash, packing_content
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
-from calibrate.simulation.store import SHIPPED
+from calibrate.simulation.store import SHIPPED, Store
 from jdem.packing.settling import prepare
 
-WANTED = [
-    (soil, preset, seed)
-    for soil in shipped_beds.SOILS
-    for preset in ("quick", "standard")
-    for seed in shipped_beds.seeds(preset)
-]
-
-
-def cylinder(soil: str, preset: str):
-    return specimen(load_lab(bundled_lab(soil)), PRESETS[preset])
-
-
-def name_of(soil: str, preset: str, seed: int) -> str:
-    return content_hash(packing_content(cylinder(soil, preset), seed, None))
+COMMAND = "python tests/support/shipped_beds.py"
 
 
 def test_every_bed_that_first_commands_need_is_there_and_no_other():
     there = {path.stem for path in SHIPPED.folder.glob("packings/*.npz")}
     wanted = {name_of(*bed) for bed in WANTED}
-    assert there == wanted, "the engine or a soil has changed: run `python benchmarks/beds.py`"
+    assert there == wanted, f"how beds settle has changed: `{COMMAND} --rekey`, or without it"
 
 
 @pytest.mark.parametrize(("soil", "preset", "seed"), WANTED)
@@ -47,10 +37,9 @@ def test_a_shipped_bed_fills_its_mould(soil, preset, seed):
 
 
 def test_beds_of_one_specimen_have_centres_of_their_own():
-    seeds = shipped_beds.seeds("quick")
-    found = [SHIPPED.packing(name_of("trumao", "quick", seed)) for seed in seeds]
+    found = [SHIPPED.packing(name_of("trumao", "quick", seed)) for seed in seeds("quick")]
     tops = [float(bed.position.z.max()) for bed in found if bed is not None]
-    assert len(set(tops)) == len(seeds)
+    assert len(set(tops)) == len(seeds("quick"))
 
 
 def test_a_bed_that_settles_here_is_like_the_shipped_one():
@@ -77,3 +66,60 @@ def test_a_campaign_takes_shipped_beds_and_keeps_them(tmp_path):
     assert len(list(tmp_path.glob("packings/*.npz"))) == 3
     with pytest.raises(AssertionError, match="a bed was settled"):
         work.packings((100,))
+
+
+# ------------------------------------------------------------------ names after a change
+
+
+@pytest.fixture
+def renamed(tmp_path):
+    """The shipped beds under names of another engine."""
+    shutil.copytree(SHIPPED.folder, tmp_path / "beds")
+    for number, path in enumerate(sorted((tmp_path / "beds").glob("packings/*.npz"))):
+        path.rename(path.with_name(f"{number:032x}.npz"))
+    return Store(tmp_path / "beds")
+
+
+def settles(monkeypatch, factor):
+    """Beds settle as they did, with all masses times a factor."""
+
+    def again(wanted, seed):
+        names = {cylinder(*bed[:2]): name_of(*bed) for bed in WANTED if bed[2] == seed}
+        bed = SHIPPED.packing(names[wanted])
+        return eqx.tree_at(lambda p: p.spheres.mass, bed, factor * bed.spheres.mass)
+
+    monkeypatch.setattr(shipped_beds, "prepare", again)
+
+
+def contents(store):
+    return {path.name: path.read_bytes() for path in store.folder.glob("packings/*")}
+
+
+def test_beds_get_their_names_back_if_they_settle_as_they_did(renamed, monkeypatch):
+    settles(monkeypatch, 1.0)
+    assert shipped_beds.rekey(renamed) == len(WANTED)
+    assert contents(renamed) == contents(SHIPPED)
+    assert shipped_beds.rekey(renamed) == 0
+
+
+@pytest.mark.parametrize("factor", [np.nextafter(1.0, 2.0), float("nan")])
+def test_no_bed_is_renamed_if_one_settles_differently(renamed, monkeypatch, factor):
+    settles(monkeypatch, factor)
+    before = contents(renamed)
+    with pytest.raises(ValueError, match="does not settle as it did"):
+        shipped_beds.rekey(renamed)
+    assert contents(renamed) == before
+
+
+def test_no_bed_is_renamed_if_one_is_missing_or_double(renamed, monkeypatch):
+    settles(monkeypatch, 1.0)
+    path = renamed.packing_path(f"{5:032x}")
+    shutil.copy(path, path.with_stem("f" * 32))
+    with pytest.raises(ValueError, match="2 files with this bed"):
+        shipped_beds.rekey(renamed)
+    path.with_stem("f" * 32).unlink()
+    path.unlink()
+    before = contents(renamed)
+    with pytest.raises(ValueError, match="0 files with this bed"):
+        shipped_beds.rekey(renamed)
+    assert contents(renamed) == before

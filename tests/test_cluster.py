@@ -19,6 +19,7 @@ from calibrate.io.soil import with_values
 from calibrate.simulation import cluster as cluster_module
 from calibrate.simulation.cluster import DaskCluster, on_worker
 from calibrate.simulation.keys import engine_hash
+from jdem.effects.composite import EFFECTS
 
 SEEDS = (0, 1)
 ENERGIES = (10.0, 12.0, 14.0, 16.0)
@@ -106,6 +107,10 @@ def test_a_worker_with_another_engine_is_refused():
     with pytest.raises(CalibrationError, match="another version of jdem"):
         on_worker(abs, "0123", {}, (1,))
     assert on_worker(abs, engine_hash(), {}, (-1,)) == 1
+    drift = EFFECTS["load_cell_drift"](0.0)
+    with pytest.raises(CalibrationError, match="another version of jdem"):
+        on_worker(type, engine_hash(), {}, (drift,))  # it must have the same of this as well
+    assert on_worker(type, engine_hash(drift), {}, (drift,)) is type(drift)
 
 
 def test_numbers_keep_their_precision_on_the_way(place):

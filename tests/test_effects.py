@@ -133,8 +133,8 @@ class Lightness(AbstractEffect):
 def test_an_effect_of_a_users_own(base, packing, time_step):
     run = eqx.filter_jit(eqx.debug.assert_max_traces(VirtualLab.run, max_traces=1))
     outcomes = [run(lab_with(Lightness(s)), packing, SOIL, time_step) for s in (0.0, 1.0)]
-    assert_same(outcomes[0].confined, base.curves["confined"])
-    assert_same(outcomes[0].unconfined, base.curves["unconfined"])
+    assert_same(outcomes[0].curves["confined"], base.curves["confined"])
+    assert_same(outcomes[0].curves["unconfined"], base.curves["unconfined"])
     assert (
         outcomes[1].observables["confined"]["depression_depth"]
         > 1.5 * base.observables["confined"]["depression_depth"]

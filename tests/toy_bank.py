@@ -42,9 +42,9 @@ def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
     dense = np.array([1 - 5 * density, 1 + 10 * density])
     changed = {}
     for test in ("confined", "unconfined"):
-        curve = getattr(plain, test) * (dense if test == "unconfined" else [dense[0], 1.0])
+        curve = plain.curves[test] * (dense if test == "unconfined" else [dense[0], 1.0])
         changed[test] = np.column_stack([curve[:, 0], (1 + gain) * curve[:, 1] + offset])
-    return replace(plain, **changed)
+    return replace(plain, curves=changed)
 
 
 def runs(design: Design) -> list[Run]:

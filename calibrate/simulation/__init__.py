@@ -1,10 +1,11 @@
 """Many simulations: cached on disk by content, resumable, on these cores or on a cluster.
 
 keys.py        what a run depends on, hashed
+definitions.py normal_form.py dependencies.py   the source that it depends on, hashed
 run.py         one finished simulation in mm and N, with the checks that say whether to trust it
-simulation.py  simulating and preparing, with programs compiled once a process
+compiled.py    simulating and preparing, with programs compiled once a process
 seal.py store.py   entries of the cache: atomic, with checksum, one writer at a time
-places.py cluster.py   where the work is done: threads here, or workers of a Dask cluster
+executors.py cluster.py   where the work is done: threads here, or workers of a Dask cluster
 campaign.py    from soils and seeds to runs: what is missing is simulated, what fails is labelled
 """
 

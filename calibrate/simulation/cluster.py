@@ -2,7 +2,8 @@
 
 Workers compute and send numbers back; the cache on disk is this process's alone, so workers
 need no common file system.  The scheduler gives the runs of a worker that died to another one.
-Every worker must have the same source of `jdem`, or keys would lie; one that has not is refused.
+Every worker must have the same source of what it computes, or keys would lie; one that has not
+is refused.
 """
 
 import gc
@@ -61,7 +62,7 @@ class DaskCluster(AbstractPlace):
     def _computed(self, function: Callable, *arguments):
         """function(*arguments) on a worker, with this process's precision."""
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
-        job = (function, engine_hash(), settings, _plain(arguments))
+        job = (function, engine_hash(*arguments), settings, _plain(arguments))
         try:
             result = self._client.submit(on_worker, *job, pure=False).result()
         except KilledWorker as error:
@@ -95,10 +96,11 @@ SETTINGS = (
 
 def on_worker(function: Callable, engine: str, settings: dict[str, Any], arguments: tuple):
     """What a worker does: the client's settings, then function(*arguments)."""
-    if engine_hash() != engine:
+    here = engine_hash(*arguments)
+    if here != engine:
         raise CalibrationError(
-            f"a worker has another version of jdem ({engine_hash()}, not {engine}); install the "
-            "same one on all machines"
+            f"a worker has another version of jdem ({here}, not {engine}); install the same one on "
+            "all machines"
         )
     for name, value in settings.items():
         jax.config.update(name, value)

@@ -9,7 +9,7 @@ from calibrate.simulation.keys import engine_hash
 
 
 def made_by() -> dict:
-    """What made a result: command, versions, hash of the simulator's source."""
+    """What made a result: command, versions, hash of the source of the plain virtual laboratory."""
     packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
     return {
         "command": shlex.join(["calibrate", *sys.argv[1:]]),
