@@ -83,7 +83,7 @@ def write_lab(folder: Path, name: str, offset: float, specimens: int = 4) -> Pat
     for number in range(specimens):
         found = run(np.array([0.1, -0.1]), np.array([0.0, offset, 0.0]), 700 + number)
         records = {
-            test: recorded(getattr(found, test), offset, rng) for test in ("confined", "unconfined")
+            test: recorded(found.curves[test], offset, rng) for test in ("confined", "unconfined")
         }
         made.append(Specimen(records, 1829.6 * (1 + 0.004 * rng.standard_normal())))
     write_case(name, made, CENTRE, folder)

@@ -23,7 +23,7 @@ def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> No
     """Both tests' curves, one line a packing, beside measured curves and targets."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
     for axis, test in zip(axes, TESTS, strict=True):
-        curves = [_curve(getattr(run, test)) for run in runs]
+        curves = [_curve(run.curves[test]) for run in runs]
         compression(axis, test, [(PACKINGS, curves)], measured)
     _finish(figure, axes, path)
 
