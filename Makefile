@@ -21,8 +21,8 @@ lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-docs: $(STAMP)  ## reference of all modules from their docstrings, in build/docs/index.html
-	$(BIN)/pdoc --docformat markdown --output-directory build/docs jdem calibrate
+docs: $(STAMP)  ## the documentation as a searchable site, in build/docs/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 notebooks: $(STAMP)  ## run all notebooks in place, top to bottom
 	$(BIN)/python notebooks/execute.py

@@ -1,8 +1,14 @@
-"""What the documentation says exists: links, commands, options, names, and examples that run."""
+"""What the documentation says exists: links, commands, options, paths, names, examples that run.
+
+Pages keep their lengths and their words, and every page has its place in the site.  Nothing here
+needs the site's generator.
+"""
 
 import ast
+import json
 import re
 import shlex
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import typer
+import yaml
 
 from calibrate import cli
 
@@ -21,6 +28,32 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"^ *```.*?^ *```|^ {4}.*?$|`[^`]*`", re.MULTILINE | re.DOTALL)
 BLOCK = re.compile(r"^( *)```(\w+)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 PROGRAM: Any = typer.main.get_command(cli.app)
+VERBS = {name for name, verb in PROGRAM.commands.items() if not verb.hidden}
+HISTORY = ("docs/decisions.md", "docs/decisions/", "CHANGELOG.md")  # pages that tell what was
+LONGEST = 1500  # words of a page
+LONGEST_README = 1000
+PATH = re.compile(r"(?<![\w/.-])((?:jdem|calibrate|benchmarks|tests|notebooks)/[\w./-]*\w)")
+# Words that only this project used, and what the field says.
+PRIVATE = {
+    r"banks?": "library of runs",
+    r"opinions?": "probability calibration",
+    r"nearby": "infill runs",
+    r"kin": "blocks",
+    r"twins?": "blocks",
+    r"mismatch": "model discrepancy",
+    r"left[-_]out": "cross-validation",
+    r"late readings?": "load-cell lag",
+    r"habits?": "class bias",
+    r"rehears\w+": "a simulated calibration",
+    r"upkeep": "list update",
+}
+TELLING = (
+    r"\b2\d Nov",
+    r"\bcommit [0-9a-f]{7}",
+    r"\bnowadays\b",
+    r"\ba day earlier\b",
+    r"\bno longer\b",
+)
 
 
 def name_of(page: Path) -> str:
@@ -40,6 +73,18 @@ def commands(page: Path) -> list[list[str]]:
     return [line[1:] for line in words if line and line[0] == "calibrate"]
 
 
+def prose(page: Path) -> str:
+    """A page without its code and without the targets of its links."""
+    return LINK.sub("", CODE.sub("", page.read_text(encoding="utf-8")))
+
+
+def tells_history(page: Path) -> bool:
+    return name_of(page).startswith(HISTORY)
+
+
+NOW = [page for page in PAGES if not tells_history(page)]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page):
     for target in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
@@ -54,6 +99,103 @@ def test_commands_and_their_options_exist(page):
         known = {o for p in PROGRAM.commands[verb].params for o in (*p.opts, *p.secondary_opts)}
         given = {word.partition("=")[0] for word in arguments if word.startswith("--")}
         assert given <= known, (verb, given - known)
+
+
+def test_every_verb_is_documented():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in NOW)
+    missing = {verb for verb in VERBS if not re.search(rf"calibrate {verb}\b", text)}
+    assert not missing
+
+
+def test_targets_of_make_exist():
+    made = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    for page in PAGES:
+        asked = set(re.findall(r"`make (\w+)`|^make (\w+)", page.read_text("utf-8"), re.MULTILINE))
+        assert {a or b for a, b in asked} <= set(made), page
+
+
+@pytest.mark.parametrize("page", NOW, ids=name_of)
+def test_paths_exist(page):
+    for path in PATH.findall(page.read_text(encoding="utf-8")):
+        assert (ROOT / path).exists() or path.isupper() or "NAME" in path, path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_pages_are_short(page):
+    longest = LONGEST_README if page == ROOT / "README.md" else LONGEST
+    assert len(page.read_text(encoding="utf-8").split()) <= longest
+
+
+@pytest.mark.parametrize("page", NOW, ids=name_of)
+def test_pages_speak_the_fields_language(page):
+    text = prose(page)
+    for word, better in PRIVATE.items():
+        found = re.search(rf"\b{word}\b", text, re.IGNORECASE)
+        assert not found, f"{found and found[0]}: write {better}"
+
+
+@pytest.mark.parametrize("page", NOW, ids=name_of)
+def test_pages_tell_no_history(page):
+    text = page.read_text(encoding="utf-8")
+    assert not [found[0] for sign in TELLING if (found := re.search(sign, text))]
+
+
+# ------------------------------------------------------------------ the site
+
+sys.path.append(str(ROOT / "docs" / "site"))
+
+
+def leaves(nav: Any) -> list[str]:
+    if isinstance(nav, str):
+        return [nav]
+    entries = nav.values() if isinstance(nav, dict) else nav
+    return [leaf for entry in entries for leaf in leaves(entry)]
+
+
+def test_every_page_has_its_place_in_the_site():
+    """Pages of docs/ are in the navigation; what is there and not in docs/ is made."""
+    nav = leaves(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
+    made = ("reference/", "tutorials/", "results/", "changelog.md", "contributing.md")
+    pages = {p.relative_to(ROOT / "docs").as_posix() for p in (ROOT / "docs").rglob("*.md")}
+    assert pages - {"json.md"} == {leaf for leaf in nav if not leaf.startswith(made)}
+    books = {f"tutorials/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert books == {leaf for leaf in nav if leaf.startswith("tutorials/")}
+
+
+def test_the_page_of_the_lab_file_has_every_entry():
+    import lab_file_page
+
+    text = lab_file_page.page()
+    for path, model in lab_file_page.tables():
+        assert all(f"| `{name}` |" in text for name in model.model_fields), path
+    fields = [f for _, m in lab_file_page.tables() for f in m.model_fields.items()]
+    units = {name: lab_file_page.kind_of(field) for name, field in fields}
+    assert units["diameter"].unit == "m" and units["force_low"].unit == "N"
+
+
+def test_meanings_on_the_page_of_the_lab_file_are_of_entries_that_exist():
+    import lab_file_page
+
+    known = {f"{m.__name__}.{name}" for _, m in lab_file_page.tables() for name in m.model_fields}
+    assert set(lab_file_page.MEANING) <= known
+
+
+def test_the_page_of_commands_has_every_verb_and_option():
+    import commands_page
+
+    text = commands_page.page()
+    assert set(re.findall(r"^## (\S+)", text, re.MULTILINE)) == VERBS
+    assert "`--preset`" in text and "`[LAB.toml]`" in text
+
+
+def test_the_page_of_json_keys_has_the_keys_of_a_fit():
+    import json_page
+
+    text = json_page.page()
+    given = json.loads((ROOT / "tests/data/fit_result/result.json").read_text(encoding="utf-8"))
+    kind = json_page.records()["fit"]
+    assert all(f"| `{key}` |" in text for key in kind.model_fields)
+    assert all(f"`{key}`" in text for key in given)
 
 
 OURS = ("jdem", "calibrate")
@@ -72,14 +214,15 @@ def test_names_in_examples_exist(page):
                     )
 
 
-# ------------------------------------------------------------------ the examples of CONTRIBUTING
+# ------------------------------------------------------------------ examples of the how-to pages
 
 
 @pytest.fixture(scope="module")
 def examples() -> dict[str, type]:
     """Everything that the examples define, each run as a module of its own."""
     found: dict[str, type] = {}
-    for number, code in enumerate(blocks(ROOT / "CONTRIBUTING.md", "python")):
+    pages = sorted((ROOT / "docs" / "howto").glob("add-*.md"))
+    for number, code in enumerate(code for page in pages for code in blocks(page, "python")):
         names: dict = {"__name__": f"example_{number}"}
         exec(compile(code, names["__name__"], "exec"), names)
         found.update(names)

@@ -1,0 +1,50 @@
+"""The reference of modules: one page a folder, written by mkdocstrings from the docstrings."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("jdem", "calibrate")
+
+
+def folders() -> list[Path]:
+    """Folders with modules of both packages, the packages themselves first."""
+    found = [path.parent for p in PACKAGES for path in sorted((ROOT / p).rglob("__init__.py"))]
+    return [folder for folder in found if modules(folder)]
+
+
+def modules(folder: Path) -> list[Path]:
+    """Public modules of a folder; the folder's own docstring comes first."""
+    return [p for p in sorted(folder.glob("*.py")) if not p.name.startswith("_")]
+
+
+def dotted(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
+
+
+def pages() -> dict[str, str]:
+    """One page a folder: what the folder is, then every module in it."""
+    return {f"reference/api/{dotted(folder)}.md": _page(folder) for folder in folders()}
+
+
+def _page(folder: Path) -> str:
+    lines = [f"# {dotted(folder)}", "", first_paragraph(folder / "__init__.py"), ""]
+    for module in modules(folder):
+        lines += [f"::: {dotted(module)}", ""]
+    return "\n".join(lines)
+
+
+def index() -> str:
+    """All folders with what each is, in one line."""
+    rows = [f"| [{dotted(f)}]({dotted(f)}.md) | {first_line(f)} |" for f in folders()]
+    head = "# Modules\n\nImports run downward only: see `ORDER` in tests/test_architecture.py.\n"
+    return "\n".join([head, "| folder | holds |", "| --- | --- |", *rows, ""])
+
+
+def first_paragraph(path: Path) -> str:
+    doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return doc.split("\n\n")[0].replace("|", "\\|")
+
+
+def first_line(folder: Path) -> str:
+    return first_paragraph(folder / "__init__.py").split("\n")[0]

@@ -1,0 +1,47 @@
+"""The reference of the command line: every verb with its arguments and options."""
+
+from typing import Any
+
+import typer
+
+HEAD = """# Command line
+
+`calibrate VERB --help` says the same on the terminal. A second run of a command with the same
+`--out` reuses every finished simulation.
+
+| exit status | meaning |
+| --- | --- |
+| 0 | done |
+| 2 | the input is wrong: one line names file, field and repair |
+| 1 | anything else |
+"""
+
+
+def program() -> Any:
+    from calibrate import cli
+
+    return typer.main.get_command(cli.app)
+
+
+def page() -> str:
+    """All verbs in the order of `calibrate --help`."""
+    verbs = program().commands
+    return "\n".join(
+        [HEAD, *[_verb(name, verb) for name, verb in verbs.items() if not verb.hidden]]
+    )
+
+
+def _verb(name: str, verb: Any) -> str:
+    rows = [_row(parameter) for parameter in verb.params]
+    head = ["| argument or option | meaning | default |", "| --- | --- | --- |"]
+    summary = " ".join((verb.help or "").split())
+    return "\n".join([f"## {name}", "", summary, "", *head, *rows, ""])
+
+
+def _row(parameter: Any) -> str:
+    names = [*parameter.opts, *parameter.secondary_opts]
+    shown = " / ".join(f"`{name}`" for name in names if name.startswith("--"))
+    shown = shown or f"`{parameter.metavar or parameter.name.upper()}`"
+    meaning = (getattr(parameter, "help", "") or "").replace("|", "\\|")
+    default = "" if parameter.default is None else f"`{parameter.default}`"
+    return f"| {shown} | {meaning} | {default} |"

@@ -1,0 +1,198 @@
+"""The reference of the lab file: every table and entry of `calibrate.io.tables`.
+
+Unit, default and example are read from the pydantic models, so the page cannot go stale.
+`MEANING` adds a few words to entries whose name does not say enough.
+"""
+
+import json
+import sys
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from calibrate.core.units import Kind
+from calibrate.inference.parameters import RANGES
+from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS
+from calibrate.io.tables import LabTables
+
+HEAD = """# Lab file
+
+A lab file is TOML. A quantity is a string with its unit, such as `"50 mm"`; any unit of the right
+kind is read. Curves are CSV files in the folder of the lab file or below it. An entry without a
+default must be given. An unknown name is refused.
+"""
+MEANING = {
+    "SoilTable.density": "bulk density, one value a determination",
+    "SoilTable.water_content": "gravimetric, one value a determination",
+    "SoilTable.source": "where the numbers come from",
+    "SpecimenTable.height": "of the soil in the mould",
+    "SpecimenTable.mould_height": "of the mould, if known",
+    "ConfinedTable.rate": "speed of the platen",
+    "ConfinedTable.force_low": "the depression depth counts from here",
+    "ConfinedTable.force_high": "and to here; the platen turns",
+    "ConfinedTable.greased": "whether the mould was greased; kept for the record",
+    "UnconfinedTable.rate": "speed of the platen",
+    "UnconfinedTable.rest": "between the removal of the mould and the test",
+    "CurveTable.file": "path of the CSV file",
+    "CurveTable.delimiter": "between cells of a row",
+    "ParticlesTable.reference_diameter": "at which `surface_energy` is stated",
+    "ParticlesTable.poisson_ratio": "of the particles",
+    "ParameterTable.value": "where a fit begins",
+    "ParameterTable.low": "lower bound of a fit",
+    "ParameterTable.high": "upper bound of a fit",
+    "ParameterTable.prior_sd": "prior standard deviation of ln p",
+    "ParameterTable.free": "true: fit it; false: hold it; absent: the data choose",
+}
+EXAMPLES = {
+    "reference_diameter": 'reference_diameter = "80 um"',
+    "mould_height": 'mould_height = "150 mm"',
+    "source": 'source = "own tests, 2026"',
+    "value": "value = 7e6",
+    "low": "low = 2e6",
+    "high": "high = 2e7",
+    "prior_sd": "prior_sd = 0.5",
+    "free": "free = false",
+}
+SCALE = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "": ("", 1.0)}
+
+
+def page() -> str:
+    """All tables, outermost first, and the parameters that a lab file may name."""
+    return "\n".join([HEAD, *[_table(path, model) for path, model in tables()], _parameters()])
+
+
+def tables() -> list[tuple[str, type[BaseModel]]]:
+    """Every table with its place in the file: "", soil, specimen, ..., curves[].force."""
+    return _below("", LabTables)
+
+
+def _below(path: str, model: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
+    found = [(path, model)]
+    for name, field in model.model_fields.items():
+        inner = _models(field.annotation)
+        place = f"{path}.{name}".strip(".") + _mark(field.annotation)
+        for each in inner:
+            if all(each is not seen for _, seen in found):
+                found += _below(place, each)
+    return found
+
+
+def _mark(annotation: Any) -> str:
+    origin = getattr(annotation, "__origin__", None)
+    return "[]" if origin in (list, tuple) else ".NAME" if origin is dict else ""
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _table(path: str, model: type[BaseModel]) -> str:
+    title = f"[{path}]" if path and "[]" not in path else path.replace("[]", "")
+    if path.endswith("[]"):
+        title = f"[[{title}]]"
+    doc = " ".join((model.__doc__ or "").split())
+    head = ["| entry | meaning | unit | default | example |", "| --- | --- | --- | --- | --- |"]
+    rows = [_row(model, name, field) for name, field in model.model_fields.items()]
+    return "\n".join([f"## `{title}`" if path else "## Tables", "", doc, "", *head, *rows, ""])
+
+
+def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
+    kind = kind_of(field)
+    default = "**required**" if field.is_required() else _default(field, kind)
+    cells = [f"`{name}`", _meaning(model, name, field), kind.unit if kind else "", default]
+    return "| " + " | ".join([*cells, _example(name, field, kind)]) + " |"
+
+
+def _meaning(model: type[BaseModel], name: str, field: FieldInfo) -> str:
+    choices = _literals(field.annotation)
+    words = MEANING.get(f"{model.__name__}.{name}", "")
+    if choices:
+        words = f"{words}; one of ".lstrip("; ") + ", ".join(_shown(choice) for choice in choices)
+    return words.replace("|", "\\|") or ("a table" if _models(field.annotation) else "")
+
+
+def _shown(choice: Any) -> str:
+    """A choice as code; a blank and a tab as TOML writes them."""
+    return "`" + json.dumps(choice) + "`" if str(choice).isspace() else f"`{choice}`"
+
+
+def _literals(annotation: Any) -> list:
+    if "Literal" in str(annotation).split("[")[0]:
+        return list(get_args(annotation))
+    return [choice for part in get_args(annotation) for choice in _literals(part)]
+
+
+def kind_of(field: FieldInfo) -> Kind | None:
+    """The kind of quantity that the entry's reader was made for."""
+    for holder in [*field.metadata, *_metadata(field.annotation)]:
+        for cell in getattr(getattr(holder, "func", None), "__closure__", None) or ():
+            if isinstance(cell.cell_contents, Kind):
+                return cell.cell_contents
+    return None
+
+
+def _metadata(annotation: Any) -> list:
+    own = list(getattr(annotation, "__metadata__", ()))
+    return own + [item for part in get_args(annotation) for item in _metadata(part)]
+
+
+def _default(field: FieldInfo, kind: Kind | None) -> str:
+    value = field.get_default(call_default_factory=True)
+    if value is None or value == "" or value == [] or value == {}:
+        return "none"
+    if isinstance(value, BaseModel):
+        return "its own defaults"
+    return f"`{_quantity(value, kind)}`"
+
+
+def _quantity(value: Any, kind: Kind | None) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if kind is None:
+        return f'"{value}"' if isinstance(value, str) else str(value)
+    unit, factor = SCALE.get(kind.unit, (kind.unit, 1.0))
+    return f'"{value * factor:g} {unit}"'.replace(' "', '"') if unit else f"{value:g}"
+
+
+def _example(name: str, field: FieldInfo, kind: Kind | None) -> str:
+    if name in EXAMPLES:
+        return f"`{EXAMPLES[name]}`"
+    if field.is_required() and " = " in (field.description or ""):
+        return f"`{field.description}`".replace("|", "\\|")
+    if field.is_required() or _models(field.annotation):
+        return ""
+    value = field.get_default(call_default_factory=True)
+    if value not in (None, "", [], {}):
+        return f"`{name} = {_quantity(value, kind)}`".replace("|", "\\|")
+    if kind is not None:
+        text = f'"{kind.example}"'
+        return f"`{name} = {'[' + text + ']' if value == [] else text}`"
+    return ""
+
+
+def _parameters() -> str:
+    """What `[parameters]` and `[named_sets.NAME]` may hold."""
+    lines = [
+        "## Parameters",
+        "",
+        "Names for `[parameters]`, `[named_sets.NAME]` and `--set`. A plain number is in the unit",
+        "given here. Bounds and prior are those of a fit where the lab file gives none; a",
+        "parameter without bounds cannot be fitted.",
+        "",
+        "| name | unit | accepted | bounds of a fit | prior sd of ln p |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, unit in PARAMETER_UNITS.items():
+        bounds = RANGES.get(name)
+        span = f"{bounds.low:g} to {bounds.high:g}" if bounds else ""
+        width = f"{bounds.prior_sd:g}" if bounds else ""
+        accepted = PARAMETER_RANGES[name][1].removeprefix("give ")
+        lines.append(f"| `{name}` | {unit or '1'} | {accepted} | {span} | {width} |")
+    return "\n".join([*lines, ""])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
