@@ -149,7 +149,7 @@ def test_compliance_flattens_slopes_by_the_closed_form(outcome):
     compliance = 3e-7
     true, shown = outcome(), outcome(load_frame_compliance=compliance)
     for name in ("confined", "unconfined"):
-        (d, force), (shifted, same) = rows(getattr(true, name)), rows(getattr(shown, name))
+        (d, force), (shifted, same) = rows(true.curves[name]), rows(shown.curves[name])
         np.testing.assert_array_equal(same, force)
         expected = d - d[0] + compliance * (force - force[0])
         assert np.abs(shifted - shifted[0] - expected).max() < 1e-12
@@ -207,10 +207,10 @@ def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
     )
     assert_same(shown.record.samples, true.record.samples)
     for name in ("confined", "unconfined"):
-        valid = np.asarray(getattr(true, name).valid) > 0
-        force, time = rows(getattr(true, name))[1], np.asarray(true.nominal_time)[valid]
+        valid = np.asarray(true.curves[name].valid) > 0
+        force, time = rows(true.curves[name])[1], np.asarray(true.nominal_time)[valid]
         expected = 1.01 * force + 2.0 + 0.01 * time
-        assert np.abs(rows(getattr(shown, name))[1] - expected).max() < 1e-9
+        assert np.abs(rows(shown.curves[name])[1] - expected).max() < 1e-9
     assert np.asarray(true.nominal_time)[valid][-1] == pytest.approx(1e-3 / 1e-5, rel=0.02)
 
 

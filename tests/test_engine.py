@@ -273,7 +273,7 @@ def test_blocks_of_a_pair_list_add_up_to_the_whole(monkeypatch):
     for ours, expected in zip(*map(jax.tree.leaves, (later(), whole)), strict=True):
         scale = np.abs(np.asarray(expected)).max()
         np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9 * scale)
-    assert np.asarray(whole.pairs.history.max_overlap).max() > 0, "nothing touched"
+    assert np.asarray(whole.pairs.history.normal.max_overlap).max() > 0, "nothing touched"
 
 
 def test_two_halves_are_the_whole_bit_for_bit_through_a_file(tmp_path):
