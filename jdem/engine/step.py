@@ -193,7 +193,7 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
         mass=one[10] * two[10] / (one[10] + two[10]),
         friction=bed.friction * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
-        spin=spin_one - spin_two,
+        spin=(spin_one - spin_two) * alive,
     )
     return _kept_apart(contact, (lever_one, lever_two))
 
@@ -215,7 +215,7 @@ def _wall_geometry(bed: Bed, one: Array, walls: Walls, wall: Array, alive: Array
         mass=one[10],
         friction=bed.wall_friction[wall] * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
-        spin=spin,
+        spin=spin * alive,
     )
     return _kept_apart(contact, (lever, lever))
 
