@@ -9,24 +9,24 @@ import io
 
 from calibrate.export.notes import heading, scale_up, uncertainty
 from calibrate.export.source import Found
+from jdem.materials.catalogue import CATALOGUE
 
 COLUMNS = ("Section", "Parameter", "Value", "Unit", "Low 95 %", "High 95 %")
 
-_SOIL, _MODEL = "Interaction soil - soil", "EEPA model soil - soil"
-_ROWS = (  # section, EDEM's name, ours, unit
-    ("Bulk material", "Poisson's Ratio", "poisson_ratio", ""),
-    ("Bulk material", "Shear Modulus", "shear_modulus", "Pa"),
-    (_SOIL, "Coefficient of Restitution", "restitution", ""),
-    (_SOIL, "Coefficient of Static Friction", "static_friction", ""),
-    (_SOIL, "Coefficient of Rolling Friction", "rolling_friction", ""),
-    (_MODEL, "Constant Pull-Off Force", "pull_off_force", "N"),
-    (_MODEL, "Surface Energy", "surface_energy", "J/m^2"),
-    (_MODEL, "Contact Plasticity Ratio", "plasticity_ratio", ""),
-    (_MODEL, "Slope Exp", "slope_exponent", ""),
-    (_MODEL, "Tensile Exp", "tensile_exponent", ""),
-    (_MODEL, "Tangential Stiff Multiplier", "tangential_multiplier", ""),
-    ("Interaction soil - mould", "Coefficient of Static Friction", "wall_friction", ""),
-    ("Interaction soil - platen, base", "Coefficient of Static Friction", "platen_friction", ""),
+_SHOWN = (  # rows in EDEM's order
+    "poisson_ratio",
+    "shear_modulus",
+    "restitution",
+    "static_friction",
+    "rolling_friction",
+    "pull_off_force",
+    "surface_energy",
+    "plasticity_ratio",
+    "slope_exponent",
+    "tensile_exponent",
+    "tangential_multiplier",
+    "wall_friction",
+    "platen_friction",
 )
 _CAUTIONS = (
     "Slope Exp 1: k1 = {factor:.4g} E* R* was calibrated; compare one contact in EDEM with "
@@ -41,11 +41,12 @@ def text(found: Found) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for section, name, ours, unit in _ROWS:
+    for ours in _SHOWN:
+        section, name = CATALOGUE[ours].names["EDEM"].split(" / ")
         factor = found.scale if ours == "surface_energy" else 1.0
         low, high = found.intervals.get(ours, (None, None))
         ends = ["" if end is None else f"{factor * end:.6g}" for end in (low, high)]
-        writer.writerow([section, name, f"{factor * found[ours]:.7g}", unit, *ends])
+        writer.writerow([section, name, f"{factor * found[ours]:.7g}", CATALOGUE[ours].unit, *ends])
     cautions = [line.format(factor=found["stiffness_factor"]) for line in _CAUTIONS]
     for line in [*heading(found), *uncertainty(found), *scale_up(found), *cautions]:
         writer.writerow(["Note", line, "", "", "", ""])

@@ -13,6 +13,7 @@ from math import sqrt
 
 from calibrate.export.notes import PRESSURE, comment, heading, overlap_under, scale_up, uncertainty
 from calibrate.export.source import Found
+from jdem.materials.catalogue import CATALOGUE
 
 HISTORY = "edinburgh tangential history rolling_friction epsd2"
 LUDING = "edinburgh tangential tan_luding rolling_friction luding"
@@ -95,28 +96,33 @@ def _properties(found: Found) -> list[str]:
     restitution = max(found["restitution"], 1.001 * _LEAST_RESTITUTION)
     rolling = found["rolling_friction"]
     of_pairs = {
-        "coefficientRestitution": (restitution,) * TYPES,
-        "coefficientFriction": (
+        _called("restitution"): (restitution,) * TYPES,
+        _called("static_friction"): (
             found["static_friction"],
             found["wall_friction"],
             found["platen_friction"],
         ),
-        "coefficientRollingFriction": (2 * rolling, rolling, rolling),
-        "UnloadingStiffness": (found.stiffness_ratio,) * TYPES,
+        _called("rolling_friction"): (2 * rolling, rolling, rolling),
+        _called("plasticity_ratio"): (found.stiffness_ratio,) * TYPES,
         "coefficientAdhesionStiffness": (0.0,) * TYPES,
-        "pullOffForce": (found["pull_off_force"],) * TYPES,
-        "surfaceEnergy": (found.surface_energy, 0.0, 0.0),
+        _called("pull_off_force"): (found["pull_off_force"],) * TYPES,
+        _called("surface_energy"): (found.surface_energy, 0.0, 0.0),
     }
     if model(found) == LUDING:
-        of_pairs["coeffFrictionStiffness"] = (friction_stiffness(found),) * TYPES
+        of_pairs[_called("tangential_multiplier")] = (friction_stiffness(found),) * TYPES
         of_pairs |= {name: (value,) * TYPES for name, value in _LUDING_CONSTANTS.items()}
     return [
-        _property("youngsModulus", "peratomtype", [young_modulus(found)] * TYPES),
-        _property("poissonsRatio", "peratomtype", [found["poisson_ratio"]] * TYPES),
+        _property(_called("shear_modulus"), "peratomtype", [young_modulus(found)] * TYPES),
+        _property(_called("poisson_ratio"), "peratomtype", [found["poisson_ratio"]] * TYPES),
         *(_per_pair(name, values) for name, values in of_pairs.items()),
-        _property("overlapExponent", "scalar", [found["slope_exponent"]]),
-        _property("adhesionExponent", "scalar", [found["tensile_exponent"]]),
+        _property(_called("slope_exponent"), "scalar", [found["slope_exponent"]]),
+        _property(_called("tensile_exponent"), "scalar", [found["tensile_exponent"]]),
     ]
+
+
+def _called(name: str) -> str:
+    """LIGGGHTS' property that a parameter decides."""
+    return CATALOGUE[name].names["LIGGGHTS"]
 
 
 def _per_pair(name: str, with_type: tuple[float, ...]) -> str:

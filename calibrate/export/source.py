@@ -13,18 +13,12 @@ from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, read_text
 from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import soil_json
+from jdem.materials.catalogue import CATALOGUE
 from jdem.packing import settling as packing
 
 RESULT = "result.json"  # what `calibrate fit` writes into its folder
 
-# Parameters of the soil that are not the user's to set but that a result holds.
-_FURTHER = {
-    "poisson_ratio": ("", lambda nu: 0 <= nu < 0.5),
-    "reference_diameter": ("m", lambda d: d > 0),
-    "wall_adhesion": ("", lambda a: a >= 0),
-    "stiffness_factor": ("", lambda c: c > 0),
-}
-UNITS = {**PARAMETER_UNITS, **{name: unit for name, (unit, _) in _FURTHER.items()}}
+UNITS = {name: entry.unit for name, entry in CATALOGUE.items()}
 
 
 @dataclass(frozen=True)
@@ -153,7 +147,7 @@ def _value(name: str, value: Any, path: Path) -> float:
         raise InputError(str(path), f"parameters.{name}", "missing", "run the fit again")
     if name in PARAMETER_UNITS:
         return check_parameter(name, value, str(path), f"parameters.{name}")
-    accepted = _FURTHER[name][1]
+    accepted = CATALOGUE[name].accepted
     if isinstance(value, bool) or not isinstance(value, int | float) or not accepted(value):
         problem = f"{shown(value)} is out of range"
         raise InputError(str(path), f"parameters.{name}", problem, "run the fit again")

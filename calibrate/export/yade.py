@@ -15,6 +15,7 @@ radius get a material of their own.
 from calibrate.core.errors import InputError
 from calibrate.export.notes import PRESSURE, comment, heading, scale_up, uncertainty
 from calibrate.export.source import Found
+from jdem.materials.catalogue import CATALOGUE
 
 DENSITY = 2650.0  # kg/m^3; a placeholder that the script says to change
 
@@ -57,13 +58,13 @@ def soil_of(radius, label):
     strength = min(1.5 * pi * SURFACE_ENERGY * lens, k2 * plastic / 2)  # N, largest tension
     mass = DENSITY * 4 / 3 * pi * radius**3 / 2  # effective
     return LudingMat(
-        k1=k1,
-        kp=k2,
-        kc=strength / (plastic - strength / k2),
-        ks=TANGENTIAL_MULTIPLIER * k1,
+        {names[shear_modulus]}=k1,
+        {names[plasticity_ratio]}=k2,
+        {names[surface_energy]}=strength / (plastic - strength / k2),
+        {names[tangential_multiplier]}=TANGENTIAL_MULTIPLIER * k1,
         PhiF=plastic / radius,
-        G0=sqrt(4 * mass * k1 / (1 + (pi / log(RESTITUTION)) ** 2)),
-        frictionAngle=atan(STATIC_FRICTION),
+        {names[restitution]}=sqrt(4 * mass * k1 / (1 + (pi / log(RESTITUTION)) ** 2)),
+        {names[static_friction]}=atan(STATIC_FRICTION),
         density=DENSITY,
         label=label,
     )
@@ -93,6 +94,7 @@ def text(found: Found) -> str:
     ]
     notes = [*heading(found), "", *uncertainty(found), "", *scale_up(found), "", *lost]
     script = _SCRIPT.format(
+        names={name: entry.names.get("Yade", "") for name, entry in CATALOGUE.items()},
         radius=found.diameter / 2,
         density=DENSITY,
         pressure=PRESSURE,

@@ -15,18 +15,10 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
+from jdem.core.parameter import Search as Range
+from jdem.materials.catalogue import CATALOGUE
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.ensemble import Ensemble
-
-
-@dataclass(frozen=True)
-class Range:
-    """Bounds of a parameter (SI) and the prior's standard deviation in ln p."""
-
-    low: float
-    high: float
-    prior_sd: float
-
 
 FACTORS = (
     "restitution",
@@ -39,18 +31,7 @@ FACTORS = (
 )
 
 # Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
-RANGES = {
-    "restitution": Range(0.1, 0.9, 0.3),
-    "static_friction": Range(0.1, 1.5, 0.5),
-    "rolling_friction": Range(0.05, 1.0, 0.5),
-    "surface_energy": Range(1.0, 150.0, 1.0),
-    "plasticity_ratio": Range(0.05, 0.85, 0.4),
-    "tensile_exponent": Range(0.5, 5.0, 0.4),
-    "tangential_multiplier": Range(0.1, 2.0, 0.4),
-    "shear_modulus": Range(1e6, 60e6, 1.0),
-    "wall_friction": Range(0.01, 1.0, 1.0),
-    "platen_friction": Range(0.01, 1.5, 1.0),
-}
+RANGES = {name: entry.search for name, entry in CATALOGUE.items() if entry.search is not None}
 
 
 @dataclass(frozen=True)

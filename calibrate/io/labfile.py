@@ -16,37 +16,16 @@ from pydantic_core import ErrorDetails
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import number_or_quantity
 from calibrate.io.tables import LabTables
+from jdem.materials.catalogue import CATALOGUE
+
+_FREE = {name: entry for name, entry in CATALOGUE.items() if entry.free}
 
 # Parameter names and the SI unit of each ("" for a pure number).
-PARAMETER_UNITS: dict[str, str] = {
-    "restitution": "",
-    "static_friction": "",
-    "rolling_friction": "",
-    "surface_energy": "J/m^2",
-    "plasticity_ratio": "",
-    "tensile_exponent": "",
-    "tangential_multiplier": "",
-    "shear_modulus": "Pa",
-    "pull_off_force": "N",
-    "slope_exponent": "",
-    "wall_friction": "",
-    "platen_friction": "",
-}
+PARAMETER_UNITS: dict[str, str] = {name: entry.unit for name, entry in _FREE.items()}
 
 # For each parameter: does the law accept this value (in SI), and what to say when it does not.
 PARAMETER_RANGES: dict[str, tuple[Callable[[float], bool], str]] = {
-    "restitution": (lambda e: 0 < e < 1, "give a number above 0 and below 1, such as 0.5"),
-    "static_friction": (lambda mu: mu >= 0, "give 0 or a positive number, such as 0.6"),
-    "rolling_friction": (lambda mu: mu >= 0, "give 0 or a positive number, such as 0.3"),
-    "surface_energy": (lambda g: g >= 0, 'give 0 or a positive value, such as "17 J/m^2"'),
-    "plasticity_ratio": (lambda p: 0 < p < 1, "give a number above 0 and below 1, such as 0.4"),
-    "tensile_exponent": (lambda x: 0.5 <= x <= 5, "give a number from 0.5 to 5, such as 2"),
-    "tangential_multiplier": (lambda k: k > 0, "give a positive number, such as 0.8"),
-    "shear_modulus": (lambda g: g > 0, 'give a positive value, such as "12 MPa"'),
-    "pull_off_force": (lambda f: f <= 0, 'give 0 or a negative (tensile) force, such as "0 N"'),
-    "slope_exponent": (lambda n: n in (1, 1.5), "give 1 (linear) or 1.5 (Hertz)"),
-    "wall_friction": (lambda mu: mu >= 0, "give 0 or a positive number, such as 0.2"),
-    "platen_friction": (lambda mu: mu >= 0, "give 0 or a positive number, such as 0.2"),
+    name: (entry.accepted, entry.repair) for name, entry in _FREE.items()
 }
 
 

@@ -1,5 +1,7 @@
 """The soil that a lab file describes, as the simulator's parameters."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -11,16 +13,16 @@ def with_values(soil: SoilParameters, values: dict) -> SoilParameters:
     """The soil with some parameters replaced, by name."""
     values = dict(values)
     exponent = values.pop("slope_exponent", None)
+    further = {
+        name: jnp.asarray(values.pop(name), float) for name in soil.further if name in values
+    }
+    if further:
+        soil = replace(soil, further={**soil.further, **further})
     for name, value in values.items():
         soil = eqx.tree_at(lambda s, n=name: getattr(s, n), soil, jnp.asarray(value, float))
     if exponent is not None:
-        soil = _with_exponent(soil, float(exponent))
+        soil = replace(soil, slope_exponent=float(exponent))
     return soil
-
-
-def _with_exponent(soil: SoilParameters, exponent: float) -> SoilParameters:
-    fields = {name: getattr(soil, name) for name in SoilParameters.__dataclass_fields__}
-    return SoilParameters(**{**fields, "slope_exponent": exponent})
 
 
 def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:

@@ -127,8 +127,8 @@ def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: O
 
 def _bad_input(packing: Packing, soil: SoilParameters) -> str:
     """What was not a number before anything was simulated."""
-    for name in SoilParameters.__dataclass_fields__:
-        if not np.all(np.isfinite(getattr(soil, name))):
+    for name, value in soil.values().items():
+        if not np.all(np.isfinite(value)):
             return f"{name} of the soil is not finite"
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(packing)):
         return "the packing holds numbers that are not finite"

@@ -167,4 +167,4 @@ def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:
     """All parameters by name, SI."""
-    return {name: float(getattr(soil, name)) for name in SoilParameters.__dataclass_fields__}
+    return {name: float(value) for name, value in soil.values().items()}

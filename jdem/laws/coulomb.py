@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from jdem.core import smooth
 from jdem.core.fusion import once
+from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
@@ -55,3 +56,33 @@ class CoulombSpring(AbstractTangentialLaw):
 
 
 _TINY = 1e-30  # N/m; keeps the square root's gradient finite where nothing touches
+
+
+PARAMETERS = (
+    Parameter(
+        name="static_friction",
+        symbol="mu",
+        label="coefficient of sliding friction",
+        accepted=NOT_NEGATIVE,
+        repair="give 0 or a positive number, such as 0.6",
+        search=Search(0.1, 1.5, 0.5, calibrated_sd=0.2),
+        names={
+            "EDEM": "Interaction soil - soil / Coefficient of Static Friction",
+            "LIGGGHTS": "coefficientFriction",
+            "Yade": "frictionAngle",
+        },
+    ),
+    Parameter(
+        name="tangential_multiplier",
+        symbol="k_tm",
+        label="tangential over normal stiffness",
+        accepted=POSITIVE,
+        repair="give a positive number, such as 0.8",
+        search=Search(0.1, 2.0, 0.4, calibrated_sd=0.2),
+        names={
+            "EDEM": "EEPA model soil - soil / Tangential Stiff Multiplier",
+            "LIGGGHTS": "coeffFrictionStiffness",
+            "Yade": "ks",
+        },
+    ),
+)

@@ -12,6 +12,8 @@ dp'^n = l^n + (f_min/k2) (l/d_min)^x; the hand-over is spread over a small reloa
 distance (`Smoothing.reload`).  Separation clears the memory.
 """
 
+from collections.abc import Mapping
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,7 @@ from jax import Array
 
 from jdem.core import smooth
 from jdem.core.fusion import once
+from jdem.core.parameter import FRACTION, NOT_NEGATIVE, Accepted, Parameter, Search
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
@@ -56,6 +59,29 @@ class EEPA(AbstractNormalLaw):
     tensile_exponent: Real = quantity(2.0)
     pull_off_force: Real = quantity(0.0)
     smoothing: Smoothing = eqx.field(default_factory=Smoothing)
+
+    @staticmethod
+    def of(
+        values: Mapping[str, Real],
+        diameter: Real,
+        adhesion: Real,
+        stiffness: AbstractStiffness,
+        smoothing: Smoothing,
+    ) -> "EEPA":
+        """The law of a soil (`jdem.materials.soil`).
+
+        Its surface energy is scaled from reference_diameter to bodies of `diameter` (m).
+        """
+        scaled = values["surface_energy"] * diameter / values["reference_diameter"]
+        return EEPA(
+            stiffness=stiffness,
+            restitution=values["restitution"],
+            surface_energy=adhesion * scaled,
+            plasticity_ratio=values["plasticity_ratio"],
+            tensile_exponent=values["tensile_exponent"],
+            pull_off_force=values["pull_off_force"],
+            smoothing=smoothing,
+        )
 
     def force(self, contact: Contact, history: PlasticMemory):
         overlap = jnp.maximum(contact.overlap, 0.0)
@@ -172,3 +198,57 @@ def _positive(x):
 
 _TINY = 1e-30  # below any stiffness (N/m) or force (N) of interest, and normal in float32
 _RATIO_FLOOR = 1e-3  # overlap ratio d/d_min below which the adhesive branch is a chord
+
+PARAMETERS = (
+    Parameter(
+        name="surface_energy",
+        symbol="dgamma",
+        label="surface energy at the reference diameter",
+        unit="J/m^2",
+        accepted=NOT_NEGATIVE,
+        repair='give 0 or a positive value, such as "17 J/m^2"',
+        search=Search(1.0, 150.0, 1.0, calibrated_sd=0.45),
+        names={
+            "EDEM": "EEPA model soil - soil / Surface Energy",
+            "LIGGGHTS": "surfaceEnergy",
+            "Yade": "kc",
+        },
+    ),
+    Parameter(
+        name="plasticity_ratio",
+        symbol="lambda_p",
+        label="contact plasticity ratio",
+        accepted=FRACTION,
+        repair="give a number above 0 and below 1, such as 0.4",
+        search=Search(0.05, 0.85, 0.4, calibrated_sd=0.08),
+        names={
+            "EDEM": "EEPA model soil - soil / Contact Plasticity Ratio",
+            "LIGGGHTS": "UnloadingStiffness",
+            "Yade": "kp",
+        },
+    ),
+    Parameter(
+        name="tensile_exponent",
+        symbol="x",
+        label="exponent of the adhesive branch",
+        accepted=Accepted(0.5, 5.0),
+        repair="give a number from 0.5 to 5, such as 2",
+        search=Search(0.5, 5.0, 0.4, calibrated_sd=0.3),
+        names={
+            "EDEM": "EEPA model soil - soil / Tensile Exp",
+            "LIGGGHTS": "adhesionExponent",
+        },
+    ),
+    Parameter(
+        name="pull_off_force",
+        symbol="f0",
+        label="constant pull-off force",
+        unit="N",
+        accepted=Accepted(most=0.0),
+        repair='give 0 or a negative (tensile) force, such as "0 N"',
+        names={
+            "EDEM": "EEPA model soil - soil / Constant Pull-Off Force",
+            "LIGGGHTS": "pullOffForce",
+        },
+    ),
+)

@@ -8,6 +8,7 @@ implicitly, as friction that can stop a spin within a step but never reverse it.
 import equinox as eqx
 
 from jdem.core import smooth
+from jdem.core.parameter import NOT_NEGATIVE, Parameter, Search
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractRollingLaw
@@ -23,3 +24,19 @@ class ConstantTorque(AbstractRollingLaw):
     def limit(self, normal: NormalForce):
         width = self.smoothing.load * normal.frictional_load
         return self.rolling_friction * smooth.absolute(normal.hysteretic, width)
+
+
+PARAMETERS = (
+    Parameter(
+        name="rolling_friction",
+        symbol="mu_r",
+        label="coefficient of rolling friction",
+        accepted=NOT_NEGATIVE,
+        repair="give 0 or a positive number, such as 0.3",
+        search=Search(0.05, 1.0, 0.5, calibrated_sd=0.3),
+        names={
+            "EDEM": "Interaction soil - soil / Coefficient of Rolling Friction",
+            "LIGGGHTS": "coefficientRollingFriction",
+        },
+    ),
+)

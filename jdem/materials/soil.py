@@ -7,12 +7,15 @@ coarser than the soil's own grains carry more surface energy: `surface_energy` k
 its meaning at `reference_diameter` while the spheres are of any size.
 """
 
+from collections.abc import Mapping
+from typing import Protocol
+
 import equinox as eqx
 from jax import Array
 
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
-from jdem.laws.base import AbstractContactLaw
+from jdem.laws.base import AbstractContactLaw, AbstractNormalLaw
 from jdem.laws.composite import ContactLaw
 from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.eepa import EEPA
@@ -26,6 +29,24 @@ from jdem.mechanics.elasticity import (
 )
 
 
+class NormalLaw(Protocol):
+    """A class of normal laws that a soil can choose; `jdem.materials.catalogue` lists them."""
+
+    __name__: str
+
+    def of(
+        self,
+        values: Mapping[str, Real],
+        diameter: Real,
+        adhesion: Real,
+        stiffness: AbstractStiffness,
+        smoothing: Smoothing,
+    ) -> AbstractNormalLaw:
+        """The law from a soil's parameters by name, for bodies of a mean `diameter` (m), with
+        `adhesion` times the soil's own (1 between spheres)."""
+        ...
+
+
 class SoilParameters(eqx.Module):
     """Contact parameters of one soil; SI units, defaults are those of the bundled soil.
 
@@ -33,7 +54,8 @@ class SoilParameters(eqx.Module):
     and tangential_multiplier are dimensionless; surface_energy in J/m2 at
     reference_diameter (m); shear_modulus in Pa; pull_off_force in N (<= 0);
     wall_friction and platen_friction belong to the mould and to the platens.
-    slope_exponent (1 or 1.5) chooses the law, so it is static.
+    slope_exponent (1 or 1.5) chooses the law, so it is static; so is `law`, the normal law, whose
+    parameters beyond these are in `further`, by name.
     """
 
     restitution: Real = quantity(0.322)
@@ -52,25 +74,31 @@ class SoilParameters(eqx.Module):
     wall_adhesion: Real = quantity(0.0)
     stiffness_factor: Real = quantity(2.0)
     slope_exponent: float = eqx.field(static=True, default=1.0)
+    law: NormalLaw = eqx.field(static=True, default=EEPA)
+    further: dict[str, Array] = eqx.field(default_factory=dict)
 
     def __check_init__(self):
         if self.slope_exponent not in (1.0, 1.5):
             raise ValueError(f"slope_exponent is {self.slope_exponent}; give 1 or 1.5")
+
+    def values(self) -> dict[str, Real]:
+        """All parameters by name, SI."""
+        names = (name for name in self.__dataclass_fields__ if name not in ("law", "further"))
+        return {**{name: getattr(self, name) for name in names}, **self.further}
 
 
 def particle_law(
     soil: SoilParameters, mean_diameter: Array, smoothing: Smoothing
 ) -> AbstractContactLaw:
     """Law between spheres of `mean_diameter` (m)."""
-    return _law(soil, soil.surface_energy * mean_diameter / soil.reference_diameter, smoothing)
+    return _law(soil, mean_diameter, 1.0, smoothing)
 
 
 def wall_law(
     soil: SoilParameters, mean_diameter: Array, smoothing: Smoothing
 ) -> AbstractContactLaw:
     """Law between a sphere and a wall of the same modulus; adhesion x `wall_adhesion`."""
-    scaled = soil.surface_energy * mean_diameter / soil.reference_diameter
-    return _law(soil, soil.wall_adhesion * scaled, smoothing)
+    return _law(soil, mean_diameter, soil.wall_adhesion, smoothing)
 
 
 def elasticity(soil: SoilParameters) -> AbstractStiffness:
@@ -81,17 +109,11 @@ def elasticity(soil: SoilParameters) -> AbstractStiffness:
     return HertzStiffness(modulus, contact_shear_modulus(soil.shear_modulus, soil.poisson_ratio))
 
 
-def _law(soil: SoilParameters, surface_energy: Array, smoothing: Smoothing) -> ContactLaw:
+def _law(
+    soil: SoilParameters, mean_diameter: Array, adhesion: Real, smoothing: Smoothing
+) -> ContactLaw:
     stiffness = elasticity(soil)
-    normal = EEPA(
-        stiffness=stiffness,
-        restitution=soil.restitution,
-        surface_energy=surface_energy,
-        plasticity_ratio=soil.plasticity_ratio,
-        tensile_exponent=soil.tensile_exponent,
-        pull_off_force=soil.pull_off_force,
-        smoothing=smoothing,
-    )
+    normal = soil.law.of(soil.values(), mean_diameter, adhesion, stiffness, smoothing)
     return ContactLaw(
         normal=normal,
         shear=stiffness,

@@ -9,6 +9,7 @@ springs the rebound is slower still: e is the dashpot's share only.
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.core.parameter import FRACTION, Parameter, Search
 from jdem.core.quantity import Real
 
 
@@ -21,3 +22,20 @@ def dashpot_constant(restitution: Real, mass: Array, stiffness: Array) -> Array:
 def damping_ratio(log_restitution: Array) -> Array:
     """-ln e / sqrt(pi^2 + ln^2 e): fraction of critical damping, dimensionless."""
     return -log_restitution / jnp.sqrt(jnp.pi**2 + log_restitution**2)
+
+
+PARAMETERS = (
+    Parameter(
+        name="restitution",
+        symbol="e",
+        label="coefficient of restitution",
+        accepted=FRACTION,
+        repair="give a number above 0 and below 1, such as 0.5",
+        search=Search(0.1, 0.9, 0.3, calibrated_sd=0.2),
+        names={
+            "EDEM": "Interaction soil - soil / Coefficient of Restitution",
+            "LIGGGHTS": "coefficientRestitution",
+            "Yade": "G0",
+        },
+    ),
+)

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.core.parameter import POSITIVE, Accepted, Parameter, Search
 from jdem.core.quantity import Real, quantity
 
 
@@ -115,3 +116,42 @@ def contact_modulus(shear_modulus, poisson_ratio):
 def contact_shear_modulus(shear_modulus, poisson_ratio):
     """G* = G / (2 (2 - nu)) of two equal bodies, Pa."""
     return shear_modulus / (2 * (2 - poisson_ratio))
+
+
+PARAMETERS = (
+    Parameter(
+        name="shear_modulus",
+        symbol="G",
+        label="shear modulus",
+        unit="Pa",
+        accepted=POSITIVE,
+        repair='give a positive value, such as "12 MPa"',
+        search=Search(1e6, 60e6, 1.0, calibrated_sd=0.35),
+        names={"EDEM": "Bulk material / Shear Modulus", "LIGGGHTS": "youngsModulus", "Yade": "k1"},
+    ),
+    Parameter(
+        name="slope_exponent",
+        symbol="n",
+        label="exponent of virgin loading",
+        accepted=Accepted(choices=(1.0, 1.5)),
+        repair="give 1 (linear) or 1.5 (Hertz)",
+        names={"EDEM": "EEPA model soil - soil / Slope Exp", "LIGGGHTS": "overlapExponent"},
+    ),
+    Parameter(
+        name="poisson_ratio",
+        symbol="nu",
+        label="Poisson's ratio",
+        accepted=Accepted(0.0, 0.5, most_open=True),
+        repair="run the fit again",
+        free=False,
+        names={"EDEM": "Bulk material / Poisson's Ratio", "LIGGGHTS": "poissonsRatio"},
+    ),
+    Parameter(
+        name="stiffness_factor",
+        symbol="c",
+        label="k1 over E* R* at slope exponent 1",
+        accepted=POSITIVE,
+        repair="run the fit again",
+        free=False,
+    ),
+)

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from jdem.effects.composite import EFFECTS
+from jdem.materials.catalogue import CATALOGUE
 
 MANY, FEW = 0.3, 0.1  # shares of rows in which an effect is at work
 CROWDED = 96  # packings
@@ -39,17 +40,27 @@ WEAKEST = 0.3  # of its limit, an effect by itself
 SETTINGS = ("smoothing", "preparation", "spheres")
 SETTING_SPREAD = (0.5, 0.2, 0.3)
 
+SOIL = (  # parameters that are varied, in the order of a point's coordinates
+    "shear_modulus",
+    "surface_energy",
+    "plasticity_ratio",
+    "static_friction",
+    "rolling_friction",
+    "restitution",
+    "tensile_exponent",
+    "tangential_multiplier",
+)
+
+
+def _calibrated_sd(name: str) -> float:
+    search = CATALOGUE[name].search
+    if search is None or search.calibrated_sd is None:
+        raise ValueError(f"{name} has no calibrated_sd in its catalogue entry: give it one")
+    return search.calibrated_sd
+
+
 # Standard deviations of ln p about a lab's own starting soil, and the centre of the library.
-SOIL_PRIOR_SD: dict[str, float] = {
-    "shear_modulus": 0.35,
-    "surface_energy": 0.45,
-    "plasticity_ratio": 0.08,
-    "static_friction": 0.2,
-    "rolling_friction": 0.3,
-    "restitution": 0.2,
-    "tensile_exponent": 0.3,
-    "tangential_multiplier": 0.2,
-}
+SOIL_PRIOR_SD: dict[str, float] = {name: _calibrated_sd(name) for name in SOIL}
 CENTRE: dict[str, float] = {
     "shear_modulus": 7.7e6,
     "surface_energy": 17.0,

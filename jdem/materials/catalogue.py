@@ -1,0 +1,102 @@
+"""The catalogue of parameters: every entry of every law, by name, and the normal laws by name.
+
+A law's entries stand in its own file; those of walls, which have no law of their own, stand
+here.  A new normal law is one file in `jdem/laws` and one line in LAWS.  Whatever lists, reads,
+bounds or exports parameters takes it from here.
+"""
+
+from typing import NamedTuple
+
+from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
+from jdem.laws import coulomb, eepa, rolling
+from jdem.materials.soil import NormalLaw
+from jdem.mechanics import dashpot, elasticity
+
+
+class Listed(NamedTuple):
+    """A normal law that a soil may choose, and its own parameters."""
+
+    law: NormalLaw
+    parameters: tuple[Parameter, ...]
+
+
+LAWS: dict[str, Listed] = {
+    "eepa": Listed(eepa.EEPA, eepa.PARAMETERS),
+}
+
+WALLS = (
+    Parameter(
+        name="wall_friction",
+        symbol="mu_w",
+        label="friction on the mould",
+        accepted=NOT_NEGATIVE,
+        repair="give 0 or a positive number, such as 0.2",
+        search=Search(0.01, 1.0, 1.0),
+        names={
+            "EDEM": "Interaction soil - mould / Coefficient of Static Friction",
+            "LIGGGHTS": "coefficientFriction",
+        },
+    ),
+    Parameter(
+        name="platen_friction",
+        symbol="mu_p",
+        label="friction on platen and base",
+        accepted=NOT_NEGATIVE,
+        repair="give 0 or a positive number, such as 0.2",
+        search=Search(0.01, 1.5, 1.0),
+        names={
+            "EDEM": "Interaction soil - platen, base / Coefficient of Static Friction",
+            "LIGGGHTS": "coefficientFriction",
+        },
+    ),
+    Parameter(
+        name="wall_adhesion",
+        symbol="w",
+        label="adhesion on walls over that of the soil",
+        accepted=NOT_NEGATIVE,
+        repair="run the fit again",
+        free=False,
+    ),
+)
+SIZES = (
+    Parameter(
+        name="reference_diameter",
+        symbol="d_0",
+        label="diameter at which the surface energy is stated",
+        unit="m",
+        accepted=POSITIVE,
+        repair="run the fit again",
+        free=False,
+    ),
+)
+
+_ORDER = (  # of tables; what is not named here comes after it
+    "restitution",
+    "static_friction",
+    "rolling_friction",
+    "surface_energy",
+    "plasticity_ratio",
+    "tensile_exponent",
+    "tangential_multiplier",
+    "shear_modulus",
+    "pull_off_force",
+    "slope_exponent",
+    "wall_friction",
+    "platen_friction",
+    "poisson_ratio",
+    "reference_diameter",
+    "wall_adhesion",
+)
+
+
+def catalogue(law: str = "eepa") -> dict[str, Parameter]:
+    """All entries of a soil with this normal law (a key of LAWS), by name."""
+    shared = (dashpot, coulomb, rolling, elasticity)
+    entries = [*LAWS[law].parameters, *WALLS, *SIZES]
+    entries += [entry for module in shared for entry in module.PARAMETERS]
+    found = {entry.name: entry for entry in entries}
+    known = [name for name in _ORDER if name in found]
+    return {name: found[name] for name in [*known, *(n for n in found if n not in _ORDER)]}
+
+
+CATALOGUE = catalogue()
