@@ -5,11 +5,12 @@ here.  A new normal law is one file in `jdem/laws` and one line in LAWS.  Whatev
 bounds or exports parameters takes it from here.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
+from jdem.core.quantity import Real, as_quantity
 from jdem.laws import coulomb, eepa, rolling
-from jdem.materials.soil import NormalLaw
+from jdem.materials.soil import NormalLaw, SoilParameters
 from jdem.mechanics import dashpot, elasticity
 
 
@@ -100,3 +101,20 @@ def catalogue(law: str = "eepa") -> dict[str, Parameter]:
 
 
 CATALOGUE = catalogue()
+
+
+def soil_with(law: str, **values: Real) -> SoilParameters:
+    """A soil with this normal law (a key of LAWS) and these values, by name, SI.
+
+    Parameters of the law that a soil without it has not are in the middle of where a fit looks
+    for them unless given, or 0 where it never does.
+    """
+    fields = SoilParameters.__dataclass_fields__
+    own = [entry for entry in LAWS[law].parameters if entry.name not in fields]
+    further = {e.name: as_quantity(values.pop(e.name, _middle(e))) for e in own}
+    shared: dict[str, Any] = values
+    return SoilParameters(law=LAWS[law].law, further=further, **shared)
+
+
+def _middle(entry: Parameter) -> float:
+    return 0.0 if entry.search is None else (entry.search.low * entry.search.high) ** 0.5
