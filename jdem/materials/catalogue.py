@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, as_quantity
-from jdem.laws import coulomb, eepa, rolling
+from jdem.laws import coulomb, eepa, hysteretic, rolling
 from jdem.materials.soil import NormalLaw, SoilParameters
 from jdem.mechanics import dashpot, elasticity
 
@@ -23,6 +23,7 @@ class Listed(NamedTuple):
 
 LAWS: dict[str, Listed] = {
     "eepa": Listed(eepa.EEPA, eepa.PARAMETERS),
+    "hysteretic": Listed(hysteretic.HystereticSpring, hysteretic.PARAMETERS),
 }
 
 WALLS = (
