@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hand_made_beds import advanced, bed_of, spheres_of, state_of
+from jdem.boundaries.composite import BASE
 from law_cases import MOST, PAIR, RADIUS, law_of
 
 from jdem.apparatus.pair import collide, drive_overlap, overlap_path
-from jdem.boundaries.composite import BASE
 from jdem.core.smooth import Smoothing
 from jdem.materials.catalogue import soil_with
 from jdem.materials.soil import wall_law
