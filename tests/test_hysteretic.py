@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hand_made_beds import advanced, bed_of, spheres_of, state_of
-from jdem.boundaries.composite import BASE
+from jdem.boundaries.walls import BASE
 from law_cases import MOST, PAIR, RADIUS, law_of
 
 from jdem.apparatus.pair import collide, drive_overlap, overlap_path
