@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.core.quantity import Real, quantity
-
 
 class Curve(eqx.Module):
     """Platen displacement (m, downward) and force (N); rows count where `valid` is 1."""
@@ -94,17 +92,6 @@ class LargestDisplacement(AbstractGauge):
         return jnp.max(jnp.where(curve.valid > 0, curve.displacement, -jnp.inf))
 
 
-class DisplacementBetween(AbstractGauge):
-    """Displacement (m) between two forces (N) on first loading."""
-
-    force_low: Real = quantity()
-    force_high: Real = quantity()
-    name: str = eqx.field(static=True, default="depression_depth")
-
-    def of(self, curve: Curve, movement: Array) -> Array:
-        return depression_depth(curve, self.force_low, self.force_high)
-
-
 class ForceLeft(AbstractGauge):
     """Force (N) at the end of movement `held`."""
 
@@ -114,14 +101,3 @@ class ForceLeft(AbstractGauge):
     def of(self, curve: Curve, movement: Array) -> Array:
         rows = jnp.arange(curve.force.shape[0])
         return curve.force[jnp.max(jnp.where(movement == self.held, rows, 0))]
-
-
-class LargestForce(AbstractGauge):
-    """The largest force (N), smoothed over `width` (N) and averaged over `rows` samples."""
-
-    width: float = eqx.field(static=True, default=2.0)
-    rows: int = eqx.field(static=True, default=5)
-    name: str = eqx.field(static=True, default="largest_force")
-
-    def of(self, curve: Curve, movement: Array) -> Array:
-        return crushing_force(running_mean(curve, self.rows), self.width)

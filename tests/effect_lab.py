@@ -3,11 +3,12 @@
 import equinox as eqx
 import jax
 import numpy as np
+from jax import Array
 
 from calibrate.simulation.resolution import numerics_for
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
-from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
+from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Specimen
 
@@ -40,3 +41,13 @@ def arrays(tree):
 def assert_same(ours, theirs):
     for a, b in zip(arrays(ours), arrays(theirs), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def depth_of(outcome: Outcome) -> Array:
+    """Depression depth, m."""
+    return outcome.observables["confined"]["depression_depth"]
+
+
+def force_of(outcome: Outcome) -> Array:
+    """Crushing force, N."""
+    return outcome.observables["unconfined"]["crushing_force"]

@@ -14,7 +14,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from effect_lab import HOLD, NUMERICS, SMALL, SOIL, arrays, assert_same, both_tests, lab_with
+from effect_lab import (
+    HOLD,
+    NUMERICS,
+    SMALL,
+    SOIL,
+    arrays,
+    assert_same,
+    both_tests,
+    depth_of,
+    force_of,
+    lab_with,
+)
 
 from jdem.core.quantity import Real, as_quantity, quantity
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
@@ -95,10 +106,7 @@ def test_strength_zero_is_the_base_model_bit_for_bit(base, outcome):
     """All effects at once, in one program that is not the base model's."""
     nothing = outcome()
     assert not base.failed
-    assert (
-        len(rows(base.curves["unconfined"])[0]) > 20
-        and base.observables["unconfined"]["crushing_force"] > 5.0
-    )
+    assert len(rows(base.curves["unconfined"])[0]) > 20 and force_of(base) > 5.0
     for field in ("observables", "curves", "nominal_time"):
         assert_same(getattr(nothing, field), getattr(base, field))
     assert_same(nothing.record.samples, base.record.samples)
@@ -111,7 +119,7 @@ def test_effects_keep_single_precision(packing):
     lab = VirtualLab.of(SMALL, both_tests(), numerics, ALL.effects)
     outcome = eqx.filter_eval_shape(VirtualLab.run, lab, packing, SOIL)
     shown = (
-        outcome.observables["confined"]["depression_depth"],
+        depth_of(outcome),
         outcome.curves["confined"],
         outcome.curves["unconfined"],
         outcome.nominal_time,
@@ -135,10 +143,7 @@ def test_an_effect_of_a_users_own(base, packing, time_step):
     outcomes = [run(lab_with(Lightness(s)), packing, SOIL, time_step) for s in (0.0, 1.0)]
     assert_same(outcomes[0].curves["confined"], base.curves["confined"])
     assert_same(outcomes[0].curves["unconfined"], base.curves["unconfined"])
-    assert (
-        outcomes[1].observables["confined"]["depression_depth"]
-        > 1.5 * base.observables["confined"]["depression_depth"]
-    )
+    assert outcomes[1].observables["confined"]["depression_depth"] > 1.5 * depth_of(base)
 
 
 # ------------------------------------------------------------------ instruments
@@ -160,15 +165,9 @@ def test_compliance_flattens_slopes_by_the_closed_form(outcome):
     slope = (force[-1] - force[0]) / (d[-1] - d[0])
     assert slope == pytest.approx(steep / (1 + compliance * steep), rel=1e-9)
     assert slope < 0.97 * steep
-    deeper = (
-        shown.observables["confined"]["depression_depth"]
-        - true.observables["confined"]["depression_depth"]
-    )
+    deeper = depth_of(shown) - depth_of(true)
     assert deeper == pytest.approx(100.0 * compliance, rel=1e-9)
-    assert (
-        shown.observables["unconfined"]["crushing_force"]
-        == true.observables["unconfined"]["crushing_force"]
-    )
+    assert force_of(shown) == force_of(true)
 
 
 def test_a_seating_gap_is_a_toe(outcome):
@@ -179,15 +178,9 @@ def test_a_seating_gap_is_a_toe(outcome):
     closed = gap * (1 - np.exp(-np.maximum(force, 0) / 15.0))
     assert np.abs(shifted - shifted[0] - (d - d[0]) - (closed - closed[0])).max() < 1e-12
     # Between 100 and 200 N exp(-100/15) of the gap is left to close.
-    change = (
-        shown.observables["confined"]["depression_depth"]
-        - true.observables["confined"]["depression_depth"]
-    )
+    change = depth_of(shown) - depth_of(true)
     assert abs(change) < 1.01 * gap * math.exp(-100 / 15)
-    assert (
-        shown.observables["unconfined"]["crushing_force"]
-        == true.observables["unconfined"]["crushing_force"]
-    )
+    assert force_of(shown) == force_of(true)
 
 
 def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
@@ -224,9 +217,7 @@ def test_the_machine_turns_at_what_its_load_cell_shows(outcome):
     assert pressed[1] == pytest.approx(pressed[0] / (1 + gain), abs=1.0)
     loading = Curve(*(np.asarray(x) for x in jax.tree.leaves(true.curves["confined"])))
     reached = [displacement_at(loading, force / (1 + gain)) for force in (100.0, 200.0)]
-    assert shown.observables["confined"]["depression_depth"] == pytest.approx(
-        float(reached[1] - reached[0]), rel=2e-3
-    )
+    assert depth_of(shown) == pytest.approx(float(reached[1] - reached[0]), rel=2e-3)
 
 
 def test_a_late_reading_shifts_loading_and_overshoots(outcome):
@@ -259,10 +250,7 @@ def test_drift_shows_only_in_the_slow_test(outcome):
     ).max()
     assert 0 < change < drift * seconds
     minutes = np.asarray(true.nominal_time)[np.asarray(true.curves["unconfined"].valid) > 0][-1]
-    grown = float(
-        shown.observables["unconfined"]["crushing_force"]
-        - true.observables["unconfined"]["crushing_force"]
-    )
+    grown = float(force_of(shown) - force_of(true))
     assert grown == pytest.approx(drift * minutes, rel=0.1)
 
 
@@ -280,10 +268,7 @@ def test_wall_friction_keeps_force_from_the_base_and_falls_fast_after_reversal(o
         late = travel > 5e-4
         assert np.mean(unloading.base_force[late]) > np.mean(unloading.platen_force[late])
     assert shares[1] < 0.9 * shares[0]
-    assert (
-        high.observables["confined"]["depression_depth"]
-        < low.observables["confined"]["depression_depth"]
-    )
+    assert depth_of(high) < depth_of(low)
     print(f"base/platen {shares}, force left after 0.5 mm of unloading {drops}")
     assert drops[1] < 0.95 * drops[0]
 
@@ -296,20 +281,9 @@ def secant(outcome, travel=5e-4):
 
 def test_platen_friction_acts_without_the_mould(outcome):
     low, high = outcome(), outcome(platen_friction=0.5)
-    assert (
-        high.observables["unconfined"]["crushing_force"]
-        > low.observables["unconfined"]["crushing_force"]
-    )
-    depth = (
-        high.observables["confined"]["depression_depth"]
-        / low.observables["confined"]["depression_depth"]
-        - 1
-    )
-    force = (
-        high.observables["unconfined"]["crushing_force"]
-        / low.observables["unconfined"]["crushing_force"]
-        - 1
-    )
+    assert force_of(high) > force_of(low)
+    depth = depth_of(high) / depth_of(low) - 1
+    force = force_of(high) / force_of(low) - 1
     print(f"platen friction: depth {float(depth):+.3f}, crushing force {float(force):+.3f}")
     assert abs(depth) < 0.5 * abs(force)
 
@@ -318,20 +292,16 @@ def test_the_second_test_alone_is_multiplied(outcome):
     low, high = outcome(), outcome(second_test_factor=0.3)
     assert_same(high.curves["confined"], low.curves["confined"])
     assert secant(high) / secant(low) == pytest.approx(1.3, rel=0.1)
-    assert high.observables["unconfined"]["crushing_force"] / low.observables["unconfined"][
-        "crushing_force"
-    ] == pytest.approx(1.3, rel=0.1)
+    assert force_of(high) / low.observables["unconfined"]["crushing_force"] == pytest.approx(
+        1.3, rel=0.1
+    )
 
 
 def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
     rho = 0.1
     low, high = outcome(), outcome(rate_dependence=rho)
     decades = math.log10(1e-5 / 8e-3)
-    change = float(
-        high.observables["confined"]["depression_depth"]
-        / low.observables["confined"]["depression_depth"]
-        - 1
-    )
+    change = float(depth_of(high) / depth_of(low) - 1)
     assert abs(change) < 0.02
     ratio = secant(high) / secant(low)
     slowest = math.exp(rho * decades)
@@ -380,16 +350,8 @@ def standing_at(height, time):
 
 def test_capillary_tension_strengthens_without_the_mould(outcome):
     low, high = outcome(), outcome(capillary_tension=1e4)
-    depth = float(
-        high.observables["confined"]["depression_depth"]
-        / low.observables["confined"]["depression_depth"]
-        - 1
-    )
-    force = float(
-        high.observables["unconfined"]["crushing_force"]
-        / low.observables["unconfined"]["crushing_force"]
-        - 1
-    )
+    depth = float(depth_of(high) / depth_of(low) - 1)
+    force = float(force_of(high) / force_of(low) - 1)
     print(f"capillary tension: depth {depth:+.3f}, crushing force {force:+.3f}")
     assert force > 0.1
     assert abs(depth) < 0.3 * force
@@ -398,10 +360,7 @@ def test_capillary_tension_strengthens_without_the_mould(outcome):
 def test_cementation_acts_after_the_confined_test(outcome):
     low, high = outcome(), outcome(cementation=5e4)
     assert_same(high.curves["confined"], low.curves["confined"])
-    assert (
-        high.observables["unconfined"]["crushing_force"]
-        > 1.1 * low.observables["unconfined"]["crushing_force"]
-    )
+    assert force_of(high) > 1.1 * force_of(low)
     assert secant(high) > secant(low)
 
 
@@ -425,8 +384,8 @@ def slopes(packing, time_step):
         outcome = lab.run(packing, SOIL, time_step)
         return jnp.stack(
             [
-                1e3 * outcome.observables["confined"]["depression_depth"],
-                outcome.observables["unconfined"]["crushing_force"],
+                1e3 * depth_of(outcome),
+                force_of(outcome),
             ]
         )
 
@@ -449,8 +408,8 @@ def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
     pairs = [
         np.array(
             [
-                1e3 * o.observables["confined"]["depression_depth"],
-                o.observables["unconfined"]["crushing_force"],
+                1e3 * depth_of(o),
+                force_of(o),
             ],
             float,
         )

@@ -1,10 +1,13 @@
 """A test as a list of steps: its movements, and what it gives on a small bed."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from calibrate.simulation.run import not_simulated
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.protocol import LONGEST_HOLD, Protocol, Step
 from jdem.engine.bed import Numerics
@@ -51,6 +54,30 @@ def test_tests_of_one_sequence_have_names_of_their_own():
         TestSequence((cycle(), cycle()))
     with pytest.raises(ValueError, match="at least one"):
         TestSequence(())
+
+
+def test_a_step_keeps_the_force_of_the_step_before_it():
+    steps = (Step("force", "load", 100.0), Step("keep", "creep", 60.0))
+    _, kept = Protocol(steps).movements()
+    assert float(kept.segment.force_target) == 100.0 and float(kept.segment.tolerance) == 0.0
+
+
+def test_what_no_machine_can_do_is_refused():
+    with pytest.raises(ValueError, match="no kind of step 'push'"):
+        Step("push", "push")
+    with pytest.raises(ValueError, match="no force to keep"):
+        Protocol((Step("travel", "down", 1e-3), Step("keep", "creep", 60.0)))
+
+
+def test_no_observable_hides_that_of_another_test():
+    twice = TestSequence((cycle(), replace(cycle(), name="again")))
+    lab = VirtualLab.of(SPECIMEN, twice, Numerics())
+    named = not_simulated(lab, "the machine failed").observables
+    assert set(named) == {
+        f"{test}.{name}"
+        for test in ("cycle", "again")
+        for name in ("force_left_n", "settlement_mm")
+    }
 
 
 @pytest.fixture(scope="module")

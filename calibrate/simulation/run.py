@@ -20,7 +20,6 @@ UNITS = {
     "crushing_force": ("crushing_force_n", 1.0),
     "settlement": ("settlement_mm", 1e3),
     "force_left": ("force_left_n", 1.0),
-    "largest_force": ("largest_force_n", 1.0),
 }
 UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
 QUALITY = (
@@ -54,7 +53,7 @@ def not_simulated(lab: VirtualLab, failure: str) -> Run:
     """The row of a run that no machine could finish: empty curves, numbers that are NaN."""
     quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
     curves = {test.name: np.zeros((0, 2)) for test in lab.tests.apparatus}
-    found = {UNITS[name][0]: np.nan for test in lab.tests.apparatus for name in test.observables}
+    found = {name: np.nan for name, _ in _names(lab).values()}
     return Run(found, curves, quality, failure)
 
 
@@ -80,20 +79,31 @@ def summary(
         "runtime_s": seconds,
     }
     return Run(
-        observables=_observables(outcome),
+        observables=_observables(lab, outcome),
         curves={name: _points(curve) for name, curve in outcome.curves.items()},
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
     )
 
 
-def _observables(outcome: Outcome) -> dict[str, float]:
+def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:
     """All observables of an outcome by their names in results."""
     return {
-        UNITS[name][0]: UNITS[name][1] * float(value)
-        for found in outcome.observables.values()
-        for name, value in found.items()
+        name: factor * float(outcome.observables[test][source])
+        for (test, source), (name, factor) in _names(lab).items()
     }
+
+
+def _names(lab: VirtualLab) -> dict[tuple[str, str], tuple[str, float]]:
+    """Name in results and factor of each test's observables; with the test's name before it where
+    several tests give the same one, and in SI where UNITS does not know it."""
+    given = [(test.name, source) for test in lab.tests.apparatus for source in test.observables]
+    sources = [source for _, source in given]
+    found = {}
+    for test, source in given:
+        name, factor = UNITS.get(source, (source, 1.0))
+        found[test, source] = (name if sources.count(source) == 1 else f"{test}.{name}", factor)
+    return found
 
 
 def _inertial_number(lab: VirtualLab, packing: Packing) -> float:

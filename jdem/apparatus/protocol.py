@@ -22,6 +22,7 @@ from jdem.observables import AbstractGauge, Curve, displacement_at
 
 TO_FORCE, TRAVEL, HOLD, KEEP_FORCE, OPEN, REST = "force", "travel", "hold", "keep", "open", "rest"
 MOVING = (TO_FORCE, TRAVEL)
+KINDS = (TO_FORCE, TRAVEL, HOLD, KEEP_FORCE, OPEN, REST)
 LONGEST_HOLD = 0.02  # s, simulated
 REST_TIME = 0.05  # s, simulated
 OPENING, OPENING_RATE = 1e-3, 0.02  # m, m/s; of the mould
@@ -38,6 +39,10 @@ class Step(eqx.Module):
     name: str = eqx.field(static=True)
     value: Real = quantity(0.0)
     nominal_rate: Real = quantity(1e-3)
+
+    def __check_init__(self):
+        if self.kind not in KINDS:
+            raise ValueError(f"no kind of step '{self.kind}'; give one of {', '.join(KINDS)}")
 
 
 class Protocol(AbstractApparatus):
@@ -73,6 +78,12 @@ class Protocol(AbstractApparatus):
             else:
                 made.append(self._holding(step, force, free))
         return made
+
+    def __check_init__(self):
+        kinds = [step.kind for step in self.steps if step.kind != HOLD]
+        for before, kind in zip([None, *kinds], kinds, strict=False):
+            if kind == KEEP_FORCE and before not in (TO_FORCE, KEEP_FORCE):
+                raise ValueError("a step 'keep' has no force to keep; put a step 'force' before it")
 
     def read(self, readings: Readings, movement: Array) -> Reading:
         movements = self.movements()
