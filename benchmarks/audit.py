@@ -18,7 +18,7 @@ import reporting
 
 from calibrate import figures as plotting
 from calibrate.core.progress import for_terminal
-from calibrate.inference.audit import OBSERVABLES, Audit, audit, audit_json, judged
+from calibrate.inference.audit import Audit, audit, audit_json, judged
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.records.audit import AuditSlopes
@@ -93,7 +93,7 @@ def _table(found: list[dict]) -> str:
     rows = [
         [
             row["parameter"],
-            "H" if row["observable"] == OBSERVABLES[0] else "F",
+            "H" if row["observable"] == "depression_depth_mm" else "F",
             f"{row['reference']:.3g} ± {row['reference_se']:.2g}",
             f"{row['estimate']:.3g} ± {row['estimate_se']:.2g}",
             f"{100 * row['relative_error']:+.0f} %" if row["judged"] else "",

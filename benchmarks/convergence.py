@@ -75,8 +75,8 @@ def laboratory(lab: Lab, variant: Variant) -> tuple[VirtualLab, object]:
     preset = replace(
         quick,
         spheres=variant.spheres,
-        confined_rate=variant.rate * quick.confined_rate,
-        unconfined_rate=variant.rate * quick.unconfined_rate,
+        rate_in_mould=variant.rate * quick.rate_in_mould,
+        rate_free=variant.rate * quick.rate_free,
     )
     cylinder = specimen(lab, preset)
     virtual = virtual_lab(lab, preset, numerics_for(cylinder, **variant.numerics))

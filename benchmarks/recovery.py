@@ -164,15 +164,16 @@ def _lab_text(lab: Lab, name: str, measured: str) -> str:
         for key, choice in lab.parameters.items()
         if choice.value is not None
     )
+    first, second = lab.pair().compression, lab.pair().crushing
     return (
         f'[soil]\nname = "hidden parameters, case {name}"\ndensity = [{densities}]\n\n'
         f'[specimen]\ndiameter = "{1e3 * lab.specimen.diameter:g} mm"\n'
         f'height = "{1e3 * lab.specimen.height:g} mm"\n\n'
-        f'[confined]\nrate = "{1e3 * lab.confined.rate:g} mm/s"\n'
-        f'force_low = "{lab.confined.force_low:g} N"\n'
-        f'force_high = "{lab.confined.force_high:g} N"\n\n'
-        f'[unconfined]\nrate = "{1e3 * lab.unconfined.rate:g} mm/s"\n'
-        f'rest = "{lab.unconfined.rest:g} s"\n\n'
+        f'[confined]\nrate = "{1e3 * first.rate:g} mm/s"\n'
+        f'force_low = "{first.force_low:g} N"\n'
+        f'force_high = "{first.force_high:g} N"\n\n'
+        f'[unconfined]\nrate = "{1e3 * second.rate:g} mm/s"\n'
+        f'rest = "{second.rest:g} s"\n\n'
         f"{measured}"
         f"[particles]\npoisson_ratio = {lab.particles.poisson_ratio}\n"
         f'reference_diameter = "{1e6 * (lab.particles.reference_diameter or 0):.10g} um"\n\n'

@@ -26,7 +26,9 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.inference.audit import OBSERVABLES, POINTS, CurvePoints, judged, traced
+from calibrate.designs.study import OBSERVABLES
+from calibrate.inference.audit import judged, traced
+from calibrate.inference.curve_points import POINTS, CurvePoints
 from calibrate.inference.parameters import FACTORS, Space, space
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation import Campaign, engine_hash

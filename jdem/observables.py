@@ -5,11 +5,14 @@ be compiled once, vectorised and differentiated.
 """
 
 import abc
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
+
+from jdem.core.quantity import Real, cast, quantity
 
 
 class Curve(eqx.Module):
@@ -81,6 +84,35 @@ class AbstractGauge(eqx.Module):
     @abc.abstractmethod
     def of(self, curve: Curve, movement: Array) -> Array:
         """The number, SI; `movement` (samples,) is the number of the movement under way."""
+
+    def sampled(self, ratio: float) -> "AbstractGauge":
+        """The same gauge where samples are `ratio` times as dense."""
+        return self
+
+
+class DepressionDepth(AbstractGauge):
+    """Displacement (m) between two forces (N), each where it is first reached."""
+
+    force_low: Real = quantity(200.0)
+    force_high: Real = quantity(400.0)
+    name: str = eqx.field(static=True, default="depression_depth")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        return depression_depth(curve, *cast((self.force_low, self.force_high), curve.force.dtype))
+
+
+class CrushingForce(AbstractGauge):
+    """Largest force (N), averaged over `rows` samples (odd) and smoothed over `width` (N)."""
+
+    rows: int = eqx.field(static=True, default=5)
+    width: float = eqx.field(static=True, default=2.0)
+    name: str = eqx.field(static=True, default="crushing_force")
+
+    def of(self, curve: Curve, movement: Array) -> Array:
+        return crushing_force(running_mean(curve, self.rows), self.width)
+
+    def sampled(self, ratio: float) -> "CrushingForce":
+        return replace(self, rows=2 * int(self.rows * ratio / 2) + 1)
 
 
 class LargestDisplacement(AbstractGauge):

@@ -11,9 +11,9 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised, simple
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.features.base import UsualSizes
-from calibrate.discrepancy.features.confined import NAME as CONFINED
-from calibrate.discrepancy.features.curves import declare, tests_of
+from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.labtests.diagnosis.confined import NAME as CONFINED
+from calibrate.labtests.diagnosis.curves import declare, tests_of
 
 FEATURES = declare(UsualSizes(400.0, 6.0, 200.0))
 CONFINED_ONES = tests_of(FEATURES) == CONFINED

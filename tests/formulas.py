@@ -4,6 +4,7 @@ It has the interface of a campaign, so that it is statistics and not DEM that is
 """
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,6 +76,12 @@ class Formulas:
     progress: Silent = field(default_factory=Silent)
     simulated: int = 0
     lab: VirtualLab = field(default_factory=lambda: virtual_lab(LAB, PRESETS["quick"]))
+
+    folder: Path = Path()
+
+    @property
+    def apparatus(self):
+        return self.lab.tests.apparatus
 
     def runs(self, soils, seeds, what):
         return self.each([[soil] * len(seeds) for soil in soils], seeds, what)

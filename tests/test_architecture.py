@@ -35,6 +35,7 @@ ORDER = {
     ),
     "calibrate": (
         "core",
+        "labtests",
         "io",
         "simulation",
         "inference",

@@ -31,9 +31,9 @@ from calibrate.discrepancy.comparison.reduction import (
 from calibrate.discrepancy.comparison.refit import local_minima, refit, start_at
 from calibrate.discrepancy.comparison.repeats import from_targets, from_vectors
 from calibrate.discrepancy.comparison.verdict import as_json, effect_estimates, status
-from calibrate.discrepancy.features.confined import NAME as CONFINED
-from calibrate.discrepancy.features.curves import declare_targets
-from calibrate.discrepancy.features.unconfined import NAME as UNCONFINED
+from calibrate.labtests.diagnosis.confined import NAME as CONFINED
+from calibrate.labtests.diagnosis.curves import declare_targets
+from calibrate.labtests.diagnosis.unconfined import NAME as UNCONFINED
 
 KNOWN = generator.description()
 NULLS, STRONG = 60, 24

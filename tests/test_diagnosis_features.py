@@ -15,10 +15,10 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.features.base import UsualSizes
-from calibrate.discrepancy.features.confined import NAME as CONFINED
-from calibrate.discrepancy.features.contact import force_before_contact, readings_before_contact
-from calibrate.discrepancy.features.curves import (
+from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.labtests.diagnosis.confined import NAME as CONFINED
+from calibrate.labtests.diagnosis.contact import force_before_contact, readings_before_contact
+from calibrate.labtests.diagnosis.curves import (
     declare,
     declare_targets,
     feature_values,
@@ -26,7 +26,7 @@ from calibrate.discrepancy.features.curves import (
     segments_of,
     tared_rows,
 )
-from calibrate.discrepancy.features.unconfined import NAME as UNCONFINED
+from calibrate.labtests.diagnosis.unconfined import NAME as UNCONFINED
 
 FEATURES = declare(UsualSizes(400.0, 6.0, 200.0))
 PEAK = [f.kind for f in FEATURES].index("peak force")

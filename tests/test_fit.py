@@ -13,18 +13,19 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, specimen
+from two_tests import pressed_lightly
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
 from calibrate.inference.fit import Calibration, Settings, descend, fit, packing_scatter
 from calibrate.inference.parameters import space
-from calibrate.inference.problem import Feature, Problem, pose
-from calibrate.io.lab import Curve
+from calibrate.inference.problem import Problem, pose
+from calibrate.labtests.features import ScalarTarget
+from calibrate.labtests.measured import Curve
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import campaign
@@ -37,21 +38,16 @@ def measured_lab(soil, seed, curves):
     runs = [specimen(soil, 10_000 + 10 * seed + k) for k in range(4)]
     pairs = [("confined", run.curves["confined"]) for run in runs]
     pairs += [("unconfined", run.curves["unconfined"]) for run in runs]
-    return SimpleNamespace(
-        file="lab.toml",
-        targets={},
-        curves=tuple(Curve(t, c[:, 0], c[:, 1], "c.csv") for t, c in pairs) if curves else (),
-        confined=LAB.confined,
-        specimen=LAB.specimen,
-    ), runs
+    read = tuple(Curve(t, c[:, 0], c[:, 1], "c.csv") for t, c in pairs) if curves else ()
+    return replace(LAB, file="lab.toml", targets={}, curves=read), runs
 
 
 def scalar_problem(runs):
     """Both observables: mean, and variance of the mean, of four specimens."""
     values = np.array([list(run.observables.values()) for run in runs])
     features = (
-        Feature("depression_depth_mm", "mm", "target"),
-        Feature("crushing_force_n", "N", "target"),
+        ScalarTarget("depression_depth_mm", "mm", ""),
+        ScalarTarget("crushing_force_n", "N", ""),
     )
     variance = values.var(axis=0, ddof=1) / len(values)
     return Problem(features, values.mean(axis=0), variance, np.zeros(2, int))
@@ -262,11 +258,7 @@ json.dump(tiny_fit(Path(sys.argv[1])), open(sys.argv[2], "w"))
 
 def tiny_lab():
     """The bundled soil in a low mould, pressed with 50 N."""
-    return replace(
-        LAB,
-        specimen=replace(LAB.specimen, height=0.05),
-        confined=replace(LAB.confined, force_low=25.0, force_high=50.0),
-    )
+    return pressed_lightly(LAB)
 
 
 def tiny_campaign(folder):
@@ -371,7 +363,7 @@ def test_keys_tell_runs_apart(tiny_folder):
     """Soil, seed, protocol and numerics each change the key; the same run keeps its key."""
     work = tiny_campaign(tiny_folder)
     other = space(LAB, TWO, BASE).soil(START_TWO * [1.0, 1 + 1e-15])
-    slower = campaign(tiny_lab(), replace(TINY, confined_rate=0.05), tiny_folder, Silent())
+    slower = campaign(tiny_lab(), replace(TINY, rate_in_mould=0.05), tiny_folder, Silent())
     taller = campaign(LAB, TINY, tiny_folder, Silent())
     keys = [work.key(BASE, 0), work.key(BASE, 1), work.key(other, 0)]
     keys += [lab.key(BASE, 0) for lab in (slower, taller)]

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from calibrate.discrepancy.comparison.recording import Channel, recording
-from calibrate.discrepancy.features.base import UsualSizes
-from calibrate.discrepancy.features.curves import declare
 from calibrate.discrepancy.library.instruments import (
     LAGS,
     RecordedEmulator,
@@ -17,6 +15,8 @@ from calibrate.discrepancy.library.instruments import (
     lagged,
 )
 from calibrate.discrepancy.library.measurements import ScaledMeasurements
+from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.labtests.diagnosis.curves import declare
 
 FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
 

@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibrate.core.errors import InputError
-from calibrate.io.lab import Lab, ParameterChoice, Target, bundled_lab, load_lab
+from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
+from calibrate.labtests.measured import Target
 
 SILT_LOAM = Path(__file__).parent / "data" / "silt_loam"
 GOOD = (SILT_LOAM / "lab.toml").read_text(encoding="utf-8")
@@ -47,7 +48,7 @@ def test_soil_specimen_and_protocol_are_read_into_si(folder):
     assert (lab.name, lab.source) == ("silt loam", "field 3")
     np.testing.assert_allclose(lab.density_kg_m3, [1629.4, 1959.2])
     np.testing.assert_allclose(lab.water_content, [0.22835])
-    specimen, confined, unconfined = lab.specimen, lab.confined, lab.unconfined
+    specimen, confined, unconfined = lab.specimen, *lab.tests
     assert (specimen.diameter, specimen.height) == pytest.approx((0.05, 0.1))
     assert specimen.mould_height == pytest.approx(0.15)
     np.testing.assert_allclose(
@@ -97,7 +98,8 @@ def test_optional_sections_have_the_defaults_of_the_paper(folder):
     text = HEAD + '[targets.crushing_force]\nmean = "9 N"\nscatter = "1 N"\nrepeats = 1\n'
     (folder / "lab.toml").write_text(text)
     lab = load_lab(folder / "lab.toml")
-    assert (lab.confined.rate, lab.confined.force_high, lab.unconfined.rate) == (8e-3, 400, 1e-5)
+    confined, unconfined = lab.tests
+    assert (confined.rate, confined.force_high, unconfined.rate) == (8e-3, 400, 1e-5)
     assert (lab.density_kg_m3, lab.curves, lab.parameters) == ((), (), {})
     assert lab.particles.reference_diameter is None
 

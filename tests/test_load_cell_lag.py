@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.features.curves import feature_values
 from calibrate.discrepancy.library.load_cell_lag import LoadCellLag
 from calibrate.discrepancy.library.run_library import declared
+from calibrate.labtests.diagnosis.curves import feature_values
 
 SPEED = 8.0  # mm/s
 FEATURES = declared(400.0)

@@ -7,7 +7,7 @@ import pytest
 from calibrate.discrepancy.comparison.noise import amplitude_of
 from calibrate.discrepancy.comparison.outliers import FREEDOM, robust, weights
 from calibrate.discrepancy.comparison.repeats import from_vectors
-from calibrate.discrepancy.features.curves import declare_before_contact
+from calibrate.labtests.diagnosis.curves import declare_before_contact
 
 SCATTER = np.diag([1.0, 4.0, 0.25])
 RNG = np.random.default_rng(0)

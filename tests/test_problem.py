@@ -4,7 +4,8 @@ Features of curves that are straight lines, covariances written down by hand, bo
 parameters there and back, and linear toy problems for `assess` and `choose_free`.
 """
 
-from types import SimpleNamespace
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,9 +17,17 @@ from two_tests import two_tests
 from calibrate.core.errors import InputError
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
 from calibrate.inference.parameters import RANGES, Space, space
-from calibrate.inference.problem import SEATING, Feature, Problem, pose, shrunk_covariance
-from calibrate.io.lab import Curve, bundled_lab, load_lab
+from calibrate.inference.problem import Problem, pose, shrunk_covariance
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.features import (
+    SEATING,
+    DisplacementOnLoading,
+    DisplacementOnUnloading,
+    ForceAtDisplacement,
+    ScalarTarget,
+)
+from calibrate.labtests.measured import Curve
 from jdem.materials.soil import SoilParameters
 
 LAB = load_lab(bundled_lab())
@@ -45,13 +54,13 @@ def crushing_curve(slope=50.0, points=401):
 
 @pytest.mark.parametrize("force", [50.0, 200.0, 400.0])
 def test_displacement_on_loading_counts_from_the_seating_force(force):
-    feature = Feature("up", "mm", "loading", force)
+    feature = DisplacementOnLoading("up", "mm", "confined", force)
     assert feature.of_curve(*confined_curve()) == pytest.approx((force - SEATING) / UP, rel=1e-12)
 
 
 @pytest.mark.parametrize("force", [40.0, 200.0])
 def test_displacement_on_unloading_counts_from_the_same_zero(force):
-    feature = Feature("down", "mm", "unloading", force)
+    feature = DisplacementOnUnloading("down", "mm", "confined", force)
     expected = (400.0 - SEATING) / UP - (400.0 - force) / DOWN
     assert feature.of_curve(*confined_curve()) == pytest.approx(expected, rel=1e-12)
 
@@ -64,15 +73,15 @@ def test_crushing_force_at_a_travel_from_first_contact(travel):
     on top of SEATING/slope, and the window's ends may hold one point more on one side.
     """
     slope = 50.0
-    feature = Feature("crush", "N", "crushing", travel)
+    feature = ForceAtDisplacement("crush", "N", "unconfined", travel)
     expected = slope * travel + SEATING
     assert abs(feature.of_curve(*crushing_curve(slope)) - expected) < 1.5 * slope * 0.025
 
 
 def test_features_do_not_depend_on_where_the_machine_counts_from():
     displacement, force = confined_curve()
-    for kind, abscissa in (("loading", 300.0), ("unloading", 100.0)):
-        feature = Feature("x", "mm", kind, abscissa)
+    for kind, abscissa in ((DisplacementOnLoading, 300.0), (DisplacementOnUnloading, 100.0)):
+        feature = kind("x", "mm", "confined", abscissa)
         shifted = feature.of_curve(displacement + 12.5, force)
         assert shifted == pytest.approx(feature.of_curve(displacement, force), abs=1e-9)
 
@@ -81,7 +90,7 @@ def test_a_dip_on_the_way_up_does_not_confuse_the_reading():
     """The running maximum is read: a dip after the force was reached changes nothing."""
     displacement, force = confined_curve()
     dipped = np.where((force > 250) & (displacement < TOE + 2.6), 245.0, force)
-    feature = Feature("up", "mm", "loading", 200.0)
+    feature = DisplacementOnLoading("up", "mm", "confined", 200.0)
     assert feature.of_curve(displacement, dipped) == feature.of_curve(displacement, force)
 
 
@@ -93,9 +102,9 @@ def run_of(depth=3.0, force=200.0, failure=""):
 def test_a_run_is_read_by_observable_or_by_curve():
     problem = Problem(
         (
-            Feature("depression_depth_mm", "mm", "target"),
-            Feature("crushing_force_n", "N", "target"),
-            Feature("up", "mm", "loading", 400.0),
+            ScalarTarget("depression_depth_mm", "mm", ""),
+            ScalarTarget("crushing_force_n", "N", ""),
+            DisplacementOnLoading("up", "mm", "confined", 400.0),
         ),
         np.zeros(3),
         np.zeros(3),
@@ -106,7 +115,7 @@ def test_a_run_is_read_by_observable_or_by_curve():
 
 
 def test_a_failed_run_has_no_features():
-    problem = Problem((Feature("crushing_force_n", "N", "target"),), *np.zeros((3, 1)))
+    problem = Problem((ScalarTarget("crushing_force_n", "N", ""),), *np.zeros((3, 1)))
     assert np.isnan(problem.simulated([run_of(failure="the bed exploded")])).all()
 
 
@@ -115,12 +124,11 @@ def test_a_failed_run_has_no_features():
 
 def lab_with(*curves, targets=None):
     """The bundled soil with curves, as far as `pose` reads a lab."""
-    return SimpleNamespace(
+    return replace(
+        LAB,
         file="lab.toml",
         targets=LAB.targets if targets is None else targets,
         curves=curves,
-        confined=LAB.confined,
-        specimen=LAB.specimen,
     )
 
 
@@ -137,8 +145,12 @@ def test_curves_add_features_averaged_over_repeats():
     stretched = (2 * second[0], second[1])
     curves = [Curve("confined", *pair, "c.csv") for pair in (first, stretched)]
     problem = pose(lab_with(*curves, Curve("unconfined", *crushing_curve(), "u.csv")))
-    kinds = [f.kind for f in problem.features]
-    assert kinds == ["target"] * 2 + ["loading"] * 5 + ["unloading"] * 2 + ["crushing"] * 7
+    assert list(Counter(type(f) for f in problem.features).items()) == [
+        (ScalarTarget, 2),
+        (DisplacementOnLoading, 5),
+        (DisplacementOnUnloading, 2),
+        (ForceAtDisplacement, 7),
+    ]
     assert list(problem.repeats) == [0, 0] + [2] * 7 + [1] * 7
     assert problem.measured[6] == pytest.approx(1.5 * (400 - SEATING) / UP)
 
@@ -147,7 +159,7 @@ def test_a_curve_without_unloading_is_not_asked_about_it():
     displacement, force = confined_curve()
     turn = int(np.argmax(force)) + 1
     curve = Curve("confined", displacement[:turn], force[:turn], "c.csv")
-    assert "unloading" not in [f.kind for f in pose(lab_with(curve)).features]
+    assert DisplacementOnUnloading not in [type(f) for f in pose(lab_with(curve)).features]
 
 
 def test_a_curve_that_stops_short_is_refused_by_name():
@@ -195,7 +207,7 @@ def test_one_feature_has_its_own_variance():
 
 def test_covariance_adds_packings_and_repeats():
     """One target (measured 2, sd of mean 0.3) and one curve feature (measured 10, 4 repeats)."""
-    features = (Feature("t", "mm", "target"), Feature("c", "N", "crushing", 1.0))
+    features = (ScalarTarget("t", "mm", ""), ForceAtDisplacement("c", "N", "unconfined", 1.0))
     problem = Problem(features, np.array([2.0, 10.0]), np.array([0.09, 0.0]), np.array([0, 4]))
     relative = np.array([[0.04, 0.01], [0.01, 0.09]])
     expected = [

@@ -27,7 +27,7 @@ from calibrate.designs.calibration import design
 from calibrate.inference.audit import audit, audit_json
 from calibrate.inference.calibration import calibrate as fit
 from calibrate.inference.parameters import FACTORS, space
-from calibrate.io.lab import Curve, Target
+from calibrate.labtests.measured import Curve, Target
 from calibrate.reports import kinds, results, study
 from calibrate.simulation import specimens
 from calibrate.simulation.resolution import PRESETS

@@ -311,9 +311,7 @@ def test_the_trumao_soils_targets_follow_from_its_data():
     lab = load_lab(bundled_lab("trumao"))
     folder = Path(lab.file).parent / "trumao_2021"
     area = np.pi * lab.specimen.diameter**2 / 4
-    limits = np.log(
-        [force / area / 1e3 for force in (lab.confined.force_low, lab.confined.force_high)]
-    )
+    limits = np.log([force / area / 1e3 for force in lab.pair().compression.guides()])
     rows = list(csv.DictReader((folder / "oedometer.csv").open()))
     depths = []
     for sample in dict.fromkeys(row["sample"] for row in rows):

@@ -14,10 +14,12 @@ from jax import Array
 from two_tests import two_tests
 
 from calibrate.figures.audit import MARKS
-from calibrate.inference.audit import POINTS, STRATEGIES, Audit, CurvePoints, strategies, verdict
+from calibrate.inference.audit import STRATEGIES, Audit, strategies, verdict
+from calibrate.inference.curve_points import POINTS, CurvePoints, CurveReading
 from calibrate.inference.fit import Evaluation, secant
 from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.labtests.composite import names
 from calibrate.records.audit import Strategy
 from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
@@ -81,10 +83,10 @@ def test_a_strategy_costs_the_runs_that_it_says(strategy):
 
 def test_seven_slopes_cost_six_forward_runs():
     """The bound that the project set itself: all factors, the value at the point apart."""
-    for names in (FACTORS, (*FACTORS, "shear_modulus")):
-        strategy = Ensemble(0.2, probing_groups(names))
+    for free in (FACTORS, (*FACTORS, "shear_modulus")):
+        strategy = Ensemble(0.2, probing_groups(free))
         for packings in (3, 4, 8):
-            assert strategy.runs(len(names), packings) - 1 <= 6
+            assert strategy.runs(len(free), packings) - 1 <= 6
 
 
 @pytest.mark.parametrize("grouped", [probing_groups, fitting_groups])
@@ -160,17 +162,27 @@ def test_steps_of_its_own_for_each_parameter():
     assert bias(0.05) == pytest.approx([0.0025, 0.0025])
 
 
+def read_at(force_step, travel_step):
+    """Points of the confined curve (N), and of the unconfined one (mm)."""
+    pairs = (("confined", "depression_depth"), ("unconfined", "crushing_force"))
+    steps = np.arange(1, POINTS + 1)
+    loading = CurveReading("confined", "force_n", force_step * steps)
+    crushing = CurveReading("unconfined", "displacement_mm", travel_step * steps)
+    return CurvePoints(names(pairs), (loading, crushing))
+
+
 def test_curves_are_read_where_the_audit_says():
     """Displacement at a force counts from the highest force so far; failed runs are NaN."""
     travel = np.linspace(0, 4, 81)
     confined = np.column_stack([travel, np.concatenate([100 * travel[:-1], [0.0]])])
     unconfined = np.column_stack([travel, 5 * travel])
     run = two_tests(2.0, 20.0, confined, unconfined, {})
-    points = CurvePoints(10.0 * np.arange(1, POINTS + 1), 0.1 * np.arange(1, POINTS + 1))
+    points = read_at(10.0, 0.1)
+    loading, crushing = (reading.points for reading in points.readings)
     read = points.read(run)
     assert read[:2].tolist() == [2.0, 20.0]
-    assert read[points.slices()["confined"]] == pytest.approx(points.loading_n / 100)
-    assert read[points.slices()["unconfined"]] == pytest.approx(5 * points.crushing_mm)
+    assert read[points.slices()["confined"]] == pytest.approx(loading / 100)
+    assert read[points.slices()["unconfined"]] == pytest.approx(5 * crushing)
     failed = two_tests(2.0, 20.0, confined, unconfined, {}, "the soil is too soft")
     assert np.all(np.isnan(points.read(failed)))
 
@@ -189,7 +201,7 @@ def test_a_traced_run_is_read_like_a_stored_one():
     }
     curves = {"confined": curve, "unconfined": curve}
     traced: Any = SimpleNamespace(curves=curves, observables=observables)
-    points = CurvePoints(4.0 * np.arange(1, POINTS + 1), 0.2 * np.arange(1, POINTS + 1))
+    points = read_at(4.0, 0.2)
     np.testing.assert_allclose(points.traced(traced), points.read(kept), rtol=1e-12)
 
 
@@ -251,8 +263,7 @@ def audited(estimate):
         jnp.zeros((2, 2)), jnp.asarray([[1.0], [100.0]]), jnp.asarray([[0.1], [60.0]])
     )
     found = sensitivity([[estimate], [-50.0]], 0.01)
-    nowhere = CurvePoints(np.zeros(0), np.zeros(0))
-    return Audit(("surface_energy",), reference, {"ensemble": found}, {}, {}, 2, nowhere)
+    return Audit(("surface_energy",), reference, {"ensemble": found}, {}, {}, 2, read_at(1.0, 1.0))
 
 
 @pytest.mark.parametrize(("estimate", "passed"), [(1.14, True), (1.16, False), (-1.0, False)])

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, specimen
+from two_tests import pressed_lightly
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
@@ -19,7 +20,7 @@ from calibrate.designs.comparison import Enhanced, SlopePair, gradient
 from calibrate.designs.optimum import target
 from calibrate.designs.study import Bench, study, surfaces
 from calibrate.inference.parameters import FACTORS, space
-from calibrate.io.lab import Target
+from calibrate.labtests.measured import Target
 from calibrate.reports import study as report
 from calibrate.simulation import Run
 from calibrate.simulation.resolution import PRESETS, Preset
@@ -146,11 +147,7 @@ def test_a_surface_and_the_gradient_agree_on_simulated_beds(tmp_path):
     Two factors, two packings; the modulus matters, and both slopes have its sign and size.
     """
     preset = Preset("tiny", 48, 0.1, 0.2, 2)
-    lab = replace(
-        LAB,
-        specimen=replace(LAB.specimen, height=0.05),
-        confined=replace(LAB.confined, force_low=25.0, force_high=50.0),
-    )
+    lab = pressed_lightly(LAB)
     work = campaign(lab, preset, tmp_path, Silent())
     bench = Bench(space(lab, ("shear_modulus", "static_friction")), work, range(2))
     factors = bench.factors(bench.space.names, 1.5, {})

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.probability_calibration import NONE
-from calibrate.discrepancy.features.curves import recorded_feature_values
 from calibrate.discrepancy.library.run_library import declared
+from calibrate.labtests.diagnosis.curves import recorded_feature_values
 from calibrate.reports import kinds
 from calibrate.reports import withheld as report
 from calibrate.reports.withheld_words import found as found_words

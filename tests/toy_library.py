@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from formulas import BASE, LAB, specimen
 
-from calibrate.discrepancy.features.base import Curves
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import COMPONENTS, Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
 from calibrate.discrepancy.library.simulate import RunPoints
 from calibrate.discrepancy.library.store import save
 from calibrate.io.soil import with_values
+from calibrate.labtests.diagnosis.base import Curves
 from calibrate.simulation import Run
 from calibrate.validation.laboratory import SpecimenRecords, recorded, write_case
 

@@ -18,7 +18,8 @@ from support.reality.instrument import CONFINED_SPEED, UNCONFINED_SPEED
 from support.reality.soil import MEAN_DIAMETER
 from support.reality.specimen import CRUSHING, DENSITY, LOADING, MOULD_RADIUS
 
-from calibrate.io.lab import Curve, Lab, load_lab
+from calibrate.io.lab import Lab, load_lab
+from calibrate.labtests.measured import Curve
 
 
 def depth(curve: Curve) -> float:

@@ -59,7 +59,7 @@ def audit_command(
     base = with_values(base_soil(session.lab), values)
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
-    found = audit(audited, session.campaign(out, None), seeds, names)
+    found = audit(audited, session.campaign_of_one(out, None), seeds, names)
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     write_audit(session, found, settings, json)
 

@@ -42,7 +42,7 @@ def view_command(
     session = Session.open(lab, preset, out)
     make_folder(out / "vtk")
     soil = with_values(base_soil(session.lab), parse_changes(changes or []))
-    work = session.campaign(out, None)
+    work = session.campaign_of_one(out, None)
     (packing,) = work.packings([seed])
     seen = states(work.lab, packing, soil, frames, session.progress.say)
     touching = [contacts_of(frame.bed, frame.state) for frame in seen]

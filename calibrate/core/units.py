@@ -6,6 +6,7 @@ A pattern takes the text apart and nothing is ever evaluated (pint alone would c
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,8 @@ TIME = Kind("time", "s", "1 s")
 DENSITY = Kind("density", "kg/m^3", "1829.6 kg/m^3")
 FRACTION = Kind("fraction", "", "22.84 %")
 MILLIMETRES = Kind("length", "mm", "3.36 mm")
+STRESS = Kind("stress", "kPa", "200 kPa")
+STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 
 UNITS = pint.UnitRegistry()
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
@@ -68,6 +71,19 @@ def quantity(text: Any, kind: Kind) -> float:
     if not math.isfinite(value):
         raise BadValue(f"{shown(text)} is too large", repair)
     return value
+
+
+def first_of(text: Any, kinds: Sequence[Kind], expected: str) -> tuple[Kind, float]:
+    """The first kind that `text` ("200 kPa") is a quantity of, and its number in that unit."""
+    problem = ""
+    for kind in kinds:
+        try:
+            return kind, quantity(text, kind)
+        except BadValue as bad:
+            problem = bad.problem
+    if isinstance(text, str) and "is not a unit of" in problem:
+        problem = f"{shown(text)} has a unit that does not fit here"
+    raise BadValue(problem, expected)
 
 
 def positive_quantity(text: Any, kind: Kind) -> float:

@@ -13,7 +13,7 @@ from calibrate.inference.calibration import CANDIDATES
 from calibrate.inference.parameters import space
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.simulation import Campaign
+from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import Seeds
 
@@ -29,7 +29,7 @@ class Designed:
 
 
 def design(
-    lab: Lab, preset: Preset, changes: dict[str, float], seed: int, work: Campaign
+    lab: Lab, preset: Preset, changes: dict[str, float], seed: int, work: AbstractCampaign
 ) -> Designed:
     """The whole sequence around the lab file's soil; resumes from what `work.folder` holds.
 

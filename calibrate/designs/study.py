@@ -32,10 +32,11 @@ from calibrate.designs.selection import select_backward
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import cubic, quadratic
 from calibrate.inference.parameters import Space, probing_steps
-from calibrate.io.lab import Target
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.io.soil import with_values
-from calibrate.simulation import Campaign, Run
+from calibrate.labtests.measured import Target
+from calibrate.simulation import Run
+from calibrate.simulation.joint import AbstractCampaign
 from jdem.materials.soil import SoilParameters
 
 DEPTH, FORCE = OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
@@ -88,7 +89,7 @@ class Bench:
     """Where designs are run: a base soil with its free parameters, packings, a campaign."""
 
     space: Space
-    work: Campaign
+    work: AbstractCampaign
     seeds: Sequence[int]
 
     def factors(self, names: Sequence[str], reach: float, held: dict[str, float]) -> tuple:
@@ -243,7 +244,9 @@ def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) ->
     return Surfaces(experiment, whole, reduced, best)
 
 
-def verified(work: Campaign, soil: SoilParameters, seeds: Sequence[int], what: str) -> np.ndarray:
+def verified(
+    work: AbstractCampaign, soil: SoilParameters, seeds: Sequence[int], what: str
+) -> np.ndarray:
     """Both observables (packings, 2) of a soil; NaN where a run failed."""
     runs = work.runs([soil], seeds, what)[0]
     return np.array([[np.nan, np.nan] if run.failure else _observed(run) for run in runs])

@@ -4,7 +4,7 @@
 `bed` looks inside a specimen; all share `style`.
 """
 
-from calibrate.figures.audit import MARKS, UNITS, audit_figure, curve_slopes_figure
+from calibrate.figures.audit import MARKS, audit_figure, curve_slopes_figure
 from calibrate.figures.fit import contact_figure, fit_figure, simulation_figure
 from calibrate.figures.panels import RATIOS
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
@@ -15,7 +15,6 @@ __all__ = [
     "MARKS",
     "MIDDLE",
     "RATIOS",
-    "UNITS",
     "audit_figure",
     "contact_figure",
     "curve_slopes_figure",

@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty, save
-from calibrate.records.audit import AuditSlopes, CurveSlope, Slope
-from calibrate.records.base import OBSERVABLES, TESTS, Observable, Test
+from calibrate.labtests.composite import described
+from calibrate.records.audit import AuditSlopes, Slope, SlopesOfCurve
+from calibrate.records.base import Observable
 
 MARKS = {
     "regression": ("^", DARK, "-."),
@@ -20,15 +21,14 @@ MARKS = {
     "virtual_power": ("D", DARK, "--"),
     "virtual_power_blend": ("v", LIGHT, ":"),
 }
-UNITS = {"depression_depth_mm": "depression depth, mm", "crushing_force_n": "crushing force, N"}
-CURVE_SLOPES = {"confined": "d displacement / d ln p (mm)", "unconfined": "d force / d ln p (N)"}
-ABSCISSAS = {"confined": "force on loading (N)", "unconfined": "displacement (mm)"}
 
 
 def audit_figure(found: AuditSlopes, path: Path) -> None:
     """Estimates against the reference, one panel an observable; the band is what passes."""
-    figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-    for axis, observable in zip(axes, OBSERVABLES, strict=True):
+    shown = found.observables
+    size = (5.5 * len(shown), 5)
+    figure, axes = plt.subplots(1, len(shown), figsize=size, layout="constrained", squeeze=False)
+    for axis, observable in zip(axes[0], shown, strict=True):
         agreement(axis, found, observable)
     save(figure, path)
 
@@ -39,7 +39,8 @@ def agreement(axis: Axes, found: AuditSlopes, observable: Observable) -> None:
         _estimates(axis, each.of(observable), name, named=number == 0)
     axis.margins(x=0.25)
     _band(axis, found.within[observable])
-    axis.set_xlabel(f"reference slope ({UNITS[observable]} per unit of ln p)")
+    known = described(observable)
+    axis.set_xlabel(f"reference slope ({known.label}, {known.unit} per unit of ln p)")
     axis.set_ylabel("estimate")
     axis.legend(frameon=False)
 
@@ -75,43 +76,44 @@ def _band(axis: Axes, within: float) -> None:
 
 
 def curve_slopes_figure(found: AuditSlopes, path: Path) -> None:
-    """Slopes of both whole curves in every parameter: the reference's band and the estimates."""
-    names = list(found.curves.confined.slopes)
+    """Slopes of all whole curves in every parameter: the reference's band and the estimates."""
+    names = found.parameters_of_curves
+    size = (2.1 * len(names), 2.6 * len(found.curves))
     figure, axes = plt.subplots(
-        2, len(names), figsize=(2.1 * len(names), 5.2), layout="constrained", sharex="row",
-        sharey="row",
+        len(found.curves), len(names), figsize=size, layout="constrained", sharex="row",
+        sharey="row", squeeze=False,
     )  # fmt: skip
-    for test, row in zip(TESTS, axes, strict=True):
+    for (test, curve), row in zip(found.curves.items(), axes, strict=True):
         for name, axis in zip(names, row, strict=True):
-            curve_slope(axis, found, test, name)
-            axis.set_xlabel(ABSCISSAS[test], fontsize=8)
-        row[0].set_ylabel(CURVE_SLOPES[test])
+            curve_slope(axis, curve, name)
+            axis.set_xlabel(abscissa_of(curve), fontsize=8)
+        row[0].set_ylabel(f"{test}: {ordinate_of(curve)}")
     for name, axis in zip(names, axes[0], strict=True):
         axis.set_title(pretty(name), fontsize=9)
     axes[0, 0].legend(fontsize=7, frameon=False)
     save(figure, path)
 
 
-def curve_slope(axis: Axes, found: AuditSlopes, test: Test, parameter: str) -> None:
+def abscissa_of(curve: SlopesOfCurve) -> str:
+    """Along what a curve is read, with its unit."""
+    return "displacement (mm)" if curve.force_n is None else "force on loading (N)"
+
+
+def ordinate_of(curve: SlopesOfCurve) -> str:
+    """What is differentiated, with its unit."""
+    read, unit = ("force", "N") if curve.force_n is None else ("displacement", "mm")
+    return f"d {read} / d ln p ({unit})"
+
+
+def curve_slope(axis: Axes, curve: SlopesOfCurve, parameter: str) -> None:
     """Slope of one test's curve in one parameter."""
-    abscissa, by_name = _slopes(found, test, parameter)
+    by_name = {str(name): each for name, each in curve.slopes[parameter].items()}
     reference = by_name["reference"]
     slope, error = np.array(reference.slope), np.array(reference.se)
     band = (slope - 2 * error, slope + 2 * error)
-    axis.fill_between(abscissa, *band, color=LIGHT, lw=0, label="reference ± 2 s.e.")
+    axis.fill_between(curve.points, *band, color=LIGHT, lw=0, label="reference ± 2 s.e.")
     for name, each in by_name.items():
         if name in MARKS:
             _, colour, line = MARKS[name]
-            axis.plot(abscissa, each.slope, line, color=colour, lw=1.2, label=name)
+            axis.plot(curve.points, each.slope, line, color=colour, lw=1.2, label=name)
     axis.axhline(0, color="0.6", lw=0.6)
-
-
-def _slopes(
-    found: AuditSlopes, test: Test, parameter: str
-) -> tuple[list[float], dict[str, CurveSlope]]:
-    """Where one test's curve is read, and its slopes in one parameter by name."""
-    confined, unconfined = found.curves.confined, found.curves.unconfined
-    if test == "confined":
-        return confined.force_n, {str(k): v for k, v in confined.slopes[parameter].items()}
-    slopes = {str(k): v for k, v in unconfined.slopes[parameter].items()}
-    return unconfined.displacement_mm, slopes

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 
-from calibrate.discrepancy.features.curves import TEST_FEATURES
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.records.base import Test
 from calibrate.records.diagnosis import DiagnosisRecord, EffectRow, FeatureRow, NextTestRecord
 

@@ -14,15 +14,18 @@ from calibrate.figures.panels import (
     parameters,
 )
 from calibrate.figures.style import DARK, save
-from calibrate.records.base import TESTS, Curve, Measured
+from calibrate.records.base import Curve, Measured
 from calibrate.records.fit import FitRecord
 from calibrate.simulation import Run
 
 
 def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> None:
-    """Both tests' curves, one line a packing, beside measured curves and targets."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
-    for axis, test in zip(axes, TESTS, strict=True):
+    """All tests' curves, one line a packing, beside measured curves and targets."""
+    count = len(measured.tests)
+    size = (5.0 * count, 4.2)
+    figure, rows = plt.subplots(1, count, figsize=size, layout="constrained", squeeze=False)
+    axes = rows[0]
+    for axis, test in zip(axes, measured.tests, strict=True):
         curves = [_curve(run.curves[test]) for run in runs]
         compression(axis, test, [(PACKINGS, curves)], measured)
     _finish(figure, axes, path)
@@ -30,12 +33,17 @@ def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> No
 
 def fit_figure(found: FitRecord, path: Path) -> None:
     """Curves of fitted and fresh packings, observables against targets, parameters."""
-    figure, axes = plt.subplots(2, 2, figsize=(10.5, 8), layout="constrained")
-    for axis, test in zip(axes[0], TESTS, strict=True):
+    tests = list(found.measured.tests)
+    columns = max(len(tests), 2)
+    size = (5.25 * columns, 8)
+    figure, axes = plt.subplots(2, columns, figsize=size, layout="constrained")
+    for axis, test in zip(axes[0], tests, strict=False):
         compression(axis, test, fit_groups(found, test), found.measured)
     observables(axes[1, 0], found)
     parameters(axes[1, 1], found)
-    _finish(figure, axes.ravel()[:3], path)
+    for axis in (*axes[0, len(tests) :], *axes[1, 2:]):
+        axis.set_axis_off()
+    _finish(figure, (*axes[0, : len(tests)], axes[1, 0]), path)
 
 
 def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:

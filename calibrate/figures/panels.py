@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
-from calibrate.records.base import Curve, Measured, Test
+from calibrate.labtests.composite import described
+from calibrate.records.base import Curve, Measured, Target, Test
 from calibrate.records.fit import FitRecord, Packing
 
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
@@ -51,18 +52,18 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
     for number, curve in enumerate(c for c in measured.curves if c.test == test):
         name = "measured" if number == 0 else None
         axis.plot(curve.displacement_mm, curve.force_n, ":", color="0.35", lw=1.5, label=name)
-    if test == "confined":
-        for force in measured.depth_between_n:
-            axis.axhline(force, color="0.7", lw=0.7)
-    elif "crushing_force_n" in measured.targets:
-        _crushing_target(axis, measured)
-    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=f"{test} compression")
+    shown = measured.tests[test]
+    for force in shown.guides_n:
+        axis.axhline(force, color="0.7", lw=0.7)
+    for name in shown.drawn:
+        if name in measured.targets:
+            _target_force(axis, measured.targets[name], name)
+    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=shown.title)
 
 
-def _crushing_target(axis: Axes, measured: Measured) -> None:
-    target = measured.targets["crushing_force_n"]
+def _target_force(axis: Axes, target: Target, name: str) -> None:
     ends = (target.mean - target.scatter, target.mean + target.scatter)
-    label = "measured crushing force ± scatter"
+    label = f"measured {described(name).label} ± scatter"
     axis.axhspan(*ends, color=LIGHT, alpha=0.5, lw=0, label=label)
 
 

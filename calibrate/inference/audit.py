@@ -3,30 +3,30 @@
     reference   one parameter at a time, steps of +-0.2 in ln p, every packing
     estimate    what a strategy of `jdem.sensitivity` returns on the same packings
 
-Both observables are judged, and both whole curves are differentiated with them from the same
-runs: displacement at a force on loading, force at a displacement on crushing.
+All observables are judged, and all whole curves are differentiated with them from the same
+runs: displacement at a force on loading, or force at a displacement.
 
-An estimate passes where it has the reference's sign and lies within 15 % (depression depth)
-or 25 % (crushing force) of it.  Slopes that are not three standard errors from zero are not
-judged: there the data could not tell a right estimate from a wrong one.
+An estimate passes where it has the reference's sign and lies within the observable's share of it
+(`calibrate.labtests`: 15 % of depression depth, 25 % of crushing force).  Slopes that are not three
+standard errors from zero are not judged: there the data could not tell a right estimate from a
+wrong one.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from calibrate.core.errors import CalibrationError
+from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
-from calibrate.simulation import Campaign, Run
-from jdem.apparatus.confined import ConfinedCompression
-from jdem.apparatus.unconfined import UnconfinedCompression
-from jdem.laboratory.virtual_lab import Outcome, VirtualLab
-from jdem.observables import displacement_at
+from calibrate.labtests.composite import described
+from calibrate.simulation import Campaign
+from calibrate.simulation.joint import AbstractCampaign
+from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.packing.settling import Packing
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
@@ -40,67 +40,14 @@ STRATEGIES = (
 SIMULATED = ("regression", "ensemble", "fit")  # from values of runs that a campaign keeps
 BLENDS = {"blend": "pathwise", "virtual_power_blend": "virtual_power"}  # each with the ensemble
 REFERENCE = Regression((0.2,))
-OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
-WITHIN = {"depression_depth_mm": 0.15, "crushing_force_n": 0.25}  # of the reference
 JUDGED_FROM = 3.0  # standard errors of the reference
-POINTS = 20  # of each curve
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePoints:
-    """Where the curves are read: loading forces (N), and displacements (mm) while crushing."""
-
-    loading_n: np.ndarray
-    crushing_mm: np.ndarray
-
-    @staticmethod
-    def of(work: Campaign) -> "CurvePoints":
-        share = np.arange(1, POINTS + 1) / POINTS
-        confined, unconfined = work.lab.tests.apparatus
-        assert isinstance(confined, ConfinedCompression)
-        assert isinstance(unconfined, UnconfinedCompression)
-        return CurvePoints(
-            float(confined.force_high) * share, 1e3 * float(unconfined.stroke) * share
-        )
-
-    def read(self, run: Run) -> np.ndarray:
-        """H (mm), F (N), displacements (mm) on loading, forces (N) on crushing; NaN: failed."""
-        if run.failure:
-            return np.full(len(OBSERVABLES) + 2 * POINTS, np.nan)
-        travel, force = run.curves["confined"].T
-        highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
-        loading = np.interp(self.loading_n, highest, travel[: len(highest)])
-        crushing = np.interp(self.crushing_mm, *run.curves["unconfined"].T)
-        values = [run.observables[name] for name in OBSERVABLES]
-        return np.concatenate([values, loading, crushing])
-
-    def traced(self, outcome: Outcome) -> Array:
-        """The same numbers as `read`, traced by JAX."""
-        loading, crushing = outcome.curves["confined"], outcome.curves["unconfined"].filled()
-        travel = jax.vmap(lambda force: displacement_at(loading, force))(
-            jnp.asarray(self.loading_n)
-        )
-        force = jnp.interp(
-            jnp.asarray(self.crushing_mm), 1e3 * crushing.displacement, crushing.force
-        )
-        depth = outcome.observables["confined"]["depression_depth"]
-        observables = jnp.stack([1e3 * depth, outcome.observables["unconfined"]["crushing_force"]])
-        return jnp.concatenate([observables, 1e3 * travel, force])
-
-    def slices(self) -> dict[str, slice]:
-        """Where each test's curve stands among what `read` returns."""
-        first = len(OBSERVABLES)
-        return {
-            "confined": slice(first, first + POINTS),
-            "unconfined": slice(first + POINTS, first + 2 * POINTS),
-        }
 
 
 @dataclass(frozen=True, eq=False)
 class Audit:
     """Slopes (m, p) per unit of ln p, by strategy, and the reference's.
 
-    Rows are both observables, and then, for strategies that have them, both curves.
+    Rows are all observables, and then, for strategies that have them, all curves.
     """
 
     names: tuple[str, ...]
@@ -116,7 +63,7 @@ class Audit:
         found = self.estimates[strategy]
         return [
             self._row(found, m, observable, p, parameter)
-            for m, observable in enumerate(OBSERVABLES)
+            for m, observable in enumerate(self.points.observables)
             for p, parameter in enumerate(self.names)
         ]
 
@@ -137,7 +84,7 @@ def judged(row: dict) -> dict:
     """The row with relative_error, whether it can be judged, and if so whether it passed."""
     estimate, reference = row["estimate"], row["reference"]
     large = abs(reference) > JUDGED_FROM * row["reference_se"]
-    close = abs(estimate - reference) <= WITHIN[row["observable"]] * abs(reference)
+    close = abs(estimate - reference) <= described(row["observable"]).within * abs(reference)
     return {
         **row,
         "relative_error": estimate / reference - 1 if reference else float("nan"),
@@ -202,7 +149,7 @@ def _first_rows(found: Sensitivity, rows: int) -> Sensitivity:
 
 
 def simulated_response(
-    space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
+    space: Space, work: AbstractCampaign, seeds: Sequence[int], points: CurvePoints
 ) -> Callable:
     """What: a response whose runs are cached simulations; failed runs are NaN."""
 
@@ -223,13 +170,13 @@ def traced_slopes(
 ) -> Sensitivity:
     """Slopes in forward mode, packing by packing, at the time step of the base soil.
 
-    Of both observables by `pathwise`; of both curves as well by `virtual_power`.
+    Of all observables by `pathwise`; of all curves as well by `virtual_power`.
     """
     power = VirtualPower()
     if name == "virtual_power":
         slopes = traced(power, power.laboratory(work.lab), space, points)
     else:
-        slopes = traced(Pathwise(), work.lab, space, points, rows=len(OBSERVABLES))
+        slopes = traced(Pathwise(), work.lab, space, points, rows=len(points.called))
     found = [
         slopes(packing, work.lab.time_step(packing, space.base)) for packing in work.packings(seeds)
     ]
@@ -270,7 +217,7 @@ def audit_json(found: Audit) -> dict:
         "strategy": first,
         "passed": each[first]["passed"],
         "packings": found.packings,
-        "within": WITHIN,
+        "within": {name: described(name).within for name in found.points.observables},
         "judged_from": JUDGED_FROM,
         "rows": each[first]["rows"],
         "strategies": each,
@@ -290,14 +237,13 @@ def _strategy_json(found: Audit, name: str) -> dict:
 
 def _curve_json(found: Audit, test: str) -> dict:
     """Mean curve and its slopes in every parameter, by reference and by strategy."""
-    rows, points = found.points.slices()[test], found.points
-    abscissa = {"force_n": points.loading_n, "displacement_mm": points.crushing_mm}
-    key = "force_n" if test == "confined" else "displacement_mm"
+    rows = found.points.slices()[test]
+    reading = next(each for each in found.points.readings if each.test == test)
     by_name = {"reference": found.reference} | {
         name: each for name, each in found.estimates.items() if len(each.slopes) >= rows.stop
     }
     return {
-        key: abscissa[key].tolist(),
+        reading.along: reading.points.tolist(),
         "mean": np.nanmean(found.reference.values[:, rows], axis=0).tolist(),
         "slopes": {
             parameter: {

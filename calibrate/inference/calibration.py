@@ -14,7 +14,8 @@ from calibrate.inference.parameters import FACTORS, Space, ensemble, space
 from calibrate.inference.problem import Problem, pose
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.simulation import Campaign, Run
+from calibrate.simulation import Run
+from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import (
     Seeds,
@@ -57,7 +58,7 @@ def calibrate(
     free: tuple[str, ...] | None,
     changes: dict[str, float],
     seed: int,
-    work: Campaign,
+    work: AbstractCampaign,
 ) -> Calibrated:
     """The whole calibration of a lab file; resumes from what `work.folder` holds."""
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings)
@@ -99,7 +100,7 @@ def calibrate(
 
 
 def screen(
-    lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: Campaign
+    lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: AbstractCampaign
 ) -> dict:
     """Slopes of all features in all candidates, and the parameters that the data can fix."""
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
@@ -176,7 +177,7 @@ def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
     return [packing_json(seed, run) for seed, run in zip(seeds, runs, strict=True)]
 
 
-def _named_sets(lab: Lab, base: SoilParameters, seeds, work: Campaign) -> dict[str, dict]:
+def _named_sets(lab: Lab, base: SoilParameters, seeds, work: AbstractCampaign) -> dict[str, dict]:
     """Observables of the lab file's named parameter sets on the fitted packings."""
     soils = [with_values(base, values) for values in lab.named_sets.values()]
     rows = work.runs(soils, seeds, "named parameter sets") if soils else []

@@ -25,7 +25,8 @@ from calibrate.core.errors import CalibrationError
 from calibrate.inference.identifiability import Identifiability, assess
 from calibrate.inference.parameters import Space, fitting_ensemble
 from calibrate.inference.problem import Problem, shrunk_covariance
-from calibrate.simulation import Campaign, Run
+from calibrate.simulation import Run
+from calibrate.simulation.joint import AbstractCampaign
 from jdem.sensitivity.base import AbstractStrategy
 
 
@@ -86,7 +87,7 @@ class Calibration:
 
     problem: Problem
     space: Space
-    campaign: Campaign
+    campaign: AbstractCampaign
     seeds: Sequence[int]
     relative_scatter: np.ndarray
     scatter_packings: int
@@ -343,7 +344,7 @@ def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: 
 def _line(calibration: Calibration, row: dict) -> str:
     parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
     features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
-    shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.kind == "target")
+    shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.is_target)
     begin = f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}"
     return f"{begin}  {parameters}  {shown}"
 

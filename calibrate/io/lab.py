@@ -4,67 +4,23 @@ Everything is SI except curves and targets, which stay in the units of the obser
 N.  Curve files are CSV and must lie in the folder of the lab file or below it.
 """
 
-import csv
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
-from calibrate.io.labfile import check_parameter, read_tables, read_text
-from calibrate.io.tables import CurveTable, LabTables, ParameterTable
-
-FEWEST_POINTS = 5  # of a measured curve
-
-
-@dataclass(frozen=True)
-class Specimen:
-    """The cylinder of soil: diameter, height in the mould, height of the mould if known [m]."""
-
-    diameter: float
-    height: float
-    mould_height: float | None
-
-
-@dataclass(frozen=True)
-class Confined:
-    """Loading in the mould: platen speed [m/s]; the forces between which depth counts [N]."""
-
-    rate: float
-    force_low: float
-    force_high: float
-    greased: bool
-
-
-@dataclass(frozen=True)
-class Unconfined:
-    """Crushing without the mould: platen speed [m/s], rest after taking the mould away [s]."""
-
-    rate: float
-    rest: float
-
-
-@dataclass(frozen=True)
-class Target:
-    """A measured observable: mean of `repeats` tests and standard deviation of one [mm or N]."""
-
-    mean: float
-    scatter: float
-    repeats: int
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """One measured curve, in the order of recording; `file` is its path as written in the lab
-    file.  Both arrays have shape (points,) and are read-only."""
-
-    test: str
-    displacement_mm: np.ndarray
-    force_n: np.ndarray
-    file: str
+from calibrate.core.units import FRACTION, STRESS, Kind, positive_quantity, unit_factor
+from calibrate.io.curves import read_curve, read_repeats
+from calibrate.io.labfile import check_parameter, read_tables
+from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
+from calibrate.io.tables import ParameterTable
+from calibrate.labtests.base import AbstractLabTest
+from calibrate.labtests.composite import PLAIN, names_of
+from calibrate.labtests.measured import Curve, Cylinder, Target
+from calibrate.labtests.pair import Pair, pair_of
+from calibrate.labtests.protocol import program
 
 
 @dataclass(frozen=True)
@@ -91,9 +47,10 @@ class ParameterChoice:
 class Lab:
     """One soil and what was measured on it.
 
-    `targets` is keyed by observable (depression_depth_mm, crushing_force_n); `parameters` and
-    each of `named_sets` by parameter name.  Determinations of density [kg/m^3] and of water
-    content [fraction] are kept one by one.
+    `specimen` is the usual one, `tests` are made one after the other on the specimens that they
+    state; `targets` is keyed by observable (depression_depth_mm, ...); `parameters` and each of
+    `named_sets` by parameter name.  Determinations of density [kg/m^3] and of water content
+    [fraction] are kept one by one.
     """
 
     file: str
@@ -101,32 +58,69 @@ class Lab:
     source: str
     density_kg_m3: tuple[float, ...]
     water_content: tuple[float, ...]
-    specimen: Specimen
-    confined: Confined
-    unconfined: Unconfined
+    specimen: Cylinder
+    tests: tuple[AbstractLabTest, ...]
     targets: dict[str, Target]
     curves: tuple[Curve, ...]
     particles: Particles
     parameters: dict[str, ParameterChoice]
     named_sets: dict[str, dict[str, float]]
 
+    def specimens(self) -> list["TestedSpecimen"]:
+        """The specimens in order, each with the tests that are made on it."""
+        found: list[TestedSpecimen] = []
+        for test in self.tests:
+            if test.specimen is not None or not found:
+                own = test.specimen.cylinder() if test.specimen else self.specimen
+                found.append(TestedSpecimen(own, (test,)))
+            else:
+                found[-1] = TestedSpecimen(found[-1].cylinder, (*found[-1].tests, test))
+        return found
+
+    def pair(self) -> Pair:
+        """The two tests of the diagnosis; `InputError` where the lab has others."""
+        try:
+            return pair_of(self.tests)
+        except BadValue as bad:
+            raise bad.at(self.file, "tests") from None
+
+    def cylinder_of(self, test: str) -> Cylinder:
+        """The specimen on which the test of this name is made."""
+        return next(s.cylinder for s in self.specimens() if test in [t.called for t in s.tests])
+
+    def called(self, test: str) -> AbstractLabTest:
+        """The test of this name."""
+        return next(each for each in self.tests if each.called == test)
+
+
+@dataclass(frozen=True)
+class TestedSpecimen:
+    """A specimen and its tests, in order."""
+
+    __test__ = False  # for pytest
+
+    cylinder: Cylinder
+    tests: tuple[AbstractLabTest, ...]
+
 
 def load_lab(path: Path) -> Lab:
     """The lab file at `path`, checked and converted; raises `InputError`."""
     tables = read_tables(Path(path))
     file = str(path)
-    _check_something_measured(tables, file)
+    stated = stated_tests(tables, file)
+    _check_something_measured(stated, file)
+    cylinders = _cylinders(stated, tables.specimen.cylinder())
+    _check_protocols(stated, cylinders, file)
     return Lab(
         file=file,
         name=tables.soil.name,
         source=tables.soil.source,
         density_kg_m3=tuple(tables.soil.density),
         water_content=tuple(tables.soil.water_content),
-        specimen=Specimen(**dict(tables.specimen)),
-        confined=Confined(**dict(tables.confined)),
-        unconfined=Unconfined(**dict(tables.unconfined)),
-        targets=_targets(tables),
-        curves=_curves(tables.curves, Path(path)),
+        specimen=tables.specimen.cylinder(),
+        tests=stated.tests,
+        targets=_targets(stated, cylinders, Path(path)),
+        curves=_curves(stated, cylinders, Path(path)),
         particles=Particles(**dict(tables.particles)),
         parameters={n: _choice(n, table, file) for n, table in tables.parameters.items()},
         named_sets={n: _named_set(n, table, file) for n, table in tables.named_sets.items()},
@@ -142,20 +136,108 @@ def bundled_lab(name: str = "wheat_after_rice") -> Path:
     return folder / f"{name}.toml"
 
 
-def _check_something_measured(tables: LabTables, file: str) -> None:
+def _check_something_measured(stated: StatedTests, file: str) -> None:
     """Refuse a lab file with neither a target nor a curve."""
-    if not (_targets(tables) or tables.curves):
-        repair = "add [targets.depression_depth], [targets.crushing_force] or [[curves]]"
+    if not (stated.targets or stated.curves):
+        known = [f"[targets.{o.short}]" for kind in PLAIN.values() for o in kind.observables]
+        repair = f"add {', '.join(known)} or [[curves]]"
         raise InputError(file, "targets", "nothing measured is given", repair)
 
 
-def _targets(tables: LabTables) -> dict[str, Target]:
-    """The scalar targets that are given, by observable."""
-    given = {
-        "depression_depth_mm": tables.targets.depression_depth,
-        "crushing_force_n": tables.targets.crushing_force,
-    }
-    return {name: Target(**dict(table)) for name, table in given.items() if table is not None}
+def _targets(stated: StatedTests, cylinders: Sequence[Cylinder], path: Path) -> dict[str, Target]:
+    """The scalar targets that are given, by observable, in the order of the tests."""
+    called = names_of(stated.tests)
+    found: dict[str, Target] = {}
+    for target in sorted(stated.targets, key=lambda target: target.test):
+        name, _ = called[stated.tests[target.test].called, target.observable.source]
+        if name in found:
+            raise InputError(str(path), target.field, f"{name} is given twice", "give it once")
+        found[name] = _target(target, cylinders[target.test], path)
+    return found
+
+
+def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
+    """A target in mm or N."""
+    table, file = target.table, str(path)
+    if table.file is None:
+        mean, scatter = (
+            _amount(getattr(table, name), target, cylinder, f"{target.field}.{name}", file)
+            for name in ("mean", "scatter")
+        )
+        return Target(table.times * mean, table.times * scatter, table.repeats or 1)
+    factor = _factor(target, cylinder, f"{target.field}.unit", file)
+    repeats = factor * read_repeats(table, path, target.field)
+    if len(repeats) < 2 or repeats.min() <= 0:
+        problem = "fewer than two repeats" if len(repeats) < 2 else "a repeat is not above zero"
+        raise InputError(file, f"{target.field}.file", problem, "give mean, scatter and repeats")
+    return Target(float(repeats.mean()), float(repeats.std(ddof=1)), len(repeats))
+
+
+def _amount(written: Any, target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
+    """A quantity above zero in the observable's unit; stress and strain by the specimen's size."""
+    try:
+        return positive_quantity(written, target.observable.kind)
+    except BadValue as bad:
+        other, factor = _by_size(target, cylinder)
+        try:
+            return factor * positive_quantity(written, other)
+        except BadValue:
+            raise bad.at(file, field) from None
+
+
+def _factor(target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
+    """What takes a column's unit to the observable's."""
+    unit = target.table.unit
+    try:
+        return unit_factor(unit, target.observable.kind)
+    except BadValue as bad:
+        other, factor = _by_size(target, cylinder)
+        try:
+            return factor * unit_factor(unit, other)
+        except BadValue:
+            raise bad.at(file, field) from None
+
+
+def _by_size(target: StatedTarget, cylinder: Cylinder) -> tuple[Kind, float]:
+    """The kind of quantity that becomes the observable by the specimen's size, and its factor."""
+    if target.observable.unit == "N":
+        return STRESS, 1e3 * cylinder.area
+    return FRACTION, 1e3 * cylinder.height
+
+
+def _curves(stated: StatedTests, cylinders: Sequence[Cylinder], path: Path) -> tuple[Curve, ...]:
+    """The measured curves; the same columns of a file given twice would be a false repeat."""
+    seen = set()
+    for curve in stated.curves:
+        key = curve.table.model_copy(update={"test": None}).model_dump_json()
+        if key in seen:
+            problem = f"{shown(curve.table.file)} is listed twice"
+            raise InputError(str(path), f"{curve.field}.file", problem, "list it once")
+        seen.add(key)
+    return tuple(
+        read_curve(
+            curve.table, stated.tests[curve.test].called, cylinders[curve.test], path, curve.field
+        )
+        for curve in stated.curves
+    )
+
+
+def _check_protocols(stated: StatedTests, cylinders: Sequence[Cylinder], file: str) -> None:
+    """Refuse a step that goes where this specimen does not let it."""
+    for number, (test, cylinder) in enumerate(zip(stated.tests, cylinders, strict=True)):
+        try:
+            program(test.protocol, cylinder)
+        except BadValue as bad:
+            raise bad.at(file, f"tests[{number}]") from None
+
+
+def _cylinders(stated: StatedTests, first: Cylinder) -> list[Cylinder]:
+    """The specimen that each test is made on."""
+    found: list[Cylinder] = []
+    for test in stated.tests:
+        before = found[-1] if found else first
+        found.append(test.specimen.cylinder() if test.specimen else before)
+    return found
 
 
 def _choice(name: str, table: ParameterTable, file: str) -> ParameterChoice:
@@ -180,93 +262,3 @@ def _named_set(set_name: str, values: dict[str, Any], file: str) -> dict[str, fl
     """One of [named_sets], in SI."""
     field = f"named_sets.{set_name}"
     return {n: check_parameter(n, value, file, f"{field}.{n}") for n, value in values.items()}
-
-
-def _curves(tables: list[CurveTable], lab_path: Path) -> tuple[Curve, ...]:
-    """The measured curves; the same columns of a file given twice would be a false repeat."""
-    seen = set()
-    for number, table in enumerate(tables):
-        key = (table.file, table.displacement.column, table.force.column)
-        if key in seen:
-            problem = f"{shown(table.file)} is listed twice"
-            raise InputError(str(lab_path), f"curves[{number}].file", problem, "list it once")
-        seen.add(key)
-    return tuple(
-        _curve(table, lab_path, f"curves[{number}]") for number, table in enumerate(tables)
-    )
-
-
-def _curve(table: CurveTable, lab_path: Path, field: str) -> Curve:
-    """One measured curve in mm and N."""
-    path = lab_path.parent / table.file
-    try:
-        _check_inside(path, table.file, lab_path.parent)
-        text = read_text(path)
-    except BadValue as bad:
-        problem = f"curve {shown(table.file)}: {bad.problem}"
-        raise InputError(str(lab_path), f"{field}.file", problem, bad.repair) from None
-    rows = _rows(text, table.delimiter, str(path))
-    displacement = _column(rows, table.displacement.column, table.displacement.unit, str(path))
-    force = _column(rows, table.force.column, table.force.unit, str(path))
-    if force.max() <= 0:
-        repair = "give compressive force as positive numbers"
-        raise InputError(str(path), table.force.column, "no force is above zero", repair)
-    return Curve(table.test, displacement, force, table.file)
-
-
-def _check_inside(path: Path, written: str, folder: Path) -> None:
-    """Refuse a curve path that leaves `folder`, directly or through a link."""
-    repair = "put the file in the folder of the lab file and give its relative path"
-    if not written.isprintable() or "\\" in written or ":" in written:
-        raise BadValue("backslashes, colons and control characters are not allowed", repair)
-    if Path(written).is_absolute() or ".." in Path(written).parts:
-        raise BadValue("the path leaves the folder of the lab file", repair)
-    if not _is_below(path, folder):
-        raise BadValue("a link leads out of the folder of the lab file", repair)
-
-
-def _is_below(path: Path, folder: Path) -> bool:
-    """Whether `path` stays in `folder` once all links are followed."""
-    try:
-        return path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # a loop of links, or a name that is too long
-        return False
-
-
-def _rows(text: str, delimiter: str, file: str) -> list[tuple[int, list[str]]]:
-    """The rows that are not blank, the header first, each with its line number."""
-    reader = csv.reader(text.splitlines(), delimiter=delimiter)
-    try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(file, "", f"not a CSV file: {error}", "export it again as CSV") from None
-    if len(rows) <= FEWEST_POINTS:
-        problem = f"{max(len(rows) - 1, 0)} points below the header are too few"
-        raise InputError(file, "", problem, f"give a header and at least {FEWEST_POINTS} points")
-    return rows
-
-
-def _column(rows: list[tuple[int, list[str]]], name: str, factor: float, file: str) -> np.ndarray:
-    """Column `name` times `factor`, read-only, shape (points,)."""
-    header = [cell.strip() for cell in rows[0][1]]
-    if header.count(name) != 1:
-        problem = f"{header.count(name)} columns have this name"
-        repair = f"name one of {shown(header)} as column, and check the delimiter"
-        raise InputError(file, name, problem, repair)
-    index = header.index(name)
-    values = np.array([_cell(row, index, factor, line, name, file) for line, row in rows[1:]])
-    values.flags.writeable = False
-    return values
-
-
-def _cell(row: list[str], index: int, factor: float, line: int, name: str, file: str) -> float:
-    """Cell `index` of `row` times `factor`; must be a finite number."""
-    written = row[index] if index < len(row) else ""
-    try:
-        value = float(written) * factor
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        problem = f"line {line}: {shown(written)} is not a finite number"
-        raise InputError(file, name, problem, "correct it (decimal point, no unit) or remove it")
-    return value

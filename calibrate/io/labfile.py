@@ -1,8 +1,8 @@
 """Reading a lab file, and the parameter values that a contact law accepts.
 
 A lab file is TOML; `calibrate.io.tables` says which tables it has.  Whatever is wrong with it
-becomes one `InputError` that names file, field and repair.  `calibrate.io.lab` builds the
-plain result.
+becomes one `InputError` that names file, field and repair.  `calibrate.io.stated` finds its tests,
+`calibrate.io.lab` builds the plain result.
 """
 
 import tomllib
@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import number_or_quantity
-from calibrate.io.tables import LabTables
+from calibrate.io.tables import AbstractLabTables, LabTables
 from jdem.materials.catalogue import CATALOGUE
 
 _FREE = {name: entry for name, entry in CATALOGUE.items() if entry.free}
@@ -62,17 +62,22 @@ def read_text(path: Path) -> str:
         raise BadValue(f"it cannot be read ({error.strerror})", "check its permissions") from None
 
 
-def read_tables(path: Path) -> LabTables:
+def read_tables(path: Path) -> AbstractLabTables:
     """The checked tables of the lab file at `path`; `InputError` for the first thing wrong."""
     try:
         return LabTables.model_validate(tomllib.loads(read_text(path)))
     except BadValue as bad:
         raise bad.at(str(path), "") from None
     except ValidationError as error:
-        raise _explain(error.errors()[0]).at(str(path), "") from None
+        raise explained(error).at(str(path), "") from None
     except (ValueError, RecursionError) as error:
         reason = str(error) or "nested too deeply"
         raise InputError(str(path), "", f"not valid TOML: {reason}", "correct that line") from None
+
+
+def explained(error: ValidationError) -> BadValue:
+    """The first thing that pydantic refused, in our words."""
+    return _explain(error.errors()[0])
 
 
 def _explain(error: ErrorDetails) -> BadValue:
@@ -83,6 +88,7 @@ def _explain(error: ErrorDetails) -> BadValue:
     name = name.lstrip(".")
     if error["type"] == "value_error":  # only our own `BadValue` arrives as this type
         bad = error.get("ctx", {})["error"]
-        return BadValue(bad.problem, bad.repair, f"{name}.{bad.name}".strip("."))
+        joint = "" if bad.name.startswith("[") else "."
+        return BadValue(bad.problem, bad.repair, f"{name}{joint}{bad.name}".strip("."))
     message = error["msg"].replace("Input should be", "it should be")
     return BadValue(f"{shown(error['input'])} is not accepted", message, name)

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import model_validator as check
 
-from calibrate.records.base import Number, Observable, Origin, Parameter, Record
+from calibrate.records.base import Number, Observable, Origin, Parameter, Record, Test
 
 Strategy = Literal[
     "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend"
@@ -47,55 +47,29 @@ class CurveSlope(Record):
 
 
 class SlopesOfCurve(Record):
-    """Slopes of one test's mean curve: by parameter, then by "reference" or strategy."""
+    """Slopes of one test's mean curve, by parameter, then by "reference" or strategy: of the
+    displacement (mm) at forces (N) while loading, or of the force (N) at displacements (mm)."""
 
     mean: list[Number]
     slopes: dict[Parameter, dict[Literal["reference"] | Strategy, CurveSlope]]
+    force_n: list[Number] | None = None
+    displacement_mm: list[Number] | None = None
 
-    def _sizes(self) -> set[int]:
+    @property
+    def points(self) -> list[float]:
+        """Where the curve is read, N or mm."""
+        return (self.displacement_mm if self.force_n is None else self.force_n) or []
+
+    @check(mode="after")
+    def _same_length(self) -> "SlopesOfCurve":
+        if (self.force_n is None) == (self.displacement_mm is None):
+            raise ValueError("give force_n or displacement_mm, one of them")
         pairs = [pair for by_name in self.slopes.values() for pair in by_name.values()]
-        return {len(self.mean)} | {len(part) for p in pairs for part in (p.slope, p.se)}
-
-
-class LoadingSlopes(SlopesOfCurve):
-    """Displacement (mm) at a force while loading."""
-
-    force_n: list[Number]
-
-    @check(mode="after")
-    def _same_length(self) -> "LoadingSlopes":
-        if self._sizes() != {len(self.force_n)}:
-            raise ValueError("slopes and forces differ in length")
-        return self
-
-
-class CrushingSlopes(SlopesOfCurve):
-    """Force (N) at a displacement while crushing."""
-
-    displacement_mm: list[Number]
-
-    @check(mode="after")
-    def _same_length(self) -> "CrushingSlopes":
-        if self._sizes() != {len(self.displacement_mm)}:
-            raise ValueError("slopes and displacements differ in length")
-        return self
-
-
-class CurvesRecord(Record):
-    """Slopes of both tests' curves."""
-
-    confined: LoadingSlopes
-    unconfined: CrushingSlopes
-
-    @check(mode="after")
-    def _same_parameters(self) -> "CurvesRecord":
-        if list(self.confined.slopes) != list(self.unconfined.slopes):
-            raise ValueError("the two tests have slopes in different parameters")
-        if any(
-            "reference" not in by_name
-            for test in (self.confined, self.unconfined)
-            for by_name in test.slopes.values()
-        ):
+        sizes = {len(self.mean)} | {len(part) for p in pairs for part in (p.slope, p.se)}
+        if sizes != {len(self.points)}:
+            name = "displacements" if self.force_n is None else "forces"
+            raise ValueError(f"slopes and {name} differ in length")
+        if any("reference" not in by_name for by_name in self.slopes.values()):
             raise ValueError("a reference slope is missing")
         return self
 
@@ -112,10 +86,22 @@ class AuditSlopes(Record):
     within: dict[Observable, Number]
     judged_from: Number
     strategies: dict[Strategy, StrategyRecord]
-    curves: CurvesRecord
+    curves: dict[Test, SlopesOfCurve]
+
+    @property
+    def observables(self) -> list[Observable]:
+        """Of all rows, in their order."""
+        return list(dict.fromkeys(row.observable for row in self.strategies[self.strategy].rows))
+
+    @property
+    def parameters_of_curves(self) -> list[str]:
+        """Parameters in which the curves have slopes."""
+        return list(next(iter(self.curves.values())).slopes)
 
     @check(mode="after")
     def _complete(self) -> "AuditSlopes":
+        if len({tuple(curve.slopes) for curve in self.curves.values()}) != 1:
+            raise ValueError("the tests have no slopes, or slopes in different parameters")
         if self.strategy not in self.strategies:
             raise ValueError(f"strategy {self.strategy} has no rows")
         found = {row.observable for each in self.strategies.values() for row in each.rows}

@@ -4,7 +4,7 @@ JSON has no NaN: what is not known stands there as null, and here as NaN.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -41,10 +41,8 @@ def _of_this_world(value: float) -> float:
 
 Number = Annotated[float, BeforeValidator(_nan_for_null), AfterValidator(_of_this_world)]
 Parameter = Annotated[str, AfterValidator(_known_parameter)]
-Observable = Literal["depression_depth_mm", "crushing_force_n"]
-Test = Literal["confined", "unconfined"]
-OBSERVABLES: tuple[Observable, Observable] = ("depression_depth_mm", "crushing_force_n")
-TESTS: tuple[Test, Test] = ("confined", "unconfined")
+Observable = str  # its name in results (`calibrate.labtests`)
+Test = str  # its name in the lab file
 
 
 class Record(BaseModel):
@@ -91,12 +89,30 @@ class Target(Record):
     repeats: int
 
 
+class TestShown(Record):
+    """What figures have to know of a test: its title, the forces (N) that they mark, the
+    observables that they show as forces."""
+
+    __test__ = False  # for pytest
+
+    title: str
+    guides_n: list[Number] = []
+    drawn: list[Observable] = []
+
+
 class Measured(Record):
-    """All that was compared with; depth counts between two forces on loading (N)."""
+    """All that was compared with, and the tests in which it was measured."""
 
     targets: dict[Observable, Target]
     curves: list[MeasuredCurve] = []
-    depth_between_n: tuple[Number, Number]
+    tests: dict[Test, TestShown]
+
+    @check(mode="after")
+    def _tests_are_known(self) -> "Measured":
+        for curve in self.curves:
+            if curve.test not in self.tests:
+                raise ValueError(f"a curve is of {shown(curve.test)}, which tests do not have")
+        return self
 
 
 R = TypeVar("R", bound=Record)

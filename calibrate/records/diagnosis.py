@@ -14,9 +14,9 @@ from pydantic import model_validator as check
 from calibrate.discrepancy.comparison.compare import label
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.discrepancy.features.base import Curves
-from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS
 from calibrate.discrepancy.library.further_tests import menu
+from calibrate.labtests.diagnosis.base import Curves
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.base import Curve, Number, Origin, Record, Test
 
 MOST_POINTS = 300  # of a curve that is kept to be drawn

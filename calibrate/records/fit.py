@@ -1,7 +1,7 @@
 """The result of `calibrate fit` as a record."""
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 from pydantic import model_validator as check
@@ -19,16 +19,27 @@ from calibrate.records.base import (
 
 
 class Packing(Record):
-    """One simulated specimen: its seed, both observables, both curves; why it failed, or ""."""
+    """One simulated specimen: its seed, observables, curves; why it failed, or ""."""
 
     seed: int
-    depression_depth_mm: Number
-    crushing_force_n: Number
     failure: str
     curves: dict[Test, Curve]
+    observables: dict[Observable, Number]
+
+    @check(mode="before")
+    @classmethod
+    def _observables_stand_beside(cls, data: Any) -> Any:
+        """In the file observables are entries of their own, by name."""
+        if not isinstance(data, dict) or "observables" in data:
+            return data
+        own = {"seed", "failure", "curves"}
+        return {
+            **{name: data[name] for name in own & data.keys()},
+            "observables": {n: v for n, v in data.items() if n not in own},
+        }
 
     def observable(self, name: Observable) -> float:
-        return float(getattr(self, name))
+        return float(self.observables.get(name, float("nan")))
 
 
 class Packings(Record):

@@ -7,15 +7,11 @@ import matplotlib.pyplot as plt
 
 from calibrate.figures import audit as drawing
 from calibrate.figures.style import panel_svg, svg
+from calibrate.labtests.composite import described
 from calibrate.records.audit import AuditRecord, Slope, StrategyRecord
-from calibrate.records.base import TESTS, Observable, read
+from calibrate.records.audit import Strategy as StrategyName
+from calibrate.records.base import Observable, read
 from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
-
-NAMES: dict[Observable, str] = {
-    "depression_depth_mm": "depression depth",
-    "crushing_force_n": "crushing force",
-}
-UNITS: dict[Observable, str] = {"depression_depth_mm": "mm", "crushing_force_n": "N"}
 
 
 @dataclass(frozen=True)
@@ -32,10 +28,10 @@ def page(path: Path) -> Page:
     found = read(path, AuditRecord)
     content = {
         "sentence": sentence(found),
-        "within": {NAMES[name]: f"{100 * share:.0f} %" for name, share in found.within.items()},
-        "agreement": [_agreement(found, name) for name in NAMES],
-        "strategies": [_strategy(name, each) for name, each in found.strategies.items()],
-        "curves": [_curves(found, name) for name in found.curves.confined.slopes],
+        "within": {_name(name): f"{100 * share:.0f} %" for name, share in found.within.items()},
+        "agreement": [_agreement(found, name) for name in found.observables],
+        "strategies": [_strategy(found, name) for name in found.strategies],
+        "curves": [_curves(found, name) for name in found.parameters_of_curves],
         "values": Table(
             ["parameter", "value"],
             [[words(n), quantity(n, v)] for n, v in found.parameters.items()],
@@ -59,10 +55,15 @@ def _passed(each: StrategyRecord) -> str:
     return f"{passed} of {len(judged)} slopes that can be judged pass"
 
 
-def _strategy(name: str, each: StrategyRecord) -> Strategy:
+def _name(observable: Observable) -> str:
+    return described(observable).label
+
+
+def _strategy(found: AuditRecord, name: StrategyName) -> Strategy:
+    each = found.strategies[name]
     cost = f"{each.forward_runs:.3g} forward runs a packing"
     text = f"{each.described}. {_passed(each)}; it costs {cost}."
-    tables = [_table(each, observable) for observable in NAMES]
+    tables = [_table(each, observable) for observable in found.observables]
     return Strategy(words(name), text, tables)
 
 
@@ -77,7 +78,8 @@ def _table(each: StrategyRecord, observable: Observable) -> Table:
         for row in each.of(observable)
     ]
     columns = ["parameter", "estimate", "reference", "verdict"]
-    caption = f"Slopes of the {NAMES[observable]} per unit of ln p ({UNITS[observable]}), ± s.e."
+    known = described(observable)
+    caption = f"Slopes of the {known.label} per unit of ln p ({known.unit}), ± s.e."
     return Table(columns, rows, caption)
 
 
@@ -95,24 +97,28 @@ def _agreement(found: AuditRecord, observable: Observable) -> Picture:
     ]
     return Picture(
         panel_svg(lambda axis: drawing.agreement(axis, found, observable)),
-        f"Estimated slopes of the {NAMES[observable]} against the reference; within the band: "
+        f"Estimated slopes of the {_name(observable)} against the reference; within the band: "
         f"{', '.join(lines)}.",
         "Bars: standard errors. Pale: not judged. Band: what passes.",
     )
 
 
 def _curves(found: AuditRecord, parameter: str) -> Picture:
-    """Slopes of both tests' curves in one parameter."""
-    figure, axes = plt.subplots(2, 1, figsize=(4.6, 4.8), layout="constrained")
-    for axis, test in zip(axes, TESTS, strict=True):
-        drawing.curve_slope(axis, found, test, parameter)
-        axis.set(xlabel=drawing.ABSCISSAS[test], ylabel=drawing.CURVE_SLOPES[test])
+    """Slopes of all tests' curves in one parameter."""
+    count = len(found.curves)
+    size = (4.6, 2.4 * count)
+    figure, rows = plt.subplots(count, 1, figsize=size, layout="constrained", squeeze=False)
+    axes = rows[:, 0]
+    for axis, (test, curve) in zip(axes, found.curves.items(), strict=True):
+        drawing.curve_slope(axis, curve, parameter)
+        label = drawing.ordinate_of(curve)
+        axis.set(xlabel=f"{drawing.abscissa_of(curve)}, {test}", ylabel=label)
     axes[0].set_title(words(parameter))
     axes[0].legend(fontsize=8, frameon=False)
     name = words(parameter)
     return Picture(
         svg(figure),
-        f"Slopes of both curves in {name}: the reference's band of two standard errors, and the "
+        f"Slopes of all curves in {name}: the reference's band of two standard errors, and the "
         "strategies' lines.",
         f"Slopes in {name}. Band: reference ± 2 s.e.",
     )

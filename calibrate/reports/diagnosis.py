@@ -14,7 +14,8 @@ from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNO
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
-from calibrate.records.base import TESTS, read, record
+from calibrate.labtests.diagnosis.curves import TESTS
+from calibrate.records.base import read, record
 from calibrate.records.diagnosis import DiagnosisRecord, ExplanationRow, SegmentRow, content
 from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from calibrate.discrepancy.comparison.classes import SEPARABLE, TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import ALPHA, NONE, UNKNOWN
-from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord, ReductionRecord, SegmentRow
 from calibrate.reports.effects import members, plain, title
 from calibrate.reports.html import number

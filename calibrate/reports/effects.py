@@ -54,7 +54,7 @@ PLAIN: dict[str, Plain] = {
     ),
     "acquisition_lag": Plain(
         "force is read late",
-        "The reading lags behind the platen, so the fast confined test turns late and presses "
+        "The reading lags behind the platen, so the fast test in the mould turns late and presses "
         "harder than intended.",
         1e3, "ms",
     ),
@@ -106,7 +106,7 @@ def plain(name: str) -> Plain:
     if name in PLAIN or name not in EFFECTS:
         return PLAIN.get(name, Plain(words(name), ""))
     about: About = EFFECTS[name].about
-    sentence = f"Confined test: {about.confined}. Crushing test: {about.unconfined}."
+    sentence = f"In the mould: {about.in_mould}. Free: {about.free}."
     return Plain(words(name), sentence, 1.0, "" if about.unit == "1" else about.unit)
 
 

@@ -7,14 +7,12 @@ import numpy as np
 
 from calibrate.figures import panels
 from calibrate.figures.style import above, panel_svg
-from calibrate.records.base import OBSERVABLES, Observable, Test, read
+from calibrate.labtests.composite import described
+from calibrate.labtests.composite import label as label_of
+from calibrate.records.base import Observable, Test, read
 from calibrate.records.fit import FitRecord, Packing, Summary
 from calibrate.reports.html import Page, Picture, Table, number, plus_minus, quantity, render, words
 
-LABELS: dict[str, str] = {
-    "depression_depth_mm": "depression depth (mm)",
-    "crushing_force_n": "crushing force (N)",
-}
 SMALL = (4.6, 2.9)  # inches
 FAR = 2.0  # deviations beyond which a fitted number is counted as missed
 
@@ -27,7 +25,7 @@ def page(path: Path) -> Page:
         "warnings": list(_warnings(found)),
         "targets": _targets(found),
         "features": _features(found),
-        "curves": [_curves(found, "confined"), _curves(found, "unconfined")],
+        "curves": [_curves(found, test) for test in found.measured.tests],
         "free": _free(found),
         "pictures": list(_pictures(found)),
         "directions": _directions(found),
@@ -67,7 +65,7 @@ def _met(found: FitRecord) -> str:
             f"{here} of {len(targets)} targets are met within the scatter of one repeat on the "
             f"packings of the fit, {fresh} on fresh packings."
         )
-    curve = [feature for name, feature in found.features.items() if name not in LABELS]
+    curve = [feature for name, feature in found.features.items() if name not in found.observables]
     if curve:
         near = sum(abs(f.measured - f.simulated) <= FAR * f.sd for f in curve)
         parts.append(f"{near} of {len(curve)} numbers read from curves lie within {FAR:g} s.d.")
@@ -100,15 +98,15 @@ def _weights(weights: dict[str, float]) -> str:
 
 
 def _targets(found: FitRecord) -> Table:
-    """Both observables: measured, on the packings of the fit, on fresh ones, of named sets."""
+    """All observables: measured, on the packings of the fit, on fresh ones, of named sets."""
     groups = {
         "fitted packings": found,
         "fresh packings": found.fresh_packings,
         **{f"set '{name}'": group for name, group in found.named_sets.items()},
     }
-    rows = [["measured", *(_measured(found, name) for name in OBSERVABLES)]]
-    rows += [[label, *_observed(group)] for label, group in groups.items()]
-    return Table(["", *LABELS.values()], rows)
+    rows = [["measured", *(_measured(found, name) for name in found.observables)]]
+    rows += [[label, *_observed(group, found)] for label, group in groups.items()]
+    return Table(["", *(label_of(name) for name in found.observables)], rows)
 
 
 def _measured(found: FitRecord, name: Observable) -> str:
@@ -118,21 +116,21 @@ def _measured(found: FitRecord, name: Observable) -> str:
     return f"{plus_minus(target.mean, target.scatter)} ({target.repeats} repeats)"
 
 
-def _observed(group: Summary) -> list[str]:
+def _observed(group: Summary, found: FitRecord) -> list[str]:
     nan = float("nan")
     return [
         plus_minus(group.observables.get(name, nan), group.spread.get(name, nan))
-        for name in OBSERVABLES
+        for name in found.observables
     ]
 
 
 def _features(found: FitRecord) -> Table | None:
-    """Every number that was fitted; nothing where these are the two observables."""
-    if set(found.features) <= set(LABELS):
+    """Every number that was fitted; nothing where these are observables."""
+    if set(found.features) <= set(found.observables):
         return None
     rows = [
         [
-            name if name not in LABELS else words(name),
+            words(name) if name in found.observables else name,
             number(f.measured, 4),
             number(f.simulated, 4),
             number((f.simulated - f.measured) / f.sd if f.sd else float("nan"), 2),
@@ -140,6 +138,11 @@ def _features(found: FitRecord) -> Table | None:
         for name, f in found.features.items()
     ]
     return Table(["number (mm or N)", "measured", "simulated", "difference in s.d."], rows)
+
+
+def _column(found: FitRecord, name: str) -> str:
+    """An observable's label, a feature's own name."""
+    return label_of(name) if name in found.observables else name
 
 
 def _free(found: FitRecord) -> Table:
@@ -184,7 +187,7 @@ def _screening(found: FitRecord) -> Table | None:
         return None
     names = list(dict.fromkeys(name for row in slopes.values() for name in row))
     rows = [[words(name), *(number(row.get(name), 3) for row in slopes.values())] for name in names]
-    columns = [LABELS.get(name, name) for name in slopes]
+    columns = [_column(found, name) for name in slopes]
     return Table(["candidate", *columns], rows, "Slopes per unit of ln p.")
 
 
@@ -206,7 +209,7 @@ def _history(found: FitRecord) -> Table:
         ]
         for step in found.history
     ]
-    names = [*first.parameters, *(LABELS.get(name, name) for name in first.features)]
+    names = [*first.parameters, *(_column(found, name) for name in first.features)]
     columns = ["evaluation", "forward runs a packing", "objective", *map(words, names)]
     return Table(columns, rows)
 
@@ -254,14 +257,17 @@ def _curves(found: FitRecord, test: Test) -> Picture:
         above(axis)
 
     packings = (*found.packings.fitted, *found.packings.fresh)
-    alt = f"Force against displacement, {test} compression: {_reach(packings, test)}"
+    shown = found.measured.tests[test]
+    alt = f"Force against displacement, {shown.title}: {_reach(packings, test)}"
     caption = (
         "Solid: packings of the fit. Dashed: fresh packings. "
         + ("Dotted: measured. " if any(c.test == test for c in found.measured.curves) else "")
-        + ("Grey lines: the forces between which depression depth counts." if test == "confined"
-           else "Band: measured crushing force ± scatter of one repeat.")
+        + ("Grey lines: the forces between which depression depth counts. "
+           if shown.guides_n else "")
+        + "".join(f"Band: measured {described(name).label} ± scatter of one repeat. "
+                  for name in shown.drawn if name in found.measured.targets)
     )  # fmt: skip
-    return Picture(panel_svg(draw), alt, f"{test.capitalize()} compression. {caption}")
+    return Picture(panel_svg(draw), alt, f"{shown.title.capitalize()}. {caption.strip()}")
 
 
 def _reach(packings: Sequence[Packing], test: Test) -> str:
@@ -305,7 +311,7 @@ def _pictures(found: FitRecord) -> Iterator[Picture]:
 
 
 def _targeted(found: FitRecord) -> list[Observable]:
-    return [name for name in OBSERVABLES if name in found.measured.targets]
+    return list(found.measured.targets)
 
 
 def _ratios(found: FitRecord, name: Observable) -> str:

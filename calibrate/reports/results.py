@@ -15,6 +15,7 @@ from calibrate.inference.calibration import Calibrated, fit_json
 from calibrate.inference.parameters import RANGES
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.labtests.composite import label
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import Measured, record
 from calibrate.records.fit import FitRecord
@@ -133,17 +134,17 @@ def _write_history(path: Path, history: list[dict]) -> None:
 
 def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
     table = Table(title=lab.name, title_justify="left")
-    for column in ("", "depression depth (mm)", "crushing force (N)"):
+    names = list(next(iter(groups.values()))["observables"])
+    for column in ("", *map(label, names)):
         table.add_column(column)
-    names = ("depression_depth_mm", "crushing_force_n")
     measured = [
         f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
         for n in names
     ]
     table.add_row("measured (± one repeat)", *measured)
-    for label, group in groups.items():
+    for which, group in groups.items():
         cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
-        table.add_row(f"{label} (± one packing)", *cells)
+        table.add_row(f"{which} (± one packing)", *cells)
     return table
 
 

@@ -10,12 +10,12 @@ from calibrate.designs.anova import Anova, anova
 from calibrate.designs.comparison import Comparison, Ending
 from calibrate.designs.diagnostics import box_cox, diagnose, without_profile
 from calibrate.designs.screening import Screening
-from calibrate.designs.study import SIGNIFICANT
+from calibrate.designs.study import OBSERVABLES, SIGNIFICANT
 from calibrate.designs.surface import Surface
 from calibrate.figures import doe as drawing
 from calibrate.figures import study as panels
 from calibrate.figures.style import panel_svg
-from calibrate.records.base import OBSERVABLES, Observable, read
+from calibrate.records.base import Observable, read
 from calibrate.records.study import StudyRecord
 from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
 

@@ -20,6 +20,7 @@ from calibrate.simulation.executors import AbstractPlace, Here, MachineFailure, 
 from calibrate.simulation.keys import content_hash, packing_content, run_content
 from calibrate.simulation.run import Run, not_simulated
 from calibrate.simulation.store import SHIPPED, Store
+from jdem.apparatus.base import AbstractApparatus
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Packing, Specimen
@@ -47,6 +48,11 @@ class Campaign:
     simulated: int = 0  # runs that were not in the cache and were simulated for this campaign
     place: AbstractPlace = field(default_factory=Here)
     _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def apparatus(self) -> tuple[AbstractApparatus, ...]:
+        """The tests, in order."""
+        return self.lab.tests.apparatus
 
     def packings(self, seeds: Sequence[int]) -> list[Packing]:
         """The specimen's packings of these seeds, prepared if they are not on disk yet."""

@@ -1,6 +1,6 @@
 """Presets: how finely a virtual laboratory is resolved, and what that costs.
 
-| preset | spheres | one run of both tests, one core | use |
+| preset | spheres | one run of the paper's two tests, one core | use |
 |---|---|---|---|
 | quick | 150 | see benchmarks/results | trying, tests, first calibration |
 | standard | 1000 | see benchmarks/results | results |
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.io.lab import Lab
-from jdem.apparatus.confined import ConfinedCompression
-from jdem.apparatus.unconfined import UnconfinedCompression
+from calibrate.labtests.base import Pace
+from calibrate.labtests.measured import Cylinder
 from jdem.engine.bed import Numerics
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
@@ -22,16 +22,17 @@ from jdem.packing.settling import Specimen
 
 @dataclass(frozen=True)
 class Preset:
-    """Number of spheres, simulated platen speeds (m/s), packings averaged over."""
+    """Number of spheres, simulated platen speeds (m/s) on a specimen in its mould and on a free
+    one, packings averaged over."""
 
     name: str
     spheres: int
-    confined_rate: float
-    unconfined_rate: float
+    rate_in_mould: float
+    rate_free: float
     packings: int
 
 
-# Confined rates keep the inertial number at 200 N below 1e-3 (50 mm by 100 mm specimen).
+# Rates in the mould keep the inertial number at 200 N below 1e-3 (50 mm by 100 mm specimen).
 PRESETS = {
     preset.name: preset
     for preset in (
@@ -42,37 +43,30 @@ PRESETS = {
 }
 
 
-def specimen(lab: Lab, preset: Preset) -> Specimen:
-    """The lab's cylinder of soil filled with the preset's number of spheres."""
+def specimen(lab: Lab, preset: Preset, number: int = 0) -> Specimen:
+    """A lab's cylinder of soil filled with the preset's number of spheres; `number` counts the
+    lab's specimens."""
+    return _filled(lab, lab.specimens()[number].cylinder, preset)
+
+
+def virtual_lab(
+    lab: Lab, preset: Preset, numerics: Numerics | None = None, number: int = 0
+) -> VirtualLab:
+    """The tests on one of the lab's specimens at the preset's simulated rates."""
+    tested = lab.specimens()[number]
+    filled = _filled(lab, tested.cylinder, preset)
+    numerics = numerics_for(filled) if numerics is None else numerics
+    pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
+    apparatus = tuple(test.apparatus(tested.cylinder, pace) for test in tested.tests)
+    return VirtualLab.of(filled, TestSequence(apparatus), numerics)
+
+
+def _filled(lab: Lab, cylinder: Cylinder, preset: Preset) -> Specimen:
+    """A cylinder filled to the lab's density."""
     density = {"density": float(np.mean(lab.density_kg_m3))} if lab.density_kg_m3 else {}
     return Specimen(
-        diameter=lab.specimen.diameter,
-        height=lab.specimen.height,
-        count=preset.spheres,
-        **density,
+        diameter=cylinder.diameter, height=cylinder.height, count=preset.spheres, **density
     )
-
-
-def virtual_lab(lab: Lab, preset: Preset, numerics: Numerics | None = None) -> VirtualLab:
-    """Both tests of the lab at the preset's simulated rates."""
-    cylinder = specimen(lab, preset)
-    numerics = numerics_for(cylinder) if numerics is None else numerics
-    rows = PEAK_WINDOW / (preset.unconfined_rate * numerics.sample_time)
-    confined = ConfinedCompression(
-        simulated_rate=preset.confined_rate,
-        nominal_rate=lab.confined.rate,
-        force_low=lab.confined.force_low,
-        force_high=lab.confined.force_high,
-        stroke=STROKE * lab.specimen.height,
-    )
-    unconfined = UnconfinedCompression(
-        simulated_rate=preset.unconfined_rate,
-        nominal_rate=lab.unconfined.rate,
-        nominal_rest=lab.unconfined.rest,
-        stroke=CRUSHING_STRAIN * lab.specimen.height,
-        peak_rows=2 * int(rows / 2) + 1,
-    )
-    return VirtualLab.of(cylinder, TestSequence((confined, unconfined)), numerics)
 
 
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:
@@ -80,8 +74,3 @@ def numerics_for(cylinder: Specimen, **choices) -> Numerics:
     skin = Numerics().skin * 2 * cylinder.mean_radius()
     fall = 1.5 * float(np.sqrt(2 * GRAVITY * cylinder.height))
     return Numerics(sample_time=0.5 * skin / fall, **choices)
-
-
-PEAK_WINDOW = 2.5e-4  # m; travel over which the crushing force is averaged
-STROKE = 0.35  # largest confined compression, as a fraction of the height
-CRUSHING_STRAIN = 0.15  # of the unconfined test

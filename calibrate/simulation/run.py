@@ -9,18 +9,12 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from calibrate.labtests.composite import names
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
 from jdem.packing.settling import Packing
 
-# What the apparatus' observables (SI) are called in results, and their factors to those units.
-UNITS = {
-    "depression_depth": ("depression_depth_mm", 1e3),
-    "crushing_force": ("crushing_force_n", 1.0),
-    "settlement": ("settlement_mm", 1e3),
-    "force_left": ("force_left_n", 1.0),
-}
 UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
 QUALITY = (
     "inertial_number",
@@ -53,7 +47,7 @@ def not_simulated(lab: VirtualLab, failure: str) -> Run:
     """The row of a run that no machine could finish: empty curves, numbers that are NaN."""
     quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
     curves = {test.name: np.zeros((0, 2)) for test in lab.tests.apparatus}
-    found = {name: np.nan for name, _ in _names(lab).values()}
+    found = {name: np.nan for name, _ in names_in(lab).values()}
     return Run(found, curves, quality, failure)
 
 
@@ -61,11 +55,11 @@ def summary(
     lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome, seconds: float
 ) -> Run:
     """A run's numbers in mm and N, with the checks that say whether to believe them."""
-    record, tests = outcome.record, lab.tests
+    record = outcome.record
     samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
     steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
     energy = record.state.energy
-    rest = np.flatnonzero(np.asarray(record.samples.segment) == tests.names.index("resting"))
+    rest = np.flatnonzero(np.isin(np.asarray(record.samples.segment), _last_rest(lab)))
     kinetic = np.asarray(record.samples.kinetic_energy)
     quality = {
         "inertial_number": _inertial_number(lab, packing),
@@ -90,20 +84,19 @@ def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:
     """All observables of an outcome by their names in results."""
     return {
         name: factor * float(outcome.observables[test][source])
-        for (test, source), (name, factor) in _names(lab).items()
+        for (test, source), (name, factor) in names_in(lab).items()
     }
 
 
-def _names(lab: VirtualLab) -> dict[tuple[str, str], tuple[str, float]]:
-    """Name in results and factor of each test's observables; with the test's name before it where
-    several tests give the same one, and in SI where UNITS does not know it."""
-    given = [(test.name, source) for test in lab.tests.apparatus for source in test.observables]
-    sources = [source for _, source in given]
-    found = {}
-    for test, source in given:
-        name, factor = UNITS.get(source, (source, 1.0))
-        found[test, source] = (name if sources.count(source) == 1 else f"{test}.{name}", factor)
-    return found
+def names_in(lab: VirtualLab) -> dict[tuple[str, str], tuple[str, float]]:
+    """Name in results and factor of each observable, by test and name in the apparatus."""
+    tests = lab.tests.apparatus
+    return names((test.name, source) for test in tests for source in test.observables)
+
+
+def _last_rest(lab: VirtualLab) -> list[int]:
+    """Number of the last movement in which a free specimen rests; empty if none does."""
+    return [k for k, movement in enumerate(lab.tests.movements()) if movement.resting][-1:]
 
 
 def _inertial_number(lab: VirtualLab, packing: Packing) -> float:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder
@@ -11,6 +12,7 @@ from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import specimens
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
+from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.origin import made_by
 from calibrate.simulation.resolution import PRESETS, Preset
 
@@ -39,12 +41,19 @@ class Session:
         """The same session with another number of spheres in the preset."""
         return replace(self, preset=replace(self.preset, spheres=spheres))
 
-    def campaign(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
+    def campaign(self, out: Path, preparation: dict[str, float] | None) -> AbstractCampaign:
         """Simulations of this session; beds settle with the soil under test if its changed
         parameters are given, with a neutral soil if not."""
         soil = None if preparation is None else with_values(base_soil(self.lab), preparation)
-        work = specimens.campaign(self.lab, self.preset, out, self.progress, soil)
-        return replace(work, place=self.place)
+        return specimens.campaign(self.lab, self.preset, out, self.progress, soil, self.place)
+
+    def campaign_of_one(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
+        """The same where only tests on one specimen will do."""
+        if len(self.lab.specimens()) > 1:
+            problem = "the tests are made on several specimens, this command takes one"
+            repair = "keep the tests of one specimen, in a lab file of their own"
+            raise InputError(self.lab.file, "tests", problem, repair)
+        return cast(Campaign, self.campaign(out, preparation))
 
 
 def place_of(dask: str | None) -> AbstractPlace:

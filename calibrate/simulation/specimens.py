@@ -9,7 +9,11 @@ import numpy as np
 from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.base import AbstractLabTest
+from calibrate.labtests.composite import names_of
 from calibrate.simulation.campaign import Campaign
+from calibrate.simulation.executors import HERE, AbstractPlace
+from calibrate.simulation.joint import AbstractCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import Run
 from jdem.materials.soil import SoilParameters
@@ -42,19 +46,31 @@ def campaign(
     folder: Path,
     progress: AbstractProgress,
     preparation: SoilParameters | None = None,
-) -> Campaign:
+    place: AbstractPlace = HERE,
+) -> AbstractCampaign:
     """The lab's virtual tests at a preset, with results kept in `folder`.
 
-    Beds settle with `preparation`, or by default with a slippery, cohesionless soil.
+    Beds settle with `preparation`, or by default with a slippery, cohesionless soil; `place` is
+    where simulations run.
     """
-    laboratory, cylinder = virtual_lab(lab, preset), specimen(lab, preset)
-    return Campaign(laboratory, cylinder, folder, progress, preparation=preparation)
+    parts = tuple(
+        Campaign(
+            virtual_lab(lab, preset, number=number),
+            specimen(lab, preset, number),
+            folder,
+            progress,
+            preparation=preparation,
+            place=place,
+        )
+        for number in range(len(lab.specimens()))
+    )
+    return parts[0] if len(parts) == 1 else JointCampaign(parts)
 
 
 def simulate(
-    lab: Lab, preset: Preset, settings: dict[str, float], seed: int, work: Campaign
+    lab: Lab, preset: Preset, settings: dict[str, float], seed: int, work: AbstractCampaign
 ) -> tuple[dict, list[Run]]:
-    """Both tests on the preset's packings; the contract's JSON and the runs."""
+    """All tests on the preset's packings; the contract's JSON and the runs."""
     soil = with_values(base_soil(lab), settings)
     seeds = Seeds.of(seed, preset.packings).fitted
     runs = work.runs([soil], seeds, "simulating")[0]
@@ -93,16 +109,15 @@ def quality_json(runs: Sequence[Run]) -> dict:
     return {**worst, "overflow": any(run.quality["overflow"] > 0 for run in runs)}
 
 
-def rates_json(work: Campaign) -> dict:
-    """Nominal and simulated platen speeds (mm/s) of both tests, and their ratio."""
-    tests = work.lab.tests
+def rates_json(work: AbstractCampaign) -> dict:
+    """Nominal and simulated platen speeds (mm/s) of all tests, and their ratio."""
     return {
         test.name: {
             "nominal_mm_s": 1e3 * float(test.nominal_rate),
             "simulated_mm_s": 1e3 * float(test.simulated_rate),
             "scaled_by": float(test.simulated_rate / test.nominal_rate),
         }
-        for test in tests.apparatus
+        for test in work.apparatus
     }
 
 
@@ -147,7 +162,20 @@ def measured_json(lab: Lab) -> dict:
             }
             for curve in lab.curves
         ],
-        "depth_between_n": [lab.confined.force_low, lab.confined.force_high],
+        "tests": {test.called: _test_json(test, lab) for test in lab.tests},
+    }
+
+
+def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
+    """What readers have to know of a test: its type, its title, what its figures mark (N)."""
+    own = "" if test.called == test.type_name else f", {test.called}"
+    called = names_of(lab.tests)
+    drawn = [called[test.called, o.source][0] for o in test.observables if o.drawn]
+    return {
+        "type": test.type_name,
+        "title": f"{test.title}{own}",
+        "guides_n": list(test.guides()),
+        "drawn": drawn,
     }
 
 

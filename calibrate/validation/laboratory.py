@@ -13,12 +13,11 @@ import numpy as np
 
 from calibrate.core.files import write_text
 from calibrate.discrepancy.comparison.recording import interval_means
-from calibrate.discrepancy.features.confined import NAME as CONFINED
-from calibrate.discrepancy.features.curves import TARGETS, TESTS, feature_values
 from calibrate.discrepancy.library.run_library import curves_of, declared
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.simulation import Run
 from calibrate.validation.outside import CARRIED, AggregateCrushing, air_force
 from calibrate.validation.plan import (
@@ -48,13 +47,13 @@ diameter = "50 mm"
 height = "100 mm"
 mould_height = "150 mm"
 
-[confined]
+[{first}]
 rate = "8 mm/s"
 force_low = "200 N"
 force_high = "400 N"
 greased = true
 
-[unconfined]
+[{second}]
 rate = "0.01 mm/s"
 rest = "1 s"
 
@@ -114,7 +113,7 @@ class Laboratory:
     def changes(self, case: WithheldCase, numbers: range = range(SPECIMENS)) -> np.ndarray:
         """What the hidden effects do to the features of the curves (n, m), on each of these of the
         case's packings where both simulations have all of them."""
-        features = declared(self.lab.confined.force_high)[: -len(TARGETS)]
+        features = declared(self.lab.pair().compression.force_high)[: -len(TARGETS)]
         found = []
         for number in numbers:
             runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
@@ -149,18 +148,18 @@ class Laboratory:
 
     def _with_air(self, case: WithheldCase, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
-        share, high = strengths["trapped_air"], self.lab.confined.force_high
-        top = int(run.curves[CONFINED][:, 0].argmax()) + 1
-        way, force = run.curves[CONFINED][:top].T
+        share, high = strengths["trapped_air"], self.lab.pair().compression.force_high
+        top = int(run.curves[TESTS[0]][:, 0].argmax()) + 1
+        way, force = run.curves[TESTS[0]][:top].T
         together = np.maximum.accumulate(force + self._air(way, share))
         soil_share = float(np.interp(high, together, force))
         early = {**strengths, "early_turn": high - soil_share}
         turned = self._run(case, number, values, early)
-        confined = turned.curves[CONFINED].copy()
-        confined[:, 1] += self._air(confined[:, 0], share)
-        depth = np.interp([self.lab.confined.force_low, high], together, way)
+        pressed = turned.curves[TESTS[0]].copy()
+        pressed[:, 1] += self._air(pressed[:, 0], share)
+        depth = np.interp([self.lab.pair().compression.force_low, high], together, way)
         observables = {**turned.observables, "depression_depth_mm": float(depth[1] - depth[0])}
-        curves = {**turned.curves, CONFINED: confined}
+        curves = {**turned.curves, TESTS[0]: pressed}
         return Run(observables, curves, turned.quality)
 
     def _air(self, way, share: float) -> np.ndarray:
@@ -208,6 +207,8 @@ def write_case(
     numbers = range(1, len(specimens) + 1)
     text = TOML.format(
         name=name,
+        first=TESTS[0],
+        second=TESTS[1],
         density=", ".join(f'"{s.density:.0f} kg/m^3"' for s in specimens),
         parameters="\n".join(f"{n} = {v:g}" for n, v in centre.items()),
         curves="".join(CURVE.format(test=t, number=n) for t in TESTS for n in numbers),

@@ -20,10 +20,10 @@ from calibrate.core.errors import InputError
 from calibrate.core.files import write_json, write_text
 from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.reduction import shrinkage
-from calibrate.discrepancy.features.curves import declare_before_contact, recorded_feature_values
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.discrepancy.library.run_library import declared
+from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded_feature_values
 from calibrate.simulation import side_by_side
 from calibrate.validation import seal
 from calibrate.validation.canary import canary

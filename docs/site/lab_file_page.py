@@ -15,12 +15,17 @@ from calibrate.core.units import Kind
 from calibrate.inference.parameters import RANGES
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS
 from calibrate.io.tables import LabTables
+from calibrate.labtests.composite import TYPES
 
 HEAD = """# Lab file
 
 A lab file is TOML. A quantity is a string with its unit, such as `"50 mm"`; any unit of the right
 kind is read. Curves are CSV files in the folder of the lab file or below it. An entry without a
 default must be given. An unknown name is refused.
+
+Tests stand in a list `[[tests]]`. They are made in order, each on the specimen as the test before
+left it, or on a `specimen` of its own. `[confined]` and `[unconfined]` may also stand alone, with
+`[targets]` and `[[curves]]` beside them: then both tests are made, one after the other.
 """
 MEANING = {
     "SoilTable.density": "bulk density, one value a determination",
@@ -28,12 +33,34 @@ MEANING = {
     "SoilTable.source": "where the numbers come from",
     "SpecimenTable.height": "of the soil in the mould",
     "SpecimenTable.mould_height": "of the mould, if known",
-    "ConfinedTable.rate": "speed of the platen",
-    "ConfinedTable.force_low": "the depression depth counts from here",
-    "ConfinedTable.force_high": "and to here; the platen turns",
-    "ConfinedTable.greased": "whether the mould was greased; kept for the record",
-    "UnconfinedTable.rate": "speed of the platen",
-    "UnconfinedTable.rest": "between the removal of the mould and the test",
+    "ConfinedTest.rate": "speed of the platen",
+    "ConfinedTest.force_low": "the depression depth counts from here",
+    "ConfinedTest.force_high": "and to here; the platen turns",
+    "ConfinedTest.greased": "whether the mould was greased; kept for the record",
+    "UnconfinedTest.rate": "speed of the platen",
+    "UnconfinedTest.rest": "between the removal of the mould and the test",
+    "AbstractLabTest.type": "which kind of test this is",
+    "AbstractLabTest.name": "of the test in results; default: its type",
+    "AbstractLabTest.specimen": "a specimen of its own",
+    "AbstractLabTest.protocol": "a list of steps, in place of the usual course",
+    "AbstractLabTest.targets": "by observable, such as `crushing_force_n`",
+    "AbstractLabTest.curves": "any number of repeats",
+    "StepTable.to": "a force, stress, displacement or strain where the movement ends",
+    "StepTable.rate": "a speed or a strain rate; default: 1 mm/min, or that of the step before",
+    "StepTable.keep": "what a hold keeps, by default the displacement",
+    "StepTable.duration": "`for` in the file: how long a hold or a rest lasts",
+    "TargetTable.mean": "a quantity; a stress or strain is turned by the specimen's size",
+    "TargetTable.scatter": "standard deviation of one repeat",
+    "TargetTable.repeats": "number of repeats behind the mean",
+    "TargetTable.file": "in place of the three: a CSV file with one repeat a row",
+    "TargetTable.column": "of the file",
+    "TargetTable.unit": "of the column",
+    "TargetTable.times": "a factor, such as 2 from undrained to compressive strength",
+    "TargetTable.where": "rows to keep, by column and value",
+    "CurveTable.test": "in a list `[[curves]]` outside of `[[tests]]`: whose curve it is",
+    "CurveTable.where": "rows to keep, by column and value",
+    "CurveTable.points": "rows are load steps, not a continuous record",
+    "CurveTable.decimal": "decimal sign of the numbers",
     "CurveTable.file": "path of the CSV file",
     "CurveTable.delimiter": "between cells of a row",
     "ParticlesTable.reference_diameter": "at which `surface_energy` is stated",
@@ -64,7 +91,13 @@ def page() -> str:
 
 def tables() -> list[tuple[str, type[BaseModel]]]:
     """Every table with its place in the file: "", soil, specimen, ..., curves[].force."""
-    return _below("", LabTables)
+    found = _below("", LabTables)
+    for name, kind in TYPES.items():
+        known = [model for _, model in found]
+        if kind not in known:
+            place = f'tests[], type = "{name}"'
+            found += [entry for entry in _below(place, kind) if entry[1] not in known]
+    return found
 
 
 def _below(path: str, model: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
@@ -90,13 +123,15 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _table(path: str, model: type[BaseModel]) -> str:
-    title = f"[{path}]" if path and "[]" not in path else path.replace("[]", "")
-    if path.endswith("[]"):
+    place, _, kind = path.partition(",")
+    title = f"[{place}]" if place and "[]" not in place else place.replace("[]", "")
+    if place.endswith("[]"):
         title = f"[[{title}]]"
     doc = " ".join((model.__doc__ or "").split())
     head = ["| entry | meaning | unit | default | example |", "| --- | --- | --- | --- | --- |"]
     rows = [_row(model, name, field) for name, field in model.model_fields.items()]
-    return "\n".join([f"## `{title}`" if path else "## Tables", "", doc, "", *head, *rows, ""])
+    heading = f"## `{title}`{kind and f' with `{kind.strip()}`'}" if path else "## Tables"
+    return "\n".join([heading, "", doc, "", *head, *rows, ""])
 
 
 def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
@@ -108,7 +143,7 @@ def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
 
 def _meaning(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     choices = _literals(field.annotation)
-    words = MEANING.get(f"{model.__name__}.{name}", "")
+    words = next((w for kind in model.__mro__ if (w := MEANING.get(f"{kind.__name__}.{name}"))), "")
     if choices:
         words = f"{words}; one of ".lstrip("; ") + ", ".join(_shown(choice) for choice in choices)
     return words.replace("|", "\\|") or ("a table" if _models(field.annotation) else "")

@@ -64,12 +64,13 @@ class AbstractApparatus(eqx.Module):
     """One test, run on the specimen as the previous one left it.
 
     `name` is unique in a sequence; simulated_rate and nominal_rate (m/s) are the platen's, in
-    the simulation and in the laboratory.
+    the simulation and in the laboratory; stroke (m) is the farthest that a movement goes.
     """
 
     name: eqx.AbstractVar[str]
     simulated_rate: eqx.AbstractVar[Real]
     nominal_rate: eqx.AbstractVar[Real]
+    stroke: eqx.AbstractVar[Real]
 
     @abc.abstractmethod
     def movements(self) -> list[Movement]:

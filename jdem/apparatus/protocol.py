@@ -110,7 +110,11 @@ class Protocol(AbstractApparatus):
         return None if self.required_force is None else 0.5 * self.required_force
 
     def at_rate(self, factor: float) -> "Protocol":
-        return replace(self, simulated_rate=self.simulated_rate * factor)
+        return replace(self, simulated_rate=self.simulated_rate * factor).sampled(1 / factor)
+
+    def sampled(self, ratio: float) -> "Protocol":
+        """With gauges that average over `ratio` times as many samples."""
+        return replace(self, gauges=tuple(gauge.sampled(ratio) for gauge in self.gauges))
 
     def _seated(self, curve: Curve) -> Curve:
         """Displacement from where the force first reaches the seating force."""

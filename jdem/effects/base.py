@@ -31,17 +31,17 @@ class About(NamedTuple):
     """What a table says about an effect.
 
     quantity and unit (SI) of its strength; `typical` strengths, from small to large;
-    one_sided if the strength cannot be negative; where the curves of either test move;
-    confounders by their names (effects, contact parameters, settings); source of the numbers;
-    kind: what the effect is of, one of KINDS.
+    one_sided if the strength cannot be negative; where curves move, of specimens in_mould and of
+    free ones; confounders by their names (effects, contact parameters, settings); source of the
+    numbers; kind: what the effect is of, one of KINDS.
     """
 
     quantity: str
     unit: str
     typical: tuple[float, float]
     one_sided: bool
-    confined: str
-    unconfined: str
+    in_mould: str
+    free: str
     confounders: tuple[str, ...]
     source: str
     kind: str

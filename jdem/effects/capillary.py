@@ -42,8 +42,8 @@ class CapillaryTension(AbstractEffect):
         typical=(1e3, 1e4),
         kind="soil",
         one_sided=True,
-        confined="next to none; longer recovery at the end",
-        unconfined="peak higher and later, slower softening, higher residual",
+        in_mould="next to none; longer recovery at the end",
+        free="peak higher and later, slower softening, higher residual",
         confounders=("surface_energy", "tensile_exponent", "load_cell_drift"),
         source="1-10 kPa, decay length: assumptions; form: after Willett et al. 2000",
     )

@@ -30,7 +30,7 @@ class Cementation(AbstractEffect):
     """Strength: stress T/d^2 of a bond, Pa, one-sided.
 
     Bonds join the spheres that touch in the rest between the tests (ageing of a moulded soil;
-    a natural cement would be there from the start and is not this effect): the confined test
+    a natural cement would be there from the start and is not this effect): compression in the mould
     is untouched; without the mould the specimen is stiffer and stronger, and softens more
     abruptly once bonds break.  The time step bears T/(w k1) up to about 3.  Loess at rest for
     160 days got stronger "by 1.75 times" (Wei et al. 2023, abstract), read here as times 1.75;
@@ -44,8 +44,8 @@ class Cementation(AbstractEffect):
         typical=(1e4, 1e5),
         kind="soil",
         one_sided=True,
-        confined="none: bonds grow after it",
-        unconfined="stiffer, higher peak at less strain, brittle drop",
+        in_mould="none: bonds grow after it",
+        free="stiffer, higher peak at less strain, brittle drop",
         confounders=("surface_energy", "tensile_exponent", "second_test_factor"),
         source="stress, opening: assumptions; loess x 1.75 after 160 d (Wei et al. 2023)",
     )

@@ -26,8 +26,8 @@ class LoadFrameCompliance(AbstractEffect):
         typical=(5e-8, 1e-6),
         kind="instrument",
         one_sided=True,
-        confined="every slope flatter, unloading most; H up by 200 N/K",
-        unconfined="pre-peak flatter, peak later by F/K, same peak force",
+        in_mould="every slope flatter, unloading most; H up by 200 N/K",
+        free="pre-peak flatter, peak later by F/K, same peak force",
         confounders=("shear_modulus", "plasticity_ratio"),
         source="K of 1-20 kN/mm: assumption",
     )

@@ -63,13 +63,13 @@ def with_strengths(
 
 def as_table(entries: Mapping[str, About]) -> str:
     """What is known about effects or settings, as a table in Markdown; all are off at 0."""
-    head = "| name | strength | unit | typical | confined test | unconfined test | alike | source |"
+    head = "| name | strength | unit | typical | in the mould | free | alike | source |"
     rows = [head, "|" + " --- |" * 8]
     for name, about in entries.items():
         sides = ">= 0: " if about.one_sided else ""
         typical = f"{sides}{about.typical[0]:.2g} to {about.typical[1]:.2g}"
         alike = ", ".join(about.confounders)
-        cells = [name, about.quantity, about.unit, typical, about.confined, about.unconfined]
+        cells = [name, about.quantity, about.unit, typical, about.in_mould, about.free]
         rows.append("| " + " | ".join([*cells, alike, about.source]) + " |")
     return "\n".join(rows)
 

@@ -31,8 +31,8 @@ class SpecimenDensity(AbstractEffect):
         typical=(-0.02, 0.02),
         kind="specimen",
         one_sided=False,
-        confined="denser: no toe, stiffer; looser: toe",
-        unconfined="denser: stronger",
+        in_mould="denser: no toe, stiffer; looser: toe",
+        free="denser: stronger",
         confounders=("seating_gap", "shear_modulus", "preparation_friction"),
         source="2 %: assumption, and as far as the realisation holds; field samples 17.6 % "
         "(Chen et al. 2023, table 6)",

@@ -29,8 +29,8 @@ class LoadCellGain(AbstractEffect):
         typical=(-0.03, 0.03),
         kind="instrument",
         one_sided=False,
-        confined="all forces x (1 + g), reversal excepted; H through its thresholds",
-        unconfined="all forces x (1 + g)",
+        in_mould="all forces x (1 + g), reversal excepted; H through its thresholds",
+        free="all forces x (1 + g)",
         confounders=("shear_modulus", "surface_energy"),
         source="1 % in class 1, 3 % in class 3 of ISO 7500-1:2018 (second-hand); 3 % at 2-4 % of "
         "capacity: assumption",

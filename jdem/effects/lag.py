@@ -17,7 +17,7 @@ class AcquisitionLag(AbstractEffect):
 
     The machine reverses late: readings on loading lie v tau further, the true force overshoots
     by v tau S (S the soil's slope), the reading goes on rising while the platen turns and forms
-    a loop.  Nothing at the unconfined test's slow rate.  Solved in the loop, in nominal time,
+    a loop.  Nothing at the slow rate of crushing.  Solved in the loop, in nominal time,
     so a faster simulation has the same v tau.  tau = 20 to 100 ms (10 to 48 N at 8 mm/s) is an
     assumption; the 15 to 30 samples a second that a maker calls the least (IQC Test, company
     page) are 33 to 67 ms apart.
@@ -30,8 +30,8 @@ class AcquisitionLag(AbstractEffect):
         typical=(0.02, 0.1),
         kind="instrument",
         one_sided=True,
-        confined="loading shifted by v tau, force beyond the target, rounded reversal, loop",
-        unconfined="none: slow; the specimen was pressed harder",
+        in_mould="loading shifted by v tau, force beyond the target, rounded reversal, loop",
+        free="none: slow; the specimen was pressed harder",
         confounders=("seating_gap", "wall_friction", "rate_dependence"),
         source="20-100 ms: assumption; samples 33-67 ms apart (IQC Test, company page)",
     )

@@ -28,8 +28,8 @@ class LoadCellOffset(AbstractEffect):
         typical=(-10.0, 10.0),
         kind="instrument",
         one_sided=False,
-        confined="baseline shifted, also after release; H by curvature only",
-        unconfined="all forces shifted by b",
+        in_mould="baseline shifted, also after release; H by curvature only",
+        free="all forces shifted by b",
         confounders=("load_cell_drift", "surface_energy"),
         source="0.1 % in class 1 of ISO 7500-1:2018 (second-hand), of 10 kN: assumption",
     )

@@ -29,8 +29,8 @@ class PlatenFriction(AbstractEffect):
         typical=(0.1, 0.5),
         kind="wall",
         one_sided=True,
-        confined="next to none",
-        unconfined="peak higher and later, softer decline",
+        in_mould="next to none",
+        free="peak higher and later, softer decline",
         confounders=("surface_energy", "static_friction", "second_test_factor"),
         source="0.1-0.5: assumption around 0.2-0.4 for steel on soil (US Navy 1982, in Carter "
         "and Bentley 2016); height effect: Gueneyli and Ruesen 2016",

@@ -3,7 +3,7 @@
     k1, dgamma, f0 -> m (k1, dgamma, f0)      m = exp(rho log10(v/v_c)) = 1 + rho log10(v/v_c) + ...
     dv/dt = v (v_machine - v)/A               A = FADING_STRAIN
 
-v is the nominal axial strain rate that the soil feels, v_c that of the confined test.  Where
+v is the nominal axial strain rate that the soil feels, v_c that of the first test.  Where
 the machine stops, v fades as A/t and forces relax with log t; where it goes on, v has
 followed after a strain A.  v_machine is constant in a segment: that a simulated platen slows
 down just before its target does not count.  Simulated rates do not enter: the base model has none.
@@ -20,8 +20,8 @@ from jdem.effects.base import About, AbstractEffect, with_contacts_scaled
 class RateDependence(AbstractEffect):
     """Strength: rho, relative change of contact forces per decade of rate; one-sided.
 
-    The confined test is the reference and hardly moves while it loads; force falls in a hold
-    and in the rest; the unconfined test at 0.01 mm/s is weaker by some 3 rho (2.9 decades
+    Compression in the mould is the reference and hardly moves while it loads; force falls in a hold
+    and in the rest; crushing at 0.01 mm/s is weaker by some 3 rho (2.9 decades
     between the tests' speeds).  With one rate a test and no hold it is exactly alike to a
     factor on the second test.  rho = 0.09 from 5 to 50 % an hour on Boston blue clay, less and
     down to 0 at slower rates and high overconsolidation (Sheahan et al. 1996, abstract); linear
@@ -37,8 +37,8 @@ class RateDependence(AbstractEffect):
         typical=(0.05, 0.15),
         kind="soil",
         one_sided=True,
-        confined="force falls in a hold; next to none without one",
-        unconfined="all forces lower, by 3 rho at 2.9 decades; more right after the rest",
+        in_mould="force falls in a hold; next to none without one",
+        free="all forces lower, by 3 rho at 2.9 decades; more right after the rest",
         confounders=("second_test_factor", "platen_friction", "acquisition_lag", "restitution"),
         source="9 % per decade, saturated clay, fastest rates (Sheahan et al. 1996); 5-15 %: "
         "assumption",

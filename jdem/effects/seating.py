@@ -30,8 +30,8 @@ class SeatingGap(AbstractEffect):
         typical=(1e-4, 1e-3),
         kind="instrument",
         one_sided=True,
-        confined="long toe below 50 N and tail after unloading; H unchanged",
-        unconfined="long toe, peak later by s, same peak force",
+        in_mould="long toe below 50 N and tail after unloading; H unchanged",
+        free="long toe, peak later by s, same peak force",
         confounders=("acquisition_lag", "specimen_density"),
         source="0.1-1 mm: assumption; bedding errors: Sarsby et al. 1982, Barnard and Heymann 2015",
     )

@@ -13,7 +13,7 @@ class SecondTestFactor(AbstractEffect):
     """Strength: relative change e of every contact force, dimensionless, two-sided, > -1.
 
     Stiffness and adhesion change together, so overlaps stay in balance and the whole
-    unconfined curve is multiplied by 1 + e (quasi-static, weight neglected); the confined
+    second curve is multiplied by 1 + e (quasi-static, weight neglected); the first
     curve is untouched.  Stands for drying, ageing, and disturbance by extrusion and trimming:
     with one rate a test these are exactly alike.  Drying: strength grows by a factor of about
     35 from liquid to plastic limit (Vardanega and Haigh 2014, abstract), so by 5 to 15 % per
@@ -29,8 +29,8 @@ class SecondTestFactor(AbstractEffect):
         typical=(-0.5, 0.75),
         kind="specimen",
         one_sided=False,
-        confined="none",
-        unconfined="all forces x (1 + e)",
+        in_mould="none",
+        free="all forces x (1 + e)",
         confounders=("rate_dependence", "platen_friction", "cementation", "surface_energy"),
         source="drying 5-15 % per % of water (from Vardanega and Haigh 2014); loess x 1.75 after "
         "160 d (Wei et al. 2023); disturbance -50 %: assumption",

@@ -18,7 +18,7 @@ class WallFriction(AbstractEffect):
     Stiffer in the mould the higher the specimen; less force reaches the base than the platen
     gives while loading, more while unloading, and force falls faster after reversal.  (On a
     rigid soil that is an abrupt drop; here the contacts' tangential springs must turn first,
-    within some tenths of a millimetre.)  The unconfined test sees only the gradient that
+    within some tenths of a millimetre.)  Crushing sees only the gradient that
     this left.  Angles on greased walls: below 1 degree with latex at 150 to 670 kPa (Tatsuoka
     et al. 1984, abstract), 16.8 degrees with Teflon and silicone grease at low stress, where
     other lubricants did worse ("Experimental Study on the Effectiveness of Lubricants in
@@ -32,8 +32,8 @@ class WallFriction(AbstractEffect):
         typical=(0.02, 0.3),
         kind="wall",
         one_sided=True,
-        confined="stiffer, faster fall after reversal; base force below platen force",
-        unconfined="none but an inherited gradient",
+        in_mould="stiffer, faster fall after reversal; base force below platen force",
+        free="none but an inherited gradient",
         confounders=("shear_modulus", "plasticity_ratio", "static_friction", "acquisition_lag"),
         source="tan of 1 degree (grease and latex, Tatsuoka et al. 1984) to 16.8 degrees (Teflon "
         "and grease, low stress; ASCE study of sidewall lubricants)",

@@ -22,7 +22,7 @@ from calibrate.discrepancy.comparison.projection import fitted_shift
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import admissible
-from calibrate.discrepancy.features.curves import tests_of
+from calibrate.labtests.diagnosis.curves import tests_of
 
 RIDGE = 1.0  # of the classifier's weights
 

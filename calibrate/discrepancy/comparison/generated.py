@@ -20,7 +20,7 @@ from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.comparison.score import lengths
 from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
-from calibrate.discrepancy.features.curves import TESTS, tests_of
+from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
 
 @dataclass(frozen=True, eq=False)

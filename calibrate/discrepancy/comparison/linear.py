@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import Feature
+from calibrate.labtests.diagnosis.base import Feature
 
 
 @dataclass(frozen=True)

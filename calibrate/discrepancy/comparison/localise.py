@@ -20,7 +20,7 @@ from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.features.curves import segments_of, tests_of
+from calibrate.labtests.diagnosis.curves import segments_of, tests_of
 
 LEVEL = 0.95
 SIMULATED = 2000

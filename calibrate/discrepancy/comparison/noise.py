@@ -25,7 +25,7 @@ from scipy import linalg
 
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, Scatter
-from calibrate.discrepancy.features.curves import tests_of
+from calibrate.labtests.diagnosis.curves import tests_of
 
 PRIOR_SD_LN_AMPLITUDE = 0.25
 FOLDS = 5

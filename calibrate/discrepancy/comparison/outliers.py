@@ -14,8 +14,8 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.features.base import BEFORE
-from calibrate.discrepancy.features.curves import TESTS, tests_of
+from calibrate.labtests.diagnosis.base import BEFORE
+from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
 FREEDOM = 4.0  # nu
 CARRYING = 0.98  # of the scatter's variance

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.discrepancy.comparison.noise import best_shape
-from calibrate.discrepancy.features.base import Curves, Feature
-from calibrate.discrepancy.features.curves import feature_values, recorded_feature_values
+from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.labtests.diagnosis.curves import feature_values, recorded_feature_values
 
 REPEATS = 100
 

@@ -26,7 +26,7 @@ from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit, refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
-from calibrate.discrepancy.features.curves import TEST_FEATURES, tests_of
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES, tests_of
 
 WIDEST = 0.3  # of an interval (90 %), for a shrinkage to be claimed
 SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing

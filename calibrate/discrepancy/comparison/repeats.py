@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import Curves, Feature
-from calibrate.discrepancy.features.curves import TESTS, feature_values, tests_of
+from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.labtests.diagnosis.curves import TESTS, feature_values, tests_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import Feature
-from calibrate.discrepancy.features.curves import tests_of
+from calibrate.labtests.diagnosis.base import Feature
+from calibrate.labtests.diagnosis.curves import tests_of
 
 LENGTHS = (0.08, 0.3)
 AMPLITUDES = (0.3, 0.6, 1.2, 2.4, 4.8)

@@ -13,8 +13,8 @@ import numpy as np
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.next_test import FurtherTest
 from calibrate.discrepancy.comparison.noise import Noise
-from calibrate.discrepancy.features.base import Variation
-from calibrate.discrepancy.features.curves import TEST_FEATURES, TESTS, tests_of
+from calibrate.labtests.diagnosis.base import Variation
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS, tests_of
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
 

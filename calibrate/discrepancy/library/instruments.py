@@ -19,18 +19,18 @@ from scipy.interpolate import PchipInterpolator
 from calibrate.discrepancy.comparison.linear import Emulator, Linearised
 from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.features.base import Curves, Feature
-from calibrate.discrepancy.features.contact import readings_before_contact
-from calibrate.discrepancy.features.curves import (
+from calibrate.discrepancy.library.load_cell_lag import LAG
+from calibrate.discrepancy.library.low_pass import filtered
+from calibrate.discrepancy.library.measurements import ScaledMeasurements
+from calibrate.discrepancy.library.run_library import RunLibrary, usual_sizes
+from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.labtests.diagnosis.contact import readings_before_contact
+from calibrate.labtests.diagnosis.curves import (
     TEST_FEATURES,
     declare_before_contact,
     feature_values,
     tared_rows,
 )
-from calibrate.discrepancy.library.load_cell_lag import LAG
-from calibrate.discrepancy.library.low_pass import filtered
-from calibrate.discrepancy.library.measurements import ScaledMeasurements
-from calibrate.discrepancy.library.run_library import RunLibrary, usual_sizes
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most

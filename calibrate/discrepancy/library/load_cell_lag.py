@@ -20,9 +20,9 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import Feature
-from calibrate.discrepancy.features.confined import REFERENCE
 from calibrate.discrepancy.library.low_pass import filtered_evenly
+from calibrate.labtests.diagnosis.base import Feature
+from calibrate.labtests.diagnosis.confined import REFERENCE
 
 LAG = "acquisition_lag"
 STEP = 0.02  # mm of path between points

@@ -19,16 +19,16 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.features.base import Curves
-from calibrate.discrepancy.features.contact import force_before_contact, force_noise
-from calibrate.discrepancy.features.curves import (
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.io.lab import Lab
+from calibrate.labtests.diagnosis.base import Curves
+from calibrate.labtests.diagnosis.contact import force_before_contact, force_noise
+from calibrate.labtests.diagnosis.curves import (
     TARGETS,
     TESTS,
     declare_targets,
     recorded_feature_values,
 )
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
-from calibrate.io.lab import Lab
 
 SHAPE_TOLERANCE = 0.12  # of height over diameter, and of the largest stress
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
@@ -83,7 +83,7 @@ def check_shape(lab: Lab, library: RunLibrary) -> None:
     stress = mine.force_high / mine.diameter**2 / (theirs.force_high / theirs.diameter**2)
     if abs(np.log(stress)) > SHAPE_TOLERANCE:
         problem = f"the largest stress is {stress:.2f} times the library's"
-        raise InputError(lab.file, "confined.force_high", problem, _REPAIR)
+        raise InputError(lab.file, f"{TESTS[0]}.force_high", problem, _REPAIR)
 
 
 _REPAIR = "make a library for this lab: calibrate library LAB.toml --out FILE"
@@ -110,7 +110,7 @@ def read_measurements(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
     vectors = values[:, [on_curves.index(feature) for feature in known]]
     chosen = np.array([every.index(feature) for feature in known])
     channels = {test: _channel(test, specimens) for test in TESTS}
-    speeds = {test: 1e3 * getattr(lab, test).rate for test in TESTS}
+    speeds = {test: 1e3 * rate for test, rate in lab.pair().rates.items()}
     measured = from_vectors(known, vectors)
     return ScaledMeasurements(measured, chosen, before, channels, tuple(specimens), speeds)
 

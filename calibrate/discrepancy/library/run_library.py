@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.features.base import Curves, Feature, UsualSizes
-from calibrate.discrepancy.features.curves import declare, declare_targets, feature_values
 from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
     TrainingPoints,
@@ -21,6 +19,8 @@ from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.io.lab import Lab
+from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
+from calibrate.labtests.diagnosis.curves import declare, declare_targets, feature_values
 from calibrate.simulation import Run, engine_hash
 
 PEAK_MM, PEAK_N = 4.0, 250.0  # usual location of the peak, by which crushing features are declared
@@ -28,7 +28,7 @@ PEAK_MM, PEAK_N = 4.0, 250.0  # usual location of the peak, by which crushing fe
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Specimen and forces of a library's confined test: m, m, N, N."""
+    """Specimen, and forces of its depression depth: m, m, N, N."""
 
     diameter: float
     height: float
@@ -37,10 +37,8 @@ class Cylinder:
 
     @staticmethod
     def of(lab: Lab) -> "Cylinder":
-        return Cylinder(
-            lab.specimen.diameter, lab.specimen.height,
-            lab.confined.force_low, lab.confined.force_high,
-        )  # fmt: skip
+        test, cylinder = lab.pair().compression, lab.specimens()[0].cylinder
+        return Cylinder(cylinder.diameter, cylinder.height, test.force_low, test.force_high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +65,9 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class RunLibrary:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the confined
-    test; once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the
-    load cell adds to the rows, lag_shift (n, m)."""
+    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the mould;
+    once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the load
+    cell adds to the rows, lag_shift (n, m)."""
 
     design: Design
     cylinder: Cylinder
@@ -209,11 +207,11 @@ def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.n
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
     """The library of a design's runs (None: not simulated), without failed and incomplete ones."""
     packing = np.repeat(np.arange(design.packings), design.rows_each)
-    rows = Rows.of(declared(lab.confined.force_high), *design.rows(), packing, runs)
+    rows = Rows.of(declared(lab.pair().compression.force_high), *design.rows(), packing, runs)
     return RunLibrary(
         design, Cylinder.of(lab), engine_hash(),
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
-        speed=1e3 * lab.confined.rate,
+        speed=1e3 * lab.pair().compression.rate,
     )  # fmt: skip
 
 

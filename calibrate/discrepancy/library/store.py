@@ -15,11 +15,11 @@ import numpy as np
 import xarray as xr
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.features.curves import TESTS
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.labtests.diagnosis.curves import TESTS
 
 NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ

@@ -79,6 +79,8 @@ def _lab_text(name: str, specimens: list[Specimen]) -> str:
     numbers = range(1, len(specimens) + 1)
     return LAB.format(
         name=name,
+        first=tests[0],
+        second=tests[1],
         density=", ".join(f'"{density:.0f} kg/m^3"' for density in densities),
         height=np.mean([s.height for s in specimens]),
         parameters=_parameters(),

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import (
+from calibrate.labtests.diagnosis.base import (
     AbstractTestFeatures,
     Feature,
     UsualSizes,
     Values,
     Variation,
 )
-from calibrate.discrepancy.features.branches import (
+from calibrate.labtests.diagnosis.branches import (
     averaged,
     displacement_at,
     rising,

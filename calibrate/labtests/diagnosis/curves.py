@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import (
+from calibrate.labtests.diagnosis.base import (
     BEFORE,
     TARGET,
     AbstractTestFeatures,
@@ -18,9 +18,9 @@ from calibrate.discrepancy.features.base import (
     UsualSizes,
     Values,
 )
-from calibrate.discrepancy.features.confined import ConfinedFeatures
-from calibrate.discrepancy.features.contact import force_before_contact, from_contact_on
-from calibrate.discrepancy.features.unconfined import UnconfinedFeatures
+from calibrate.labtests.diagnosis.confined import ConfinedFeatures
+from calibrate.labtests.diagnosis.contact import force_before_contact, from_contact_on
+from calibrate.labtests.diagnosis.unconfined import UnconfinedFeatures
 
 TEST_FEATURES: dict[str, AbstractTestFeatures] = {
     test.name: test for test in (ConfinedFeatures(), UnconfinedFeatures())

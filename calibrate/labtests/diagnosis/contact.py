@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibrate.discrepancy.features.base import Curves
+from calibrate.labtests.diagnosis.base import Curves
 
 CONTACT = 0.012  # share of the range of forces at which the platen surely touches
 TOUCH = 0.002  # the same at which it may touch already, where noise allows to see it

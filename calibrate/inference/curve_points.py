@@ -1,0 +1,98 @@
+"""What a whole run is differentiated as: its observables, and points along the curves of its tests.
+
+force that a test has to reach:  displacements (mm) at shares of it on loading
+no such force:                   forces (N) at shares of the platen's stroke
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from calibrate.labtests.composite import names
+from calibrate.simulation import Run
+from calibrate.simulation.joint import AbstractCampaign
+from jdem.apparatus.base import AbstractApparatus
+from jdem.laboratory.virtual_lab import Outcome
+from jdem.observables import Curve, displacement_at
+
+POINTS = 20  # of each curve
+
+
+@dataclass(frozen=True)
+class CurveReading:
+    """Where one test's curve is read: displacements (mm) at forces (N) on loading, or forces at
+    displacements; `along` says which of the two the `points` are."""
+
+    test: str
+    along: Literal["force_n", "displacement_mm"]
+    points: np.ndarray
+
+    @staticmethod
+    def of(test: AbstractApparatus) -> "CurveReading":
+        """At equal shares of the force that the test has to reach, else of the platen's stroke."""
+        share = np.arange(1, POINTS + 1) / POINTS
+        if test.required_force is not None:
+            return CurveReading(test.name, "force_n", float(test.required_force) * share)
+        return CurveReading(test.name, "displacement_mm", 1e3 * float(test.stroke) * share)
+
+    def read(self, curve: np.ndarray) -> np.ndarray:
+        """Of a curve (rows, 2) in mm and N."""
+        travel, force = curve.T
+        if self.along == "displacement_mm":
+            return np.interp(self.points, travel, force)
+        highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
+        return np.interp(self.points, highest, travel[: len(highest)])
+
+    def traced(self, curve: Curve) -> Array:
+        """The same, traced by JAX."""
+        if self.along == "displacement_mm":
+            filled = curve.filled()
+            return jnp.interp(jnp.asarray(self.points), 1e3 * filled.displacement, filled.force)
+        return 1e3 * jax.vmap(lambda force: displacement_at(curve, force))(jnp.asarray(self.points))
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """What is differentiated: all observables by test and name there, and points of all curves."""
+
+    called: dict[tuple[str, str], tuple[str, float]]
+    readings: tuple[CurveReading, ...]
+
+    @staticmethod
+    def of(work: AbstractCampaign) -> "CurvePoints":
+        tests = work.apparatus
+        called = names((test.name, source) for test in tests for source in test.observables)
+        return CurvePoints(called, tuple(CurveReading.of(test) for test in tests))
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """Names in results."""
+        return tuple(name for name, _ in self.called.values())
+
+    def read(self, run: Run) -> np.ndarray:
+        """Observables, then every curve's points (mm or N); NaN: failed."""
+        if run.failure:
+            return np.full(len(self.called) + POINTS * len(self.readings), np.nan)
+        values = [run.observables[name] for name in self.observables]
+        return np.concatenate([values, *(r.read(run.curves[r.test]) for r in self.readings)])
+
+    def traced(self, outcome: Outcome) -> Array:
+        """The same numbers as `read`, traced by JAX."""
+        values = [
+            factor * outcome.observables[test][source]
+            for (test, source), (_, factor) in self.called.items()
+        ]
+        curves = [reading.traced(outcome.curves[reading.test]) for reading in self.readings]
+        return jnp.concatenate([jnp.stack(values), *curves])
+
+    def slices(self) -> dict[str, slice]:
+        """Where each test's curve stands among what `read` returns."""
+        first = len(self.called)
+        return {
+            reading.test: slice(first + POINTS * k, first + POINTS * (k + 1))
+            for k, reading in enumerate(self.readings)
+        }

@@ -1,0 +1,150 @@
+"""The contract of a laboratory test: its table in a lab file, its virtual apparatus, what it gives.
+
+    table -> apparatus (jdem) -> curve, observables
+    measured curve -> features  <- simulated curve
+
+Forces are N, displacements mm where a laboratory reads them, everything else SI.
+"""
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from pydantic import Field, model_validator
+
+from calibrate.core.errors import BadValue, suggestion
+from calibrate.core.tables import AbstractTable, Text
+from calibrate.core.units import FORCE, MILLIMETRES, Kind
+from calibrate.labtests.features import AbstractFeature, path_features
+from calibrate.labtests.measured import Curve, CurveTable, Cylinder, SpecimenTable, TargetTable
+from calibrate.labtests.protocol import MOVING, StepTable, check_protocol, program
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.protocol import Protocol
+from jdem.observables import AbstractGauge
+
+STROKE = 0.35  # largest compression that is simulated, as a share of the height
+UNITS = {"mm": MILLIMETRES, "N": FORCE}
+
+
+@dataclass(frozen=True)
+class Observable:
+    """A number that a test gives.
+
+    `name` in results ends in its unit; `source` is its name in the apparatus and `scale` takes it
+    from SI; an audit passes slopes `within` this share of the reference; `drawn`: a figure of the
+    curve shows it as a force.
+    """
+
+    name: str
+    label: str
+    unit: str
+    source: str
+    scale: float
+    within: float
+    drawn: bool = False
+
+    @property
+    def short(self) -> str:
+        """The name without its unit."""
+        return self.name.rpartition("_")[0]
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of quantity that a target is given in."""
+        return UNITS[self.unit]
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a simulation moves: platen speeds (m/s) with the specimen in its mould, and free; the
+    time (s) between samples."""
+
+    in_mould: float
+    free: float
+    sample_time: float
+
+
+class AbstractLabTest(AbstractTable):
+    """One test as a lab file states it.
+
+    `name` is unique among the tests of a lab, by default the type; `specimen` is a specimen of its
+    own, without which the test goes on with that of the test before; `protocol` replaces the
+    usual one.  type_name: what `type` says; title: of figures; observables: what it gives; plain:
+    its table may stand alone, called like the type, in a lab file without [[tests]].
+    """
+
+    type_name: ClassVar[str]
+    title: ClassVar[str]
+    observables: ClassVar[tuple[Observable, ...]]
+    plain: ClassVar[bool] = False
+
+    type: Text | None = None
+    name: Text | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9 _-]+$")
+    specimen: SpecimenTable | None = None
+    protocol: list[StepTable] = Field(default=[])
+    targets: dict[str, TargetTable] = Field(default={})
+    curves: list[CurveTable] = Field(default=[])
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> "AbstractLabTest":
+        check_protocol(self.protocol)
+        for given in self.targets:
+            self.observable(given)
+        return self
+
+    @property
+    def called(self) -> str:
+        """The test's name: what the lab file says, or its type."""
+        return self.name or self.type_name
+
+    def observable(self, given: str) -> Observable:
+        """The observable that a target is called after, with or without its unit."""
+        for observable in self.observables:
+            if given in (observable.name, observable.short):
+                return observable
+        known = [observable.name for observable in self.observables]
+        raise BadValue("unknown name", suggestion(given, known), f"targets.{given}")
+
+    @property
+    def nominal_rate(self) -> float | None:
+        """The platen's speed (m/s) in the laboratory, None where the test says nothing."""
+        height = self.specimen.height if self.specimen else 0.1
+        moving = [step for step in self.protocol if step.step in MOVING]
+        return moving[0].speed(height) if moving else None
+
+    @abc.abstractmethod
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        """The virtual test on a specimen, at a simulated pace."""
+
+    def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
+        """Where the measured curves (at least one) are compared with simulated ones."""
+        return path_features(self.called, curves)
+
+    def refusal(self, curve: Curve) -> BadValue | None:
+        """Why a measured curve cannot be compared with this test; None if it can."""
+        return None
+
+    def guides(self) -> tuple[float, ...]:
+        """Forces (N) that a figure of the curve marks."""
+        return ()
+
+    def follow(
+        self,
+        steps: Sequence[StepTable],
+        cylinder: Cylinder,
+        pace: Pace,
+        gauges: tuple[AbstractGauge, ...],
+    ) -> Protocol:
+        """The virtual machine that takes these steps and reads these gauges."""
+        free = any(step.step == "remove_mould" for step in steps)
+        made = program(steps, cylinder)
+        moving = [step.nominal_rate for step in made if step.kind in ("force", "travel")]
+        return Protocol(
+            steps=made,
+            simulated_rate=pace.free if free else pace.in_mould,
+            nominal_rate=moving[0],
+            stroke=STROKE * cylinder.height,
+            gauges=gauges,
+            name=self.called,
+        )

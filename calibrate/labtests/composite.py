@@ -1,0 +1,55 @@
+"""All types of laboratory tests, and what several tests of one lab are called in results."""
+
+from collections.abc import Iterable, Mapping
+
+from calibrate.labtests.base import AbstractLabTest, Observable
+from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.unconfined import UnconfinedTest
+
+TYPES: Mapping[str, type[AbstractLabTest]] = {
+    kind.type_name: kind
+    for kind in (
+        ConfinedTest,
+        UnconfinedTest,
+    )
+}  # fmt: skip
+PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
+OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.observables}  # by source
+BY_NAME = {o.name: o for o in OBSERVABLES.values()}
+
+
+def names(given: Iterable[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, float]]:
+    """What observables, given as (test, source), are called in results, and their factors there.
+
+    The test's name stands before that of an observable which several tests give; an observable
+    that no type of test knows stays in SI.
+    """
+    pairs = list(given)
+    sources = [source for _, source in pairs]
+    found = {}
+    for test, source in pairs:
+        known = OBSERVABLES.get(source)
+        name, factor = (known.name, known.scale) if known else (source, 1.0)
+        found[test, source] = (name if sources.count(source) == 1 else f"{test}.{name}", factor)
+    return found
+
+
+def names_of(tests: Iterable[AbstractLabTest]) -> dict[tuple[str, str], tuple[str, float]]:
+    """The same for the tests of a lab."""
+    return names((test.called, o.source) for test in tests for o in test.observables)
+
+
+def described(name: str) -> Observable:
+    """The observable of a name in results, whatever test it belongs to."""
+    test, _, plain = name.rpartition(".")
+    known = BY_NAME.get(plain)
+    if known is None:
+        return Observable(name, name.replace("_", " "), "", plain, 1.0, within=0.25)
+    label = f"{known.label}, {test}" if test else known.label
+    return Observable(name, label, known.unit, known.source, known.scale, known.within, known.drawn)
+
+
+def label(name: str) -> str:
+    """An observable's label with its unit: "depression depth (mm)"."""
+    known = described(name)
+    return f"{known.label} ({known.unit})" if known.unit else known.label

@@ -1,0 +1,178 @@
+"""What was measured, as a lab file states it: curve files with their columns, and scalar targets.
+
+Curves are force or stress against displacement, strain or void ratio; stress and strain become
+force and displacement by the specimen's size.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from calibrate.core.errors import BadValue
+from calibrate.core.tables import (
+    AbstractTable,
+    Count,
+    ForceUnit,
+    Length,
+    LengthUnit,
+    StrainUnit,
+    StressUnit,
+    Text,
+    required,
+)
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A specimen: diameter and height in the mould (m), height of the mould (m) if known."""
+
+    diameter: float
+    height: float
+    mould_height: float | None = None
+
+    @property
+    def area(self) -> float:
+        """Cross-section, m2."""
+        return np.pi / 4 * self.diameter**2
+
+
+@dataclass(frozen=True)
+class Target:
+    """A measured observable: mean of `repeats` tests and standard deviation of one [mm or N]."""
+
+    mean: float
+    scatter: float
+    repeats: int
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One measured curve, in the order of recording; `file` is its path as written in the lab
+    file.  Both arrays have shape (points,) and are read-only; `points`: they are load steps."""
+
+    test: str
+    displacement_mm: np.ndarray
+    force_n: np.ndarray
+    file: str
+    points: bool = False
+
+
+class SpecimenTable(AbstractTable):
+    """The cylinder of soil, in m."""
+
+    diameter: Length = required('diameter = "50 mm"')
+    height: Length = required('height = "100 mm"')
+    mould_height: Length | None = None
+
+    @model_validator(mode="after")
+    def _check_fits_mould(self) -> "SpecimenTable":
+        if self.mould_height is not None and self.height > self.mould_height:
+            raise BadValue("the soil is higher than its mould", "lower it", "height")
+        return self
+
+    def cylinder(self) -> Cylinder:
+        """The same as plain numbers."""
+        return Cylinder(self.diameter, self.height, self.mould_height)
+
+
+class TargetTable(AbstractTable):
+    """A measured observable: mean and standard deviation of one repeat, as quantities, and their
+    number; or a file with one repeat a row, its column and unit, each repeat `times` a factor.
+
+    A length may be given as a strain, a force as a stress of the specimen's area.
+    """
+
+    mean: Any = None
+    scatter: Any = None
+    repeats: Count | None = None
+    file: Text | None = None
+    column: Text | None = None
+    unit: Text | None = None
+    delimiter: Literal[",", ";", "\t", "|", " "] = ","
+    decimal: Literal[".", ","] = "."
+    where: dict[str, str] = Field(default={})
+    times: float = Field(default=1.0, gt=0)
+
+    @model_validator(mode="after")
+    def _check_complete(self) -> "TargetTable":
+        if self.file is None:
+            wanted = {"mean": '"3.36 mm"', "scatter": '"0.2 mm"', "repeats": "4"}
+        else:
+            wanted = {"column": '"strength"', "unit": '"kPa"'}
+        for name, example in wanted.items():
+            if getattr(self, name) is None:
+                raise BadValue("missing", f"add {name} = {example}", name)
+        return self
+
+
+class DisplacementColumn(AbstractTable):
+    """A column of displacements; `unit` becomes the factor that takes it to mm."""
+
+    column: Text = required('column = "displacement"')
+    unit: LengthUnit = required('unit = "mm"')
+
+
+class ForceColumn(AbstractTable):
+    """A column of forces; `unit` becomes the factor that takes it to N."""
+
+    column: Text = required('column = "force"')
+    unit: ForceUnit = required('unit = "N"')
+
+
+class StressColumn(AbstractTable):
+    """A column of stresses on the specimen's first area; `unit` becomes the factor to kPa."""
+
+    column: Text = required('column = "stress"')
+    unit: StressUnit = required('unit = "kPa"')
+
+
+class StrainColumn(AbstractTable):
+    """A column of axial strains, of the specimen's first height; `unit` becomes the factor to 1."""
+
+    column: Text = required('column = "strain"')
+    unit: StrainUnit = required('unit = "%"')
+
+
+class VoidRatioColumn(AbstractTable):
+    """A column of void ratios e: strain (e0 - e)/(1 + e0), e0 being `initial` or the first row."""
+
+    column: Text = required('column = "e"')
+    initial: float | None = Field(default=None, gt=0)
+
+
+class CurveTable(AbstractTable):
+    """Where one measured curve is found: a file, and two of its columns.
+
+    `where` keeps the rows whose columns have these values; `points` says that rows are load steps,
+    not a continuous record.  `test` names the test in a list [[curves]] outside of [[tests]].
+    """
+
+    test: Text | None = None
+    file: Text = required('file = "test_1.csv"')
+    displacement: DisplacementColumn | None = None
+    strain: StrainColumn | None = None
+    void_ratio: VoidRatioColumn | None = None
+    force: ForceColumn | None = None
+    stress: StressColumn | None = None
+    delimiter: Literal[",", ";", "\t", "|", " "] = ","
+    decimal: Literal[".", ","] = "."
+    where: dict[str, str] = Field(default={})
+    points: bool = False
+
+    @model_validator(mode="after")
+    def _check_two_columns(self) -> "CurveTable":
+        along = [self.displacement, self.strain, self.void_ratio]
+        given = sum(column is not None for column in along)
+        if given != 1:
+            problem = "missing" if given == 0 else "only one of displacement, strain, void_ratio"
+            repair = 'give displacement = { column = "displacement", unit = "mm" }, or strain, or '
+            raise BadValue(problem, repair + "void_ratio", "displacement")
+        if (self.force is None) == (self.stress is None):
+            problem = "missing" if self.force is None else "there is stress, too"
+            repair = 'give force = { column = "force", unit = "N" } or stress, one of them'
+            raise BadValue(problem, repair, "force")
+        if self.delimiter == self.decimal:
+            raise BadValue("it is the delimiter too", 'give delimiter = ";"', "decimal")
+        return self

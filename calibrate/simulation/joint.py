@@ -1,0 +1,116 @@
+"""Tests on several specimens as one: every specimen is a campaign, and their runs are joined.
+
+A soil that is tested on two specimens, one for each test, is simulated on two packings of the same
+seed; what both give is one run.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from calibrate.core.progress import AbstractProgress
+from calibrate.labtests.composite import names
+from calibrate.simulation.campaign import Campaign
+from calibrate.simulation.run import Run, names_in
+from jdem.apparatus.base import AbstractApparatus
+from jdem.materials.soil import SoilParameters
+
+SUMMED = ("steps", "runtime_s", "platen_work_j")  # of the checks; the worst counts of the others
+
+
+class AbstractCampaign(Protocol):
+    """What simulates soils on packings: one specimen's campaign, or several specimens' together."""
+
+    @property
+    def folder(self) -> Path: ...
+
+    @property
+    def progress(self) -> AbstractProgress: ...
+
+    @property
+    def simulated(self) -> int:
+        """Runs that were not in the cache and were simulated."""
+        ...
+
+    @property
+    def apparatus(self) -> tuple[AbstractApparatus, ...]:
+        """All tests, in order."""
+        ...
+
+    def runs(
+        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
+        ...
+
+    def each(
+        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
+        ...
+
+
+@dataclass(frozen=True)
+class JointCampaign:
+    """Campaigns of several specimens (at least one) in one folder."""
+
+    parts: tuple[Campaign, ...]
+
+    @property
+    def folder(self) -> Path:
+        return self.parts[0].folder
+
+    @property
+    def progress(self) -> AbstractProgress:
+        return self.parts[0].progress
+
+    @property
+    def simulated(self) -> int:
+        return sum(part.simulated for part in self.parts)
+
+    @property
+    def apparatus(self) -> tuple[AbstractApparatus, ...]:
+        return tuple(test for part in self.parts for test in part.apparatus)
+
+    def runs(
+        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
+
+    def each(
+        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """A specimen whose runs fail does not keep the others from being simulated."""
+        rows = []
+        for number, part in enumerate(self.parts, 1):
+            which = f"{what}, specimen {number} of {len(self.parts)}"
+            rows.append(part.each(soils, seeds, which))
+        return [
+            [self._joined(together) for together in zip(*row, strict=True)]
+            for row in zip(*rows, strict=True)
+        ]
+
+    def _joined(self, together: Sequence[Run]) -> Run:
+        """The runs of one soil on all specimens as one."""
+        called = names((t.name, source) for t in self.apparatus for source in t.observables)
+        observables, curves = {}, {}
+        for part, run in zip(self.parts, together, strict=True):
+            for which, (name, _) in names_in(part.lab).items():
+                observables[called[which][0]] = run.observables[name]
+            curves |= run.curves
+        failures = [run.failure for run in together if run.failure]
+        return Run(observables, curves, _worst(together), "; ".join(failures))
+
+
+def _worst(together: Sequence[Run]) -> dict[str, float]:
+    """The checks of several runs as those of one."""
+    found = {}
+    for name in together[0].quality:
+        values = np.array([run.quality[name] for run in together])
+        known = values[np.isfinite(values)]
+        combined = np.sum if name in SUMMED else np.max
+        found[name] = float(combined(known)) if known.size else float("nan")
+    return found
