@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.unconfined import UnconfinedTest
 
 TYPES: Mapping[str, type[AbstractLabTest]] = {
@@ -11,6 +12,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
     for kind in (
         ConfinedTest,
         UnconfinedTest,
+        OedometerTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
