@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.oedometer import OedometerTest
+from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.unconfined import UnconfinedTest
 
 TYPES: Mapping[str, type[AbstractLabTest]] = {
@@ -13,6 +14,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         ConfinedTest,
         UnconfinedTest,
         OedometerTest,
+        RelaxationTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
