@@ -36,9 +36,9 @@ ORDER = {
     "calibrate": (
         "core",
         "io",
+        "instrument_import",
         "simulation",
         "inference",
-        "instrument_import",
         "designs",
         "discrepancy",
         "validation",

@@ -15,12 +15,12 @@ import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import Curve, Lab
+from calibrate.io.reading import SEATING, displacement_up
 from calibrate.simulation import Run
 
 LOADING = (0.125, 0.25, 0.5, 0.75, 1.0)  # of force_high, displacement read on loading
 UNLOADING = (0.5, 0.1)  # of force_high, displacement read on unloading
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
-SEATING = 2.0  # N; force at which displacement starts to count
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Feature:
             return _force_at(displacement_mm, force_n, self.abscissa)
         turn = int(np.argmax(force_n))
         if self.kind == "loading":
-            return _displacement_up(displacement_mm[: turn + 1], force_n[: turn + 1], self.abscissa)
+            return displacement_up(displacement_mm[: turn + 1], force_n[: turn + 1], self.abscissa)
         return _displacement_down(displacement_mm, force_n, turn, self.abscissa)
 
 
@@ -171,14 +171,6 @@ def _measured(lab: Lab, curve: Curve, feature: Feature) -> float:
             f"give a curve that reaches {lab.confined.force_high:g} N, or lower force_high",
         )
     return feature.of_curve(curve.displacement_mm, curve.force_n)
-
-
-def _displacement_up(displacement, force, wanted) -> float:
-    """Displacement (mm) beyond the seating force at which the rising force reaches `wanted`."""
-    highest = np.maximum.accumulate(force)
-    return float(
-        np.interp(wanted, highest, displacement) - np.interp(SEATING, highest, displacement)
-    )
 
 
 def _displacement_down(displacement, force, turn, wanted) -> float:

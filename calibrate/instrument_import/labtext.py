@@ -10,9 +10,9 @@ import numpy as np
 import tomlkit
 from tomlkit import TOMLDocument
 
-from calibrate.inference.problem import SEATING, Feature
 from calibrate.instrument_import.convert import Export, file_stem
 from calibrate.instrument_import.specimens import DIAMETER, HEIGHT, Specimen
+from calibrate.io.reading import SEATING, displacement_up
 
 FORCE_LOW, FORCE_HIGH = 200.0, 400.0  # N; of the depression depth, as in the bundled soil
 REACHED = 0.98  # of force_high is what `calibrate fit` asks of a curve
@@ -60,12 +60,13 @@ def loading_forces(export: Export) -> Forces:
 def observables(export: Export) -> dict[str, list[float]]:
     """Depression depths (mm) and crushing forces (N) of the curves, clipped ones left out."""
     forces = loading_forces(export)
-    up = [Feature("", "mm", "loading", force) for force in (forces.low, forces.high)]
     depths, crushing = [], []
     for specimen in fitted(export):
-        curve = (specimen.displacement_mm, specimen.force_n)
         if specimen.test == "confined":
-            depths.append(up[1].of_curve(*curve) - up[0].of_curve(*curve))
+            top = int(np.argmax(specimen.force_n)) + 1
+            loading = (specimen.displacement_mm[:top], specimen.force_n[:top])
+            low, high = (displacement_up(*loading, f) for f in (forces.low, forces.high))
+            depths.append(high - low)
         elif not specimen.clipped:
             crushing.append(float(specimen.force_n.max()))
     return {"depression_depth_mm": depths, "crushing_force_n": crushing}
