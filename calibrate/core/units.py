@@ -30,6 +30,11 @@ TIME = Kind("time", "s", "1 s")
 DENSITY = Kind("density", "kg/m^3", "1829.6 kg/m^3")
 FRACTION = Kind("fraction", "", "22.84 %")
 MILLIMETRES = Kind("length", "mm", "3.36 mm")
+AREA = Kind("area", "m^2", "19.6 cm^2")
+STRESS = Kind("stress", "Pa", "100 kPa")
+KILOPASCALS = Kind("stress", "kPa", "100 kPa")
+STRAIN = Kind("strain", "", "5 %")
+VOID_RATIO = Kind("void ratio", "", "1.2")
 
 UNITS = pint.UnitRegistry()
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
