@@ -205,7 +205,7 @@ def _test(
         return said
     if shape is None:
         problem = f"specimen '{label}': neither the file nor the curve tells which test it is"
-        raise BadValue(problem, f"give --test {STIFFENS} or --test {SOFTENS}")
+        raise BadValue(problem, f"give --test {STIFFENS}, {SOFTENS} or {LOAD_STEPS}")
     why = "softens after a peak" if softens else "stiffens up to its peak"
     findings.append(Finding("assumed", f"{shape} test, because the curve {why}"))
     return shape
