@@ -189,6 +189,7 @@ BAD = {
     "no type": ('type = "confined"\n', "", "tests[0].type", "add type"),
     "two names": ('type = "unconfined"', 'type = "unconfined"\nname = "second cycle"',
                   "tests[1].name", "give each its own name"),
+    "strange name": ('name = "second cycle"', 'name = "a/b"', "tests[0].name", "letters, digits"),
     "no end": (', to = "500 N"', "", "tests[0].protocol[4].to", 'add to = "400 N"'),
     "no time": (', for = "60 s"', "", "tests[0].protocol[2].for", 'add for = "10 s"'),
     "wrong unit": ('to = "500 N"', 'to = "500 s"', "tests[0].protocol[4].to", "200 kPa"),

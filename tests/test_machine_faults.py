@@ -172,7 +172,7 @@ REFUSED = {
     "no names": (NO_NAMES.encode(), "have no names"),
     "stress and strain": (
         ROWS.replace("Load (N)", "Stress (MPa)").replace("Extension (mm)", "Strain (%)").encode(),
-        "no column of force or displacement",
+        "stress without a size",
     ),
     "force in millimetres": (ROWS.replace("Load (N)", "Load (mm)").encode(), "unit of column"),
     "comma twice": (

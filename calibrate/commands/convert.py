@@ -10,9 +10,10 @@ from calibrate.core.errors import COMMAND_LINE, BadValue, InputError
 if TYPE_CHECKING:
     from calibrate.core.units import Kind
     from calibrate.instrument_import.convert import Export
+    from calibrate.instrument_import.measured import Units
+    from calibrate.instrument_import.sizes import Size
     from calibrate.instrument_import.specimens import Specimen
-
-TESTS = ("confined", "unconfined")
+    from calibrate.instrument_import.strengths import Strengths
 
 
 def register(app: typer.Typer) -> None:
@@ -23,7 +24,25 @@ def register(app: typer.Typer) -> None:
 def convert_command(
     export: Annotated[Path, typer.Argument(metavar="EXPORT", help=".csv, .txt or .xlsx file.")],
     test: Annotated[
-        str | None, typer.Option("--test", help="confined or unconfined; default: found out.")
+        str | None,
+        typer.Option("--test", help="Its type (calibrate.labtests); default: found out."),
+    ] = None,
+    diameter: Annotated[
+        str | None, typer.Option("--diameter", help="Of the specimen, for stresses: 50 mm.")
+    ] = None,
+    height: Annotated[
+        str | None, typer.Option("--height", help="Of the specimen, for strains: 100 mm.")
+    ] = None,
+    void_ratio: Annotated[
+        str | None,
+        typer.Option("--void-ratio", help="Initial one (e0), or one a specimen: 1.2,1.3; first."),
+    ] = None,
+    settlement: Annotated[
+        str | None,
+        typer.Option("--settlement", help="Whole one of a degree of consolidation: 0.2 mm, 1 %."),
+    ] = None,
+    points: Annotated[
+        bool | None, typer.Option("--points/--curve", help="Rows are load steps, or a curve.")
     ] = None,
     force_unit: Annotated[
         str | None, typer.Option("--force-unit", help="Unit of force, against the file: kN.")
@@ -31,36 +50,33 @@ def convert_command(
     displacement_unit: Annotated[
         str | None, typer.Option("--displacement-unit", help="Unit of travel, against the file.")
     ] = None,
+    stress_unit: Annotated[
+        str | None, typer.Option("--stress-unit", help="Unit of stress, against the file: MPa.")
+    ] = None,
+    strain_unit: Annotated[
+        str | None, typer.Option("--strain-unit", help="Unit of strain, against the file: % or -.")
+    ] = None,
+    time_unit: Annotated[
+        str | None, typer.Option("--time-unit", help="Unit of time, against the file: min.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path(
         "results/convert"
     ),
     json: Annotated[Path | None, typer.Option("--json", help="Write what was found here.")] = None,
 ) -> None:
     """Turn a testing machine's export into clean curves and a lab file for `calibrate fit`."""
-    from calibrate.core.files import check_writable, make_folder, write_json, write_text
-    from calibrate.core.units import FORCE, MILLIMETRES
-    from calibrate.figures.lab import preview_figure
-    from calibrate.instrument_import import labtext
-    from calibrate.instrument_import.convert import file_stem, read_export
-    from calibrate.instrument_import.recordings import Units
+    from calibrate.core.files import check_writable, write_json
+    from calibrate.instrument_import.convert import read_export
+    from calibrate.instrument_import.vocabulary import TESTS
 
     check_writable(json)
     if test is not None and test not in TESTS:
-        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", "give confined or unconfined")
-    units = Units(
-        _checked(force_unit, FORCE, "--force-unit"),
-        _checked(displacement_unit, MILLIMETRES, "--displacement-unit"),
-    )
-    read = read_export(export, test, units)
-    if not labtext.fitted(read):
-        problem = "no specimen carries more than 2 N"
-        raise InputError(str(export), "", problem, "check the unit of force, or give --force-unit")
-    make_folder(out)
-    lab = out / f"{file_stem(export.stem)}.toml"
-    for name, specimen in labtext.curve_files(read).items():
-        write_text(out / name, labtext.curve_text(specimen))
-    write_text(lab, labtext.lab_text(read))
-    preview_figure(read, out / "preview.png")
+        repair = f"give one of {', '.join(sorted(TESTS))}"
+        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
+    units = _units(force_unit, displacement_unit, stress_unit, strain_unit, time_unit)
+    size = _size(diameter, height, void_ratio, settlement)
+    read = read_export(export, test, units, size, points)
+    lab = _write(read, out)
     result = summary(read, lab)
     write_json(out / "convert.json", result)
     if json is not None:
@@ -68,12 +84,35 @@ def convert_command(
     _tell(read, lab)
 
 
+def _write(read: "Export", out: Path) -> Path:
+    """Writes curves, lab file and preview; returns the path of the lab file."""
+    from calibrate.core.files import make_folder, write_text
+    from calibrate.figures.lab import preview_figure
+    from calibrate.instrument_import import labtext
+    from calibrate.instrument_import.convert import file_stem
+
+    if read.strengths is None and not labtext.fitted(read):
+        problem = "no specimen carries more than 2 N"
+        option = "force" if read.is_plain else "stress"
+        repair = f"check the unit of {option}, or give --{option}-unit"
+        raise InputError(read.file, "", problem, repair)
+    make_folder(out)
+    lab = out / f"{file_stem(Path(read.file).stem)}.toml"
+    for name, specimen in labtext.curve_files(read).items():
+        write_text(out / name, labtext.curve_text(specimen))
+    if read.strengths is not None:
+        write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
+    write_text(lab, labtext.lab_text(read))
+    preview_figure(read, out / "preview.png")
+    return lab
+
+
 def summary(read: "Export", lab: Path) -> dict:
     """What was read and assumed, as plain data."""
     from calibrate.instrument_import import labtext
 
     files = {id(specimen): name for name, specimen in labtext.curve_files(read).items()}
-    return {
+    result = {
         "file": read.file,
         "layout": read.layout,
         "lab": str(lab),
@@ -81,10 +120,24 @@ def summary(read: "Export", lab: Path) -> dict:
         "left_out": list(read.skipped),
         "observables": labtext.observables(read),
     }
+    if read.strengths is not None:
+        result["strengths"] = _strengths_row(read.strengths)
+    return result
+
+
+def _strengths_row(strengths: "Strengths") -> dict:
+    return {
+        "test": strengths.test,
+        "place": strengths.place,
+        "labels": list(strengths.labels),
+        "compressive_strength_kpa": strengths.stress_kpa.tolist(),
+        "diameter_m": strengths.diameter,
+        "assumed": list(strengths.notes),
+    }
 
 
 def _row(specimen: "Specimen", file: str) -> dict:
-    return {
+    row = {
         "label": specimen.label,
         "test": specimen.test,
         "file": file,
@@ -100,19 +153,78 @@ def _row(specimen: "Specimen", file: str) -> dict:
         "assumed": [f.text for f in specimen.findings if not f.fault],
         "warnings": [f"{f.kind}: {f.text}" for f in specimen.findings if f.fault],
     }
+    if specimen.raw.is_converted or specimen.points:
+        row["load_steps"] = specimen.points
+        row["converted"] = _conversion(specimen)
+    return row
+
+
+def _conversion(specimen: "Specimen") -> dict:
+    """What was recorded, from which size it was converted, and how."""
+    raw, size = specimen.raw, specimen.raw.size
+    return {
+        "from": [raw.load, raw.travel],
+        "diameter_m": size.diameter,
+        "height_m": size.height,
+        "initial_void_ratio": size.void_ratio,
+        "how": list(size.sentences),
+    }
+
+
+def _units(
+    force: str | None,
+    displacement: str | None,
+    stress: str | None,
+    strain: str | None,
+    time: str | None,
+) -> "Units":
+    """The units that the user insists on, each of its kind."""
+    from calibrate.core import units
+    from calibrate.instrument_import.measured import Units
+
+    return Units(
+        force=_checked(force, units.FORCE, "--force-unit"),
+        displacement=_checked(displacement, units.MILLIMETRES, "--displacement-unit"),
+        stress=_checked(stress, units.STRESS, "--stress-unit"),
+        strain="" if strain == "-" else _checked(strain, units.STRAIN, "--strain-unit"),
+        time=_checked(time, units.TIME, "--time-unit"),
+    )
 
 
 def _checked(unit: str | None, kind: "Kind", option: str) -> str | None:
-    """A unit from the command line, refused if it is none of this kind."""
+    """A unit from the command line as pint knows it, refused if it is none of this kind."""
     from calibrate.core.units import unit_factor
+    from calibrate.instrument_import.vocabulary import unit_of
 
     if unit is None:
         return None
+    known = unit_of(unit)
     try:
-        unit_factor(unit, kind)
+        unit_factor(unit if known is None else known[1], kind)
     except BadValue as bad:
         raise bad.at(COMMAND_LINE, option) from None
-    return unit
+    return unit if known is None else known[1]
+
+
+def _size(
+    diameter: str | None, height: str | None, void_ratio: str | None, settlement: str | None
+) -> "Size":
+    """The specimen's size from the command line, SI."""
+    from calibrate.core.units import LENGTH, positive_quantity
+    from calibrate.instrument_import.sizes import Size, initial_void_ratios, settlements
+
+    def read(text, option, reader):
+        try:
+            return None if text is None else reader(text)
+        except BadValue as bad:
+            raise bad.at(COMMAND_LINE, option) from None
+
+    return Size(
+        diameter=read(diameter, "--diameter", lambda text: positive_quantity(text, LENGTH)),
+        height=read(height, "--height", lambda text: positive_quantity(text, LENGTH)),
+        void_ratios=read(void_ratio, "--void-ratio", initial_void_ratios),
+        settlements=read(settlement, "--settlement", settlements),
+    )
 
 
 def _tell(read: "Export", lab: Path) -> None:
@@ -125,6 +237,11 @@ def _tell(read: "Export", lab: Path) -> None:
         )
         for finding in sorted(specimen.findings, key=lambda f: f.fault):
             print(f"  {'WARNING: ' if finding.fault else ''}{finding.text}")
+    if read.strengths is not None:
+        force = read.strengths.force_n
+        print(f"{read.strengths.test}: {len(force)} strengths, {force.mean():.4g} N in the mean")
+        for note in read.strengths.notes:
+            print(f"  {note}")
     for sentence in read.skipped:
         print(f"WARNING: {sentence}")
     print(f"look at {lab.parent / 'preview.png'}, then: calibrate fit {lab}")

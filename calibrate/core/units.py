@@ -31,8 +31,11 @@ TIME = Kind("time", "s", "1 s")
 DENSITY = Kind("density", "kg/m^3", "1829.6 kg/m^3")
 FRACTION = Kind("fraction", "", "22.84 %")
 MILLIMETRES = Kind("length", "mm", "3.36 mm")
+AREA = Kind("area", "m^2", "19.6 cm^2")
 STRESS = Kind("stress", "kPa", "200 kPa")
+STRAIN = Kind("strain", "", "5 %")
 STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
+VOID_RATIO = Kind("void ratio", "", "1.2")
 
 UNITS = pint.UnitRegistry()
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns

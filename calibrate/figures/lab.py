@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from calibrate.figures.style import DARK, MIDDLE
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.specimens import Specimen
+from calibrate.instrument_import.strengths import Strengths
 
 PALE = "0.72"
 MOST_PANELS = 12
@@ -26,8 +27,8 @@ CHINESE = ("Noto Sans CJK SC", "WenQuanYi Zen Hei", "Microsoft YaHei", "SimHei",
 def preview_figure(export: Export, path: Path) -> None:
     """Each specimen as recorded and as kept, with what was assumed written underneath."""
     shown = export.specimens[:MOST_PANELS]
-    columns = min(COLUMNS, len(shown))
-    rows = -(-len(shown) // columns)
+    columns = max(min(COLUMNS, len(shown)), 1)
+    rows = max(-(-len(shown) // columns), 1)
     lines = _assumptions(export)
     text_height = 0.4 + 0.165 * len(lines)
     figure = plt.figure(figsize=(10.5, 3.4 * rows + text_height), layout="constrained")
@@ -38,6 +39,8 @@ def preview_figure(export: Export, path: Path) -> None:
         _specimen(axis, specimen)
         if place == 0:
             axis.legend(fontsize=7, frameon=False)
+    if export.strengths is not None:
+        _strengths(figure.add_subplot(grid[0, 0]), export.strengths)
     below = figure.add_subplot(grid[rows, :])
     below.set_axis_off()
     below.text(0, 1, "\n".join(lines), fontsize=8, va="top", family=_fonts())
@@ -67,8 +70,11 @@ def _specimen(axis: Axes, specimen: Specimen) -> None:
         lw=3,
         label="recorded",
     )
-    axis.plot(specimen.displacement_mm, specimen.force_n, color=DARK, lw=1.2, label="kept")
-    axis.axvline(0, color="0.5", lw=0.8, ls=":", label="contact")
+    mark = "o-" if specimen.points else "-"
+    kept = (specimen.displacement_mm, specimen.force_n)
+    axis.plot(*kept, mark, ms=4, color=DARK, lw=1.2, label="kept")
+    zero = "zero" if specimen.points else "contact"
+    axis.axvline(0, color="0.5", lw=0.8, ls=":", label=zero)
     if specimen.unloading_mm is not None:
         axis.axvline(specimen.unloading_mm, color="0.5", lw=0.8, ls="--", label="unloading")
     if specimen.clipped:
@@ -81,6 +87,15 @@ def _specimen(axis: Axes, specimen: Specimen) -> None:
     axis.set(xlabel="displacement (mm)", ylabel="force (N)")
 
 
+def _strengths(axis: Axes, strengths: Strengths) -> None:
+    """The crushing forces, one dot a specimen, and their mean."""
+    numbers = range(1, len(strengths.force_n) + 1)
+    axis.plot(numbers, strengths.force_n, "o", color=DARK, ms=5)
+    axis.axhline(strengths.force_n.mean(), color="0.5", lw=0.8, ls="--")
+    axis.set_title(f"{strengths.test}: {len(strengths.force_n)} strengths", fontsize=9)
+    axis.set(xlabel="specimen", ylabel="crushing force (N)", ylim=(0, None))
+
+
 def _assumptions(export: Export) -> list[str]:
     """The text under the panels, wrapped: how the file was read, then each specimen."""
     texts = [f"{Path(export.file).name}: {export.layout}"]
@@ -91,6 +106,8 @@ def _assumptions(export: Export) -> list[str]:
             f"  {'WARNING: ' if finding.fault else '- '}{finding.text}"
             for finding in specimen.findings
         ]
+    if export.strengths is not None:
+        texts += [export.strengths.place, *(f"  - {note}" for note in export.strengths.notes)]
     lines = [
         _drawable(line)
         for text in texts

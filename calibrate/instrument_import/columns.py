@@ -1,7 +1,8 @@
-"""Which columns of a table are time, force and displacement, and of which specimen.
+"""Which columns of a table are time, load and travel, and of which specimen.
 
-One table may hold several specimens side by side: then the kinds of columns repeat, in
-groups (t F s  t F s), or beside one shared column (s  F F F).
+A load is a force or a stress; a travel is a displacement, a strain, a void ratio or a degree
+of consolidation.  One table may hold several specimens side by side: then the kinds of columns
+repeat, in groups (t F s  t F s), or beside one shared column (s  F F F,  sigma  e e e).
 """
 
 import re
@@ -12,21 +13,38 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.tables import FEWEST_ROWS, Heading, Table
 from calibrate.instrument_import.vocabulary import (
+    CONSOLIDATION,
     DISPLACEMENT,
     FORCE,
     OTHER,
+    ROOT_TIME,
+    SHEAR_STRENGTH,
     STRAIN,
+    STRENGTH,
     STRESS,
     TIME,
+    VOID_RATIO,
     kind_of,
 )
+
+LOADS = (FORCE, STRESS)  # the first that a table holds is taken
+TRAVELS = (DISPLACEMENT, STRAIN, VOID_RATIO, CONSOLIDATION)
+TRAVELS_OF_STRESS = (STRAIN, DISPLACEMENT, VOID_RATIO, CONSOLIDATION)
+TIMES = (TIME, ROOT_TIME)
+STRENGTHS = (STRENGTH, SHEAR_STRENGTH)
 
 _NAMED_BY_UNIT = {  # what a name may mean once its unit is known
     (STRAIN, DISPLACEMENT): DISPLACEMENT,
     (DISPLACEMENT, STRAIN): STRAIN,
     (FORCE, STRESS): STRESS,
     (STRESS, FORCE): FORCE,
+    (VOID_RATIO, STRAIN): VOID_RATIO,
+    (CONSOLIDATION, STRAIN): CONSOLIDATION,
+    (ROOT_TIME, TIME): ROOT_TIME,
+    (STRENGTH, STRESS): STRENGTH,
+    (SHEAR_STRENGTH, STRESS): SHEAR_STRENGTH,
 }
+_BY_UNIT_ELSE = (VOID_RATIO, ROOT_TIME, *STRENGTHS)  # "E (MPa)" is no void ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,32 +59,53 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The columns of one specimen; `label` is what the file calls it, "" if nothing."""
+    """The columns of one specimen; `label` is what the file calls it, "" if nothing.
+
+    `load` is None where the table holds travel over time under a load that is named elsewhere.
+    """
 
     time: Channel | None
-    force: Channel
-    displacement: Channel
+    load: Channel | None
+    travel: Channel
     label: str
-    passed_over: tuple[Channel, ...]  # further columns of force or displacement
+    passed_over: tuple[Channel, ...]  # further columns of load or travel
 
 
-def channels_of(table: Table) -> list[Channels]:
-    """The specimens of a table; none if it holds no force or no displacement."""
-    found = [
+def channels_in(table: Table, fewest: int) -> list[Channel]:
+    """The columns that hold at least `fewest` numbers and something known."""
+    return [
         channel
         for column, heading in enumerate(table.headings)
-        if np.isfinite(table.numbers[:, column]).sum() >= FEWEST_ROWS
+        if np.isfinite(table.numbers[:, column]).sum() >= fewest
         and (channel := _channel(heading, column)) is not None
     ]
-    of_kind = {kind: [c for c in found if c.kind == kind] for kind in (TIME, FORCE, DISPLACEMENT)}
-    forces, travels = of_kind[FORCE], of_kind[DISPLACEMENT]
-    if not forces or not travels:
+
+
+def channels_of(table: Table, fewest: int = FEWEST_ROWS) -> list[Channels]:
+    """The specimens of a table; none if it holds no load (and no time) or no travel."""
+    found = channels_in(table, fewest)
+    loads, times = _first_of(LOADS, found), _first_of(TIMES, found)
+    by_stress = bool(loads) and loads[0].kind == STRESS
+    travels = _first_of(TRAVELS_OF_STRESS if by_stress else TRAVELS, found)
+    if not travels or not (loads or times):
         return []
-    if len(forces) > 1 and len(forces) == len(travels) and _repeats(forces, table):
-        return _side_by_side(of_kind)
-    if len(forces) > 1 and len(travels) == 1 and _repeats(forces, table):
-        return [_chosen(of_kind[TIME], [force], travels) for force in forces]
-    return [_chosen(of_kind[TIME], forces, travels)]
+    if not loads:
+        known = travels[0].kind != DISPLACEMENT and not _first_of(STRENGTHS, found)
+        return [Channels(times[0], None, travels[0], "", tuple(travels[1:]))] if known else []
+    if len(loads) > 1 and len(loads) == len(travels) and _repeats(loads, table):
+        return _side_by_side(times, loads, travels)
+    if len(loads) > 1 and len(travels) == 1 and _repeats(loads, table):
+        return [_chosen(times, [load], travels) for load in loads]
+    several = len(travels) > 1 and travels[0].kind != DISPLACEMENT
+    if len(loads) == 1 and several and _repeats(travels, table, _without_label):
+        return [_chosen(times, loads, [travel], named_by=travel) for travel in travels]
+    return [_chosen(times, loads, travels)]
+
+
+def _first_of(kinds: tuple[str, ...], channels: list[Channel]) -> list[Channel]:
+    """The channels of the first of these kinds that there is."""
+    of_kind = ([c for c in channels if c.kind == kind] for kind in kinds)
+    return next((some for some in of_kind if some), [])
 
 
 def explain_missing(tables: list[Table]) -> BadValue:
@@ -76,11 +115,14 @@ def explain_missing(tables: list[Table]) -> BadValue:
         problem = "its columns of numbers have no names"
         return BadValue(problem, "put a line such as time_s;force_N;displacement_mm above them")
     kinds = {c.kind for h in headings if (c := _channel(h, 0)) is not None}
-    missing = [kind for kind in (FORCE, DISPLACEMENT) if kind not in kinds] or ["curve"]
+    wanted = ((FORCE, LOADS), (DISPLACEMENT, TRAVELS))
+    missing = [kind for kind, ways in wanted if not kinds.intersection(ways)] or ["curve"]
     names = ", ".join(dict.fromkeys(shown(h.words(), 30) for h in headings[:8]))
     problem = f"no column of {' or '.join(missing)} was found among {names}"
-    if STRAIN in kinds or STRESS in kinds:
-        problem += " (stress and strain are not enough)"
+    if FORCE in missing and DISPLACEMENT not in missing:
+        problem += " (a stress serves too)"
+    if DISPLACEMENT in missing and FORCE not in missing:
+        problem += " (a strain or a void ratio serves too)"
     return BadValue(problem, 'export the recorded points with columns "Force (N)", "Travel (mm)"')
 
 
@@ -94,6 +136,8 @@ def _channel(heading: Heading, column: int) -> Channel | None:
         if kind == OTHER:
             return None
         known = _NAMED_BY_UNIT.get((kind, unit_kind))
+        if known is None and kind in _BY_UNIT_ELSE:
+            return None
         if known is None:
             problem = f"the unit of column {shown(heading.words(), 40)} is not one of {kind}"
             raise BadValue(problem, "correct the name or the unit in the heading")
@@ -101,16 +145,21 @@ def _channel(heading: Heading, column: int) -> Channel | None:
     return None if kind in (None, OTHER) else Channel(kind, rank, heading, column)
 
 
-def _repeats(channels: list[Channel], table: Table) -> bool:
-    """Whether these columns are one quantity of several specimens, not several quantities:
-    same name but for a number, same unit, and not one in multiples of another."""
-    names = {_without_number(c.heading.name) for c in channels}
-    units = {c.heading.unit for c in channels}
-    return len(names) == 1 and len(units) == 1 and not _proportional(channels, table)
-
-
 def _without_number(name: str) -> str:
     return re.sub(r"[\s_.#-]*\d+$|\([a-z0-9]\)$", "", name.strip().casefold())
+
+
+def _without_label(name: str) -> str:
+    """The name of a column of strains or void ratios without its specimen: "e M1", "e (A)"."""
+    return re.sub(r"[\s_]*\(\w{1,12}\)$|[\s_]+[a-z]{0,3}\d+$|\d+$", "", name.strip().casefold())
+
+
+def _repeats(channels: list[Channel], table: Table, bare=_without_number) -> bool:
+    """Whether these columns are one quantity of several specimens, not several quantities:
+    same name but for a number, same unit, and not one in multiples of another."""
+    names = {bare(c.heading.name) for c in channels}
+    units = {c.heading.unit for c in channels}
+    return len(names) == 1 and len(units) == 1 and not _proportional(channels, table)
 
 
 def _proportional(channels: list[Channel], table: Table) -> bool:
@@ -122,24 +171,37 @@ def _proportional(channels: list[Channel], table: Table) -> bool:
     return bool(np.abs(other[both] - factor * one[both]).max() <= 1e-6 * np.abs(other[both]).max())
 
 
-def _side_by_side(of_kind: dict[str, list[Channel]]) -> list[Channels]:
+def _side_by_side(
+    times: list[Channel], loads: list[Channel], travels: list[Channel]
+) -> list[Channels]:
     """Groups in the order of the columns; time columns one each, or the nearest on the left."""
     groups = []
-    for force, travel in zip(of_kind[FORCE], of_kind[DISPLACEMENT], strict=True):
-        left = [c for c in of_kind[TIME] if c.column <= max(force.column, travel.column)]
-        groups.append(_chosen(left[-1:], [force], [travel]))
+    for load, travel in zip(loads, travels, strict=True):
+        left = [c for c in times if c.column <= max(load.column, travel.column)]
+        groups.append(_chosen(left[-1:], [load], [travel]))
     return groups
 
 
-def _chosen(times: list[Channel], forces: list[Channel], travels: list[Channel]) -> Channels:
-    """The best ranked column of each kind."""
-    force = min(forces, key=lambda c: c.rank)
+def _chosen(
+    times: list[Channel],
+    loads: list[Channel],
+    travels: list[Channel],
+    named_by: Channel | None = None,
+) -> Channels:
+    """The best ranked column of each kind; the specimen is named by its load unless said."""
+    load = min(loads, key=lambda c: c.rank)
     travel = min(travels, key=lambda c: c.rank)
     time = min(times, key=lambda c: c.rank, default=None)
-    others = tuple(c for c in (*forces, *travels) if c not in (force, travel))
-    return Channels(time, force, travel, force.heading.label or _number_in(force), others)
+    others = tuple(c for c in (*loads, *travels) if c not in (load, travel))
+    naming = named_by or load
+    return Channels(time, load, travel, naming.heading.label or _number_in(naming), others)
 
 
-def _number_in(force: Channel) -> str:
-    found = re.search(r"\d+$", force.heading.name.strip())
+def _number_in(channel: Channel) -> str:
+    """What the name of a column says of its specimen: "Force 2", "e M1", "void ratio (B)"."""
+    name = channel.heading.name.strip()
+    named = re.search(r"\(([A-Za-z]?\d{1,3}|[A-Z])\)$|[\s_]([A-Za-z]{1,3}\d+)$", name)
+    if named and channel.kind not in LOADS:
+        return named[1] or named[2]
+    found = re.search(r"\d+$", name)
     return f"specimen {found[0]}" if found else ""

@@ -6,10 +6,15 @@ from pathlib import Path
 
 from calibrate.core.errors import BadValue, InputError, one_line
 from calibrate.instrument_import.cells import Sheet
-from calibrate.instrument_import.recordings import Recording, Units, recordings_in
+from calibrate.instrument_import.loadsteps import step_specimen
+from calibrate.instrument_import.measured import Units
+from calibrate.instrument_import.recordings import Choices, Recording, recordings_in
+from calibrate.instrument_import.sizes import Size
 from calibrate.instrument_import.specimens import Specimen, specimen_from
+from calibrate.instrument_import.strengths import Strengths, strengths_in
 from calibrate.instrument_import.textfile import text_sheet
-from calibrate.instrument_import.vocabulary import plain
+from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS, plain
+from calibrate.instrument_import.whose import unlike
 from calibrate.instrument_import.workbook import is_workbook, workbook_sheets
 
 LARGEST = 100_000_000  # bytes of an export
@@ -24,24 +29,44 @@ _FOREIGN = {  # how files begin that are neither text nor .xlsx
 @dataclass(frozen=True, eq=False)
 class Export:
     """A file as it was understood: how it was read, its specimens in file order, and one
-    sentence for each specimen that could not be used."""
+    sentence for each specimen that could not be used.  `strengths` is given instead of
+    specimens where the file holds strengths only."""
 
     file: str
     layout: str
     specimens: tuple[Specimen, ...]
     skipped: tuple[str, ...]
+    strengths: Strengths | None = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all is force and displacement of compression at a speed."""
+        curves = (not s.points and not s.raw.is_converted for s in self.specimens)
+        types = {s.test for s in self.specimens} <= {SOFTENS, STIFFENS}
+        return self.strengths is None and all(curves) and types
 
 
-def read_export(path: Path, test: str | None = None, units: Units | None = None) -> Export:
-    """Reads the export at `path`; `test` and `units` are what the user insists on.
+def read_export(
+    path: Path,
+    test: str | None = None,
+    units: Units | None = None,
+    size: Size | None = None,
+    points: bool | None = None,
+) -> Export:
+    """Reads the export at `path`; the rest is what the user says against or beside it.
 
-    Raises `InputError` with one useful sentence for any file that cannot be used.
+    `size` is needed for stress, strain and void ratio where the file does not state it;
+    `points` says whether rows are load steps.  Raises `InputError` with one useful sentence
+    for any file that cannot be used.
     """
+    choices = Choices(test, units or Units(), size or Size(), points)
     try:
         data = _bytes(Path(path))
         sheets = _sheets(data, Path(path).stem)
-        recordings = recordings_in(sheets, units or Units())
-        specimens, refused = _specimens(recordings, test)
+        found = _recordings_or_strengths(sheets, choices)
+        if isinstance(found, Strengths):
+            return Export(str(path), sheets[0].layout, (), (), found)
+        specimens, refused = _specimens(found, test)
         if not specimens:
             raise refused[0]
     except BadValue as bad:
@@ -50,15 +75,27 @@ def read_export(path: Path, test: str | None = None, units: Units | None = None)
     return Export(str(path), sheets[0].layout, tuple(specimens), skipped)
 
 
+def _recordings_or_strengths(sheets: list[Sheet], choices: Choices) -> list[Recording] | Strengths:
+    """The records of a file, or the strengths of one that holds no record."""
+    try:
+        return recordings_in(sheets, choices)
+    except BadValue:
+        strengths = strengths_in(sheets, choices)
+        if strengths is None:
+            raise
+        return strengths
+
+
 def _specimens(
     recordings: list[Recording], test: str | None
 ) -> tuple[list[Specimen], list[BadValue]]:
     """The clean specimens, and why others are none."""
     specimens: list[Specimen] = []
     refused: list[BadValue] = []
-    for recording, label in zip(recordings, _labels(recordings), strict=True):
+    for recording, label in zip(recordings, unlike([r.label for r in recordings]), strict=True):
+        clean = step_specimen if recording.points else specimen_from
         try:
-            specimens.append(specimen_from(recording, test, label))
+            specimens.append(clean(recording, test, label))
         except BadValue as bad:
             refused.append(bad)
     return specimens, refused
@@ -91,15 +128,6 @@ def _sheets(data: bytes, name: str) -> list[Sheet]:
             raise BadValue("no worksheet holds anything", "export the record again")
         return sheets
     return [text_sheet(data, name)]
-
-
-def _labels(recordings: list[Recording]) -> list[str]:
-    """One name a specimen, unlike all others."""
-    labels: list[str] = []
-    for number, recording in enumerate(recordings, start=1):
-        label = " ".join(recording.label.split())[:60] or f"specimen {number}"
-        labels.append(f"{label} ({number})" if label in labels else label)
-    return labels
 
 
 def file_stem(text: str) -> str:

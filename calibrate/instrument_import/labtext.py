@@ -4,17 +4,30 @@ What the export does not say is written with the word ASSUMED beside it.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import tomlkit
 from tomlkit import TOMLDocument
 
-from calibrate.instrument_import.convert import Export, file_stem
-from calibrate.instrument_import.specimens import DIAMETER, HEIGHT, Specimen
-from calibrate.labtests.features import SEATING, displacement_up
+from calibrate.instrument_import import testtext
+from calibrate.instrument_import.convert import Export
+from calibrate.instrument_import.labparts import (
+    add_head,
+    add_soil,
+    add_specimen,
+    column,
+    curve_files,
+    fitted,
+    safe,
+    usable,
+)
+from calibrate.instrument_import.specimens import Specimen
+from calibrate.instrument_import.strengths import Strengths
+from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS
+from calibrate.labtests.features import displacement_up
 
 FORCE_LOW, FORCE_HIGH = 200.0, 400.0  # N; of the depression depth, as in the bundled soil
+STRENGTHS_FILE = "strengths.csv"
 REACHED = 0.98  # of force_high is what `calibrate fit` asks of a curve
 
 
@@ -27,18 +40,14 @@ class Forces:
     note: str
 
 
-def curve_files(export: Export) -> dict[str, Specimen]:
-    """The specimens by the name of their curve file."""
-    files: dict[str, Specimen] = {}
-    for number, specimen in enumerate(export.specimens, start=1):
-        name = f"{file_stem(specimen.label)}_{specimen.test}.csv"
-        files[name if name not in files else f"{number}_{name}"] = specimen
-    return files
-
-
 def curve_text(specimen: Specimen) -> str:
-    """A curve as CSV with a header and units in it."""
+    """A curve as CSV with a header and units in it.
+
+    Beside what was converted stand stress (kPa), strain and void ratio.
+    """
     columns = {"displacement_mm": specimen.displacement_mm, "force_n": specimen.force_n}
+    if specimen.raw.is_converted or specimen.points:
+        columns |= stresses(specimen)
     if specimen.time_s is not None:
         columns = {"time_s": specimen.time_s - specimen.time_s[0], **columns}
     rows = zip(*columns.values(), strict=True)
@@ -46,9 +55,29 @@ def curve_text(specimen: Specimen) -> str:
     return "\n".join(lines) + "\n"
 
 
+def stresses(specimen: Specimen) -> dict[str, np.ndarray]:
+    """Stress on the initial area, engineering strain and void ratio, as far as sizes are known."""
+    size, columns = specimen.raw.size, {}
+    if size.diameter is not None:
+        columns["stress_kpa"] = 1e-3 * specimen.force_n / (np.pi / 4 * size.diameter**2)
+    if size.height is not None:
+        columns["strain"] = 1e-3 * specimen.displacement_mm / size.height
+    if size.void_ratio is not None and size.height is not None:
+        columns["void_ratio"] = size.void_ratio - (1 + size.void_ratio) * columns["strain"]
+    return columns
+
+
+def strengths_text(strengths: Strengths) -> str:
+    """Strengths as CSV, one specimen a row."""
+    names = [safe(label).replace('"', "'") for label in strengths.labels]
+    rows = zip(names, strengths.stress_kpa, strengths.force_n, strict=True)
+    lines = [f'"{name}",{stress:.7g},{force:.7g}' for name, stress, force in rows]
+    return "\n".join(["specimen,compressive_strength_kpa,crushing_force_n", *lines]) + "\n"
+
+
 def loading_forces(export: Export) -> Forces:
-    """200 and 400 N where every confined curve reaches them, less where one does not."""
-    peaks = [float(s.force_n.max()) for s in fitted(export) if s.test == "confined"]
+    """200 and 400 N where every stiffening curve reaches them, less where one does not."""
+    peaks = [float(s.force_n.max()) for s in fitted(export) if s.test == STIFFENS]
     if not peaks or min(peaks) >= REACHED * FORCE_HIGH:
         return Forces(FORCE_LOW, FORCE_HIGH, "")
     size = 10.0 ** np.floor(np.log10(min(peaks)) - 1)
@@ -62,78 +91,35 @@ def observables(export: Export) -> dict[str, list[float]]:
     forces = loading_forces(export)
     depths, crushing = [], []
     for specimen in fitted(export):
-        curve = (specimen.displacement_mm, specimen.force_n)
-        if specimen.test == "confined":
+        if specimen.test == STIFFENS:
             top = int(np.argmax(specimen.force_n)) + 1
-            low, high = (
-                displacement_up(curve[0][:top], curve[1][:top], f)
-                for f in (forces.low, forces.high)
-            )
+            loading = (specimen.displacement_mm[:top], specimen.force_n[:top])
+            low, high = (displacement_up(*loading, f) for f in (forces.low, forces.high))
             depths.append(high - low)
-        elif not specimen.clipped:
+        elif specimen.test == SOFTENS and not specimen.clipped:
             crushing.append(float(specimen.force_n.max()))
+    if export.strengths:
+        crushing = export.strengths.force_n.tolist()
     return {"depression_depth_mm": depths, "crushing_force_n": crushing}
-
-
-def usable(specimen: Specimen) -> bool:
-    """Whether `calibrate fit` can read the curve: it exceeds the force where travel counts."""
-    return bool(specimen.force_n.max() > SEATING)
-
-
-def fitted(export: Export) -> list[Specimen]:
-    """The specimens that the lab file names; clipped ones only where a test has no other."""
-    whole = {s.test for s in export.specimens if usable(s) and not s.clipped}
-    return [s for s in export.specimens if usable(s) and not (s.clipped and s.test in whole)]
 
 
 def lab_text(export: Export) -> str:
     """The lab file that names these curves."""
+    if not export.is_plain:
+        return testtext.lab_text(export)
     document = tomlkit.document()
-    document.add(tomlkit.comment("Written by `calibrate convert`. Check what is ASSUMED."))
-    for sentence in export.skipped:
-        document.add(tomlkit.comment(_safe(f"WARNING {sentence}")))
-    for specimen in export.specimens:
-        for finding in specimen.findings:
-            mark = "WARNING " if finding.fault else ""
-            document.add(tomlkit.comment(_safe(f"{mark}{specimen.label}: {finding.text}")))
-    document.add(tomlkit.nl())
-    _add_soil(document, export)
-    _add_specimen(document, export)
+    add_head(document, export)
+    add_soil(document, export)
+    add_specimen(document, export)
     _add_tests(document, export)
     _add_targets(document, export)
     _add_curves(document, export)
     return tomlkit.dumps(document)
 
 
-def _add_soil(document: TOMLDocument, export: Export) -> None:
-    soil = tomlkit.table()
-    soil["name"] = _safe(Path(export.file).stem) or "soil"
-    soil["source"] = _safe(f"{Path(export.file).name}, {export.layout}")
-    densities = [s.density for s in export.specimens if s.density is not None]
-    if densities:
-        soil["density"] = [f"{density:.5g} kg/m^3" for density in densities]
-    else:
-        soil.add(tomlkit.comment('density = ["1830 kg/m^3"]  # not in the file: add it'))
-    document["soil"] = soil
-
-
-def _add_specimen(document: TOMLDocument, export: Export) -> None:
-    table = tomlkit.table()
-    for name, usual in (("diameter", DIAMETER), ("height", HEIGHT)):
-        stated = [size for s in export.specimens if (size := getattr(s, name)) is not None]
-        size = float(np.mean(stated)) if stated else usual
-        item = tomlkit.string(f"{1e3 * size:.5g} mm")
-        if not stated:
-            item.comment("ASSUMED: the file does not say")
-        elif np.ptp(stated) > 0.01 * size:
-            item.comment("mean: the specimens differ")
-        table[name] = item
-    document["specimen"] = table
-
-
 def _add_tests(document: TOMLDocument, export: Export) -> None:
     forces = loading_forces(export)
-    for test in ("confined", "unconfined"):
+    for test in (STIFFENS, SOFTENS):
         specimens = [s for s in export.specimens if s.test == test]
         if not specimens:
             continue
@@ -143,11 +129,11 @@ def _add_tests(document: TOMLDocument, export: Export) -> None:
             table["rate"] = f"{1e3 * float(np.mean(rates)):.4g} mm/s"
         else:
             table.add(tomlkit.comment("the platen's speed is not known: ASSUMED is the default"))
-        if test == "confined":
+        if test == STIFFENS:
             table["force_low"] = f"{forces.low:.4g} N"
             high = tomlkit.string(f"{forces.high:.4g} N")
             if forces.note:
-                high.comment(_safe(f"ASSUMED: {forces.note}"))
+                high.comment(safe(f"ASSUMED: {forces.note}"))
             table["force_high"] = high
         document[test] = table
 
@@ -174,19 +160,7 @@ def _add_curves(document: TOMLDocument, export: Export) -> None:
         table = tomlkit.table()
         table["test"] = specimen.test
         table["file"] = name
-        table["displacement"] = _column("displacement_mm", "mm")
-        table["force"] = _column("force_n", "N")
+        table["displacement"] = column("displacement_mm", "mm")
+        table["force"] = column("force_n", "N")
         curves.append(table)
     document["curves"] = curves
-
-
-def _column(column: str, unit: str):
-    table = tomlkit.inline_table()
-    table.update({"column": column, "unit": unit})
-    return table
-
-
-def _safe(text: str) -> str:
-    """Text from a file on one line without control characters."""
-    line = " ".join(text.split())
-    return "".join(c if c.isprintable() else "?" for c in line)[:300]

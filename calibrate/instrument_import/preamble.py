@@ -1,14 +1,14 @@
 """What the lines above a table say about specimen and test: "Durchmesser d0;50,0;mm".
 
 A line counts for a quantity if one of its words names it and a number with a fitting unit
-follows; only a length may lack its unit, which is then taken as mm, and said so.
+follows; a length may lack its unit, which is then taken as mm, and said so; a void ratio has none.
 """
 
 import re
 from dataclasses import dataclass, field
 
 from calibrate.core.errors import BadValue
-from calibrate.core.units import DENSITY, LENGTH, SPEED, Kind, unit_factor
+from calibrate.core.units import AREA, DENSITY, LENGTH, SPEED, VOID_RATIO, Kind, unit_factor
 from calibrate.instrument_import.cells import number
 from calibrate.instrument_import.vocabulary import plain, test_named_in
 
@@ -26,6 +26,17 @@ _QUANTITIES: dict[str, tuple[Kind, tuple[str, ...]]] = {
         SPEED,
         ("speed", "geschwindigkeit", "velocidad", "vitesse", "velocita", "rate", "速度"),
     ),
+    "area": (
+        AREA,
+        ("area", "querschnitt", "probenflache", "seccion", "section", "superficie", "面积"),
+    ),
+    "void_ratio": (
+        VOID_RATIO,
+        (
+            *("initial void ratio", "anfangsporenzahl", "indice de vacios inicial"),
+            *("indice des vides initial", "初始孔隙比", "e0", "e_0"),
+        ),
+    ),
 }
 _PLAUSIBLE = {  # SI; what a bench-top soil test can have
     "diameter": (5e-3, 1.0),
@@ -33,6 +44,8 @@ _PLAUSIBLE = {  # SI; what a bench-top soil test can have
     "mass": (1e-3, 1e3),
     "density": (300.0, 4000.0),
     "speed": (1e-8, 1.0),
+    "area": (1e-5, 1.0),
+    "void_ratio": (0.05, 20.0),
 }
 _SPECIMEN = ("specimen", "sample", "probe", "probeta", "muestra", "试样", "试件", "eprouvette")
 _NUMBER = re.compile(r"(?<![\w.,])[-+]?\d+(?:[.,]\d+)?")
@@ -47,19 +60,22 @@ _LONGEST = 200  # characters of a line
 class Stated:
     """What a preamble states: quantities in SI, the test, the specimen's name.
 
-    `assumed` lists in words what had to be supplied, such as a missing unit.
+    `assumed` lists in words what had to be supplied, such as a missing unit; `impossible` the
+    lines, by quantity, whose number is zero or negative.
     """
 
     quantities: dict[str, float] = field(default_factory=dict)
     test: str | None = None
     label: str = ""
     assumed: tuple[str, ...] = ()
+    impossible: dict[str, str] = field(default_factory=dict)
 
 
 def read_preamble(rows: list[list[str]]) -> Stated:
     """All that the rows state; the last statement of a quantity counts."""
     quantities: dict[str, float] = {}
     assumed: list[str] = []
+    impossible: dict[str, str] = {}
     label, test = "", None
     for row in rows:
         cells = [cell.strip() for cell in row if cell.strip()]
@@ -72,13 +88,15 @@ def read_preamble(rows: list[list[str]]) -> Stated:
             if value is not None and low <= value <= high:
                 quantities[name] = value
                 assumed += [note] if note else []
-    return Stated(quantities, test, label, tuple(dict.fromkeys(assumed)))
+            elif value is not None and value <= 0:
+                impossible[name] = line.strip()
+    return Stated(quantities, test, label, tuple(dict.fromkeys(assumed)), impossible)
 
 
 def _quantity(line: str, kind: Kind, words: tuple[str, ...]) -> tuple[float | None, str]:
     """A quantity (SI) that the line states, and what was assumed about its unit."""
     lower = plain(line)
-    places = [lower.find(word) + len(word) for word in words if word in lower]
+    places = [end for word in words if (end := _end_of(word, lower)) is not None]
     if not places:
         return None, ""
     rest = lower[min(places) :]
@@ -92,15 +110,25 @@ def _quantity(line: str, kind: Kind, words: tuple[str, ...]) -> tuple[float | No
         factor = _factor(unit, kind)
         if factor is not None:
             return value * factor, ""
+    if kind is VOID_RATIO:
+        return (value, "") if not after[:1].isalpha() else (None, "")
     if kind is not LENGTH or after:
         return None, ""  # "speed 2 of the programme"
     return value * unit_factor("mm", kind), f"{line.strip()!r} is in mm"
 
 
+def _end_of(word: str, line: str) -> int | None:
+    """Where the word ends in the line; a short one must stand alone ("e0", not "probe01")."""
+    if len(word) > 3 or not word.isascii():
+        return line.find(word) + len(word) if word in line else None
+    found = re.search(rf"(?<!\w){word}(?!\w)", line)
+    return found.end() if found else None
+
+
 def _factor(unit: str, kind: Kind) -> float | None:
     """SI units in one `unit`, or None if it is no unit of this kind."""
     written = unit.strip(".;,:").replace("毫米", "mm").replace("³", "^3").replace("cm3", "cm^3")
-    written = written.replace("m3", "m^3")
+    written = re.sub(r"m([23])$", r"m^\1", written.replace("²", "^2"))
     try:
         return unit_factor(written, kind) if written else None
     except BadValue:

@@ -33,6 +33,8 @@ class Start:
 def start_of_contact(force: np.ndarray) -> Start:
     """Where the force, averaged over a few readings, leaves its baseline on the way to its peak."""
     peak_row = int(np.argmax(force))
+    if np.ptp(force[:5]) > LEAD * np.ptp(force):  # a few readings, the first of them at contact
+        return Start(0, 0.0, 0.0, False)
     first = float(np.median(force[:5]))
     rise = float(force[peak_row]) - first
     above = np.flatnonzero(force >= first + LEAD * rise)

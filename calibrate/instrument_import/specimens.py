@@ -2,7 +2,7 @@
 
     order in time -> units that cannot be -> clipped top -> contact -> test -> the part that counts
 
-The confined curve keeps its unloading; the unconfined one ends where the platen turns back.
+A curve that stiffens keeps its unloading; one that softens ends where the platen turns back.
 Displacement counts from contact, force from its reading before contact.
 """
 
@@ -14,10 +14,18 @@ from calibrate.core.errors import BadValue
 from calibrate.instrument_import import signals
 from calibrate.instrument_import.recordings import Recording
 from calibrate.instrument_import.tables import FEWEST_ROWS
-from calibrate.instrument_import.vocabulary import DISPLACEMENT, FORCE
+from calibrate.instrument_import.vocabulary import (
+    DISPLACEMENT,
+    FORCE,
+    LOAD_STEPS,
+    SOFTENS,
+    STIFFENS,
+    STRESS,
+)
 
 DIAMETER, HEIGHT = 0.05, 0.10  # m; assumed where the file does not say
 LEAD_SHARE = 0.1  # of the travel from contact to the peak; kept before contact
+SLIPS = (FORCE, STRESS, DISPLACEMENT)  # columns whose unit may be wrong by 1000
 COARSE = 20  # points on loading below which a curve is called coarse
 
 
@@ -34,7 +42,8 @@ class Finding:
 class Specimen:
     """A clean curve: displacement (mm) and force (N) of shape (points,), time (s) if recorded.
 
-    `test` is "confined" or "unconfined"; `rate` is the platen's speed on loading (m/s) if
+    `test` is one of `vocabulary.TESTS`; `points` says that the rows are load steps and no
+    points of a curve; `rate` is the platen's speed on loading (m/s) if
     known; diameter and height (m) are None where the file does not state them;
     `unloading_mm` is where unloading starts, None without; `clipped` says that the true
     peak is unknown.  `raw` is what was recorded, in the units of the curve.
@@ -56,6 +65,7 @@ class Specimen:
     place: str
     findings: tuple[Finding, ...]
     raw: Recording = field(repr=False)
+    points: bool = False
 
 
 def specimen_from(recording: Recording, test: str | None, label: str) -> Specimen:
@@ -86,9 +96,9 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
         displacement_mm=travel,
         force_n=force,
         rate=_rate(time, travel, force, recording),
-        diameter=recording.stated.quantities.get("diameter"),
-        height=recording.stated.quantities.get("height"),
-        density=_density(recording),
+        diameter=recording.size.diameter,
+        height=recording.size.height,
+        density=density_of(recording),
         unloading_mm=None if turn is None else float(travel[turn]),
         clipped=top is not None,
         contact_mm=float(recording.displacement_mm[start.row]),
@@ -119,16 +129,16 @@ def _in_order(recording: Recording, findings: list[Finding]) -> Recording:
 
 def _plausible(recording: Recording, findings: list[Finding]) -> Recording:
     """The record with force or travel multiplied by 1000 or 0.001 where nothing else can be."""
-    sizes = recording.stated.quantities
-    area = np.pi / 4 * sizes.get("diameter", DIAMETER) ** 2
+    size, load, travel = recording.size, recording.load, recording.travel
+    area = np.pi / 4 * (size.diameter or DIAMETER) ** 2
     pressure = float(np.ptp(recording.force_n)) / area
-    strain = 1e-3 * float(np.ptp(recording.displacement_mm)) / sizes.get("height", HEIGHT)
+    strain = 1e-3 * float(np.ptp(recording.displacement_mm)) / (size.height or HEIGHT)
     for kind, name, value, plausible, words in (
-        (FORCE, "force_n", pressure, signals.PRESSURE, f"a pressure of {pressure / 1e3:.3g} kPa"),
-        (DISPLACEMENT, "displacement_mm", strain, signals.STRAIN, f"a strain of {strain:.2g}"),
+        (load, "force_n", pressure, signals.PRESSURE, f"a pressure of {pressure / 1e3:.3g} kPa"),
+        (travel, "displacement_mm", strain, signals.STRAIN, f"a strain of {strain:.2g}"),
     ):
         factor = signals.unit_slip(value, plausible)
-        if factor is None or kind in recording.units_fixed:
+        if factor is None or kind in recording.units_fixed or kind not in SLIPS:
             continue
         times = "1000 times larger" if factor > 1 else "1000 times smaller"
         text = (
@@ -180,20 +190,22 @@ def _test(
     """Which test this is: as given, as the file says, or as the shape of the curve says."""
     travel, force = recording.displacement_mm[row:], recording.force_n[row:]
     softens = signals.has_softening(travel, force)
-    shape = "unconfined" if softens else None
+    shape = SOFTENS if softens else None
     if shape is None and signals.is_stiffening(travel, force):
-        shape = "confined"
+        shape = STIFFENS
     said = recording.stated.test
+    if said == LOAD_STEPS and not recording.is_converted:
+        said = STIFFENS  # an oedometer that a machine loads at a speed
     if given is not None:
         return given
     if said is not None:
-        if shape is not None and shape != said:
+        if shape is not None and (shape == SOFTENS) != (said == SOFTENS):
             text = f"the file says {said}, but the curve looks {shape}: taken as {said}"
             findings.append(Finding("kind of test", text, True))
         return said
     if shape is None:
         problem = f"specimen '{label}': neither the file nor the curve tells which test it is"
-        raise BadValue(problem, "give --test confined or --test unconfined")
+        raise BadValue(problem, f"give --test {STIFFENS}, {SOFTENS} or {LOAD_STEPS}")
     why = "softens after a peak" if softens else "stiffens up to its peak"
     findings.append(Finding("assumed", f"{shape} test, because the curve {why}"))
     return shape
@@ -214,10 +226,10 @@ def _counted(
     last = len(force)
     if turn is not None:
         text = f"unloading from {travel[turn] - travel[start.row]:.4g} mm on"
-        kept = "kept" if kind == "confined" else "left out"
+        kept = "left out" if kind == SOFTENS else "kept"
         findings.append(Finding("unloading", f"{text}: {kept}"))
         loaded = np.flatnonzero(force > _threshold(recording, start))
-        last = turn + 1 if kind == "unconfined" else min(int(loaded[-1]) + 2, len(force))
+        last = turn + 1 if kind == SOFTENS else min(int(loaded[-1]) + 2, len(force))
     if top is not None and top[0] - first >= FEWEST_ROWS:
         limit = force[top[0]] - start.zero
         text = (
@@ -247,7 +259,7 @@ def _cleaned(
     travel = recording.displacement_mm[rows] - recording.displacement_mm[start.row]
     force = recording.force_n[rows] - start.zero
     time = None if recording.time_s is None else recording.time_s[rows]
-    if kind == "unconfined":
+    if kind == SOFTENS:
         further = np.concatenate([[True], travel[1:] > np.maximum.accumulate(travel)[:-1]])
         travel, force = travel[further], force[further]
         time = None if time is None else time[further]
@@ -292,7 +304,7 @@ def _rate(time, travel, force, recording: Recording) -> float | None:
     return float(1e-3 * np.polyfit(time[up][middle], travel[up][middle], 1)[0])
 
 
-def _density(recording: Recording) -> float | None:
+def density_of(recording: Recording) -> float | None:
     """Bulk density (kg/m^3) as stated, or from mass, diameter and height."""
     stated = recording.stated.quantities
     if "density" in stated:

@@ -6,14 +6,17 @@ heading      Time;Force             names, a row of units, a row of labels, in a
 rows         0,00;0,1               at least FEWEST_ROWS
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.core.errors import BadValue, shown
+from calibrate.core.units import UNITS
 from calibrate.instrument_import.cells import Sheet, number
-from calibrate.instrument_import.vocabulary import kind_of, split_unit, unit_of
+from calibrate.instrument_import.vocabulary import kind_of, names_specimens, split_unit, unit_of
 
 FEWEST_ROWS = 8
+FEWEST_STEPS = 3  # rows of a table of load steps, or of strengths
 _TALLEST = 4  # rows of a heading
 _LONGEST_PREAMBLE = 200  # rows looked at for the specimen's data
 
@@ -35,37 +38,42 @@ class Heading:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A run of numbers (rows, columns), NaN where a cell is empty, with what stands above."""
+    """A run of numbers (rows, columns), NaN where a cell is empty, with what stands above.
+
+    `texts` holds the same rows as written.
+    """
 
     sheet: Sheet
     preamble: list[Row]
     headings: list[Heading]
     numbers: np.ndarray
+    texts: list[Row]
     line: int  # of the first row, counted from 1
 
 
-def tables_in(sheet: Sheet) -> list[Table]:
-    """The tables of a sheet; rows that follow without a heading continue the table before."""
+def tables_in(sheet: Sheet, fewest: int = FEWEST_ROWS, numeric: int = 2) -> list[Table]:
+    """The tables of a sheet of at least `fewest` rows, with at least `numeric` numbers a row;
+    rows that follow without a heading continue the table before."""
     tables: list[Table] = []
     begun = 0
-    for first, last in _runs(sheet):
+    for first, last in _runs(sheet, fewest, numeric):
         above = sheet.texts[max(begun, first - _LONGEST_PREAMBLE) : first]
         headings, used = _headings(above, sheet.numbers.shape[1])
-        numbers = sheet.numbers[first:last]
+        numbers, texts = sheet.numbers[first:last], sheet.texts[first:last]
         if not used and tables and _same_columns(tables[-1].numbers, numbers):
-            tables[-1] = _continued(tables[-1], numbers)
+            tables[-1] = _continued(tables[-1], numbers, texts)
         else:
             preamble = above[: len(above) - used]
-            tables.append(Table(sheet, preamble, headings, numbers, first + 1))
+            tables.append(Table(sheet, preamble, headings, numbers, texts, first + 1))
         begun = last
     return tables
 
 
-def _runs(sheet: Sheet) -> list[tuple[int, int]]:
+def _runs(sheet: Sheet, fewest: int, least: int) -> list[tuple[int, int]]:
     """First and last+1 of every run of rows of numbers; blank rows do not end a run."""
     numeric = np.isfinite(sheet.numbers).sum(axis=1)
     filled = np.array([sum(bool(cell.strip()) for cell in row) for row in sheet.texts])
-    is_row = (numeric >= 2) & (2 * numeric >= filled)
+    is_row = (numeric >= least) & (2 * numeric >= filled)
     kept = np.flatnonzero((filled > 0) | is_row)
     runs, start = [], None
     for place, row in enumerate(kept):
@@ -74,7 +82,7 @@ def _runs(sheet: Sheet) -> list[tuple[int, int]]:
         ends = not is_row[row] or place == len(kept) - 1
         if start is not None and ends:
             stop = place + 1 if is_row[row] else place
-            if stop - start >= FEWEST_ROWS:
+            if stop - start >= fewest:
                 runs.append((int(kept[start]), int(kept[stop - 1]) + 1))
             start = None
     return runs
@@ -114,7 +122,10 @@ def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
 
 def _is_heading(row: Row, below_known: bool) -> bool:
     """A row of names or units, or, above such a row, of labels over groups of columns."""
-    if _count_named(row) + _count_units(row) >= 2:
+    named = _count_named(row)
+    if named and not below_known:
+        named += sum(names_specimens(cell) for cell in row)
+    if named + _count_units(row) >= 2:
         return True
     filled = [cell for cell in row if cell.strip()]
     is_text = not any(number(cell, ".") == number(cell, ".") for cell in filled)
@@ -148,8 +159,17 @@ def _filled_forward(row: Row) -> Row:
 def _heading(names: list[Row], units: list[Row], labels: list[Row], j: int) -> Heading:
     name, unit = split_unit(" ".join(row[j] for row in names if row[j]))
     below = [found for row in units if (found := unit_of(row[j]))]
+    if unit and below and not _same_unit(unit, below[0]):
+        problem = f"column {shown(name, 40)} has two units, {unit[1]} and {below[0][1]}"
+        raise BadValue(problem, "correct the unit in the heading")
     label = " ".join(dict.fromkeys(row[j] for row in labels if row[j]))
     return Heading(name, below[0] if below else unit, label)
+
+
+def _same_unit(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether two written units are of one kind and size."""
+    sizes = [UNITS.Quantity(1.0, unit).to_base_units().magnitude for _, unit in (one, other)]
+    return one[0] == other[0] and bool(np.isclose(*sizes))
 
 
 def _same_columns(one: np.ndarray, other: np.ndarray) -> bool:
@@ -160,6 +180,6 @@ def _used(numbers: np.ndarray) -> np.ndarray:
     return np.isfinite(numbers).mean(axis=0) > 0.5
 
 
-def _continued(table: Table, numbers: np.ndarray) -> Table:
+def _continued(table: Table, numbers: np.ndarray, texts: list[Row]) -> Table:
     joined = np.concatenate([table.numbers, numbers])
-    return Table(table.sheet, table.preamble, table.headings, joined, table.line)
+    return replace(table, numbers=joined, texts=[*table.texts, *texts])

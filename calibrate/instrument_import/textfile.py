@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from calibrate.core.errors import BadValue
 from calibrate.instrument_import.cells import Sheet, is_grouped, number, sheet
-from calibrate.instrument_import.vocabulary import FORCE, kind_of
+from calibrate.instrument_import.vocabulary import FORCE, STRESS, kind_of
 
 MOST_LINES = 1_000_000
 _SAMPLE = 150  # lines looked at for the layout, from each of two places
@@ -98,6 +98,8 @@ def find_layout(lines: list[str]) -> Layout:
         if not (delimiter == decimal == "," and not quoted)
     ]
     scores = [_score(layout, sample) for layout in layouts]
+    if max(scores) < 2:  # rows may hold as many words as numbers: "25;0,95;M1;natural"
+        scores = [_score_of_few(layout, sample) for layout in layouts]
     if max(scores) < 2:
         raise BadValue(
             "it holds no table of recorded points, only text or results",
@@ -121,12 +123,25 @@ def _score(layout: Layout, sample: list[str]) -> float:
     return total
 
 
+def _score_of_few(layout: Layout, sample: list[str]) -> float:
+    """Numeric cells minus half of the others over lines that are at least half numbers."""
+    total = 0.0
+    for line in sample:
+        cells = [cell for cell in layout.cells(line) if cell.strip()]
+        values = [number(cell, layout.decimal) for cell in cells]
+        numeric = sum(value == value for value in values)
+        if len(cells) >= 2 and 2 * numeric >= len(cells):
+            total += numeric - 0.5 * (len(cells) - numeric)
+    return total
+
+
 def _check_comma(layout: Layout, sample: list[str]) -> None:
     """Refuses a file whose comma is delimiter and decimal sign at once."""
     if layout.delimiter != ",":
         return
     rows = [[cell for cell in layout.cells(line) if cell.strip()] for line in sample]
-    named = [len(row) for row in rows if any(kind_of(cell)[0] == FORCE for cell in row)]
+    loads = (FORCE, STRESS)
+    named = [len(row) for row in rows if any(kind_of(cell)[0] in loads for cell in row)]
     data = [row for row in rows if len(row) > 1 and all(c.strip("-+ ").isdigit() for c in row)]
     if named and len(data) > 5 and sum(len(row) > max(named) for row in data) > len(data) / 2:
         raise BadValue(

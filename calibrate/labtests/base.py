@@ -7,13 +7,14 @@ Forces are N, displacements mm where a laboratory reads them, everything else SI
 """
 
 import abc
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from calibrate.core.errors import BadValue, suggestion
+from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.tables import AbstractTable, Text
 from calibrate.core.units import FORCE, MILLIMETRES, Kind
 from calibrate.labtests.features import AbstractFeature, path_features
@@ -24,6 +25,8 @@ from jdem.apparatus.protocol import Protocol
 from jdem.observables import AbstractGauge
 
 STROKE = 0.35  # largest compression that is simulated, as a share of the height
+LONGEST_NAME = 60
+_STRANGE = re.compile(r"[^\w .+-]")
 UNITS = {"mm": MILLIMETRES, "N": FORCE}
 
 
@@ -65,22 +68,38 @@ class Pace:
     sample_time: float
 
 
+def clean_name(text: str) -> str:
+    """The text with what a test's name cannot have replaced by "-", cut to `LONGEST_NAME`."""
+    return _STRANGE.sub("-", text.strip())[:LONGEST_NAME] or "test"
+
+
+def _test_name(name: str) -> str:
+    """A name that may stand in results and files."""
+    if name != clean_name(name):
+        repair = f"give up to {LONGEST_NAME} letters, digits, blanks and . _ + -"
+        raise BadValue(f"{shown(name)} cannot be a test's name", repair)
+    return name
+
+
 class AbstractLabTest(AbstractTable):
     """One test as a lab file states it.
 
     `name` is unique among the tests of a lab, by default the type; `specimen` is a specimen of its
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives; plain:
-    its table may stand alone, called like the type, in a lab file without [[tests]].
+    its table may stand alone, called like the type, in a lab file without [[tests]]; words: what
+    machines call the test, in lower case without accents; shape: of a curve that says so itself.
     """
 
     type_name: ClassVar[str]
     title: ClassVar[str]
     observables: ClassVar[tuple[Observable, ...]]
     plain: ClassVar[bool] = False
+    words: ClassVar[tuple[str, ...]] = ()
+    shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
 
     type: Text | None = None
-    name: Text | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9 _-]+$")
+    name: Annotated[str, AfterValidator(_test_name)] | None = None
     specimen: SpecimenTable | None = None
     protocol: list[StepTable] = Field(default=[])
     targets: dict[str, TargetTable] = Field(default={})

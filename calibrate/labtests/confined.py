@@ -36,6 +36,11 @@ class ConfinedTest(AbstractLabTest):
     title = "confined compression"
     observables = (DEPTH,)
     plain = True
+    shape = "stiffens"
+    words = (
+        *("confined", "behinderte seitendehnung", "confinad", "confine", "侧限"),
+        "mould compression",
+    )
 
     rate: Speed = 8e-3
     force_low: Force = 200.0

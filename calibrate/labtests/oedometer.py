@@ -21,6 +21,8 @@ class OedometerTest(AbstractLabTest):
     type_name = "oedometer"
     title = "oedometer test"
     observables = (SETTLEMENT,)
+    shape = "steps"
+    words = ("oedomet", "odomet", "edomet", "固结")
 
     @model_validator(mode="after")
     def _check_steps(self) -> "OedometerTest":

@@ -26,6 +26,7 @@ class RelaxationTest(AbstractLabTest):
     type_name = "relaxation"
     title = "relaxation test"
     observables = (FORCE_LEFT,)
+    words = ("relaxation", "relajacion", "rilassamento", "松弛")
 
     rate: Speed = 8e-3
     force: Force = 400.0

@@ -28,6 +28,11 @@ class UnconfinedTest(AbstractLabTest):
     title = "unconfined compression"
     observables = (FORCE,)
     plain = True
+    shape = "softens"
+    words = (
+        *("unconfined", "uniaxial compressive strength", "ucs", "einaxial", "unbehindert"),
+        *("no confinad", "inconfinad", "compresion simple", "non confine", "无侧限", "crush"),
+    )
 
     rate: Speed = 1e-5
     rest: Duration = 1.0

@@ -5,6 +5,7 @@ each with an approach, a force that does not read zero before contact, and noise
 imitate what testing machines write; names, numbers and dates are invented.
 """
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,37 @@ Std. dev.;8.3;0.18;
     (HERE / "hopeless_report.txt").write_text(text, encoding="utf-8")
 
 
+def stress_strain():
+    """A crushing as strain (%) and stress (kPa) of 50 mm by 100 mm, which the file conceals."""
+    _, travel, force = crushing(9, points=150)
+    area = np.pi / 4 * 50.0**2
+    rows = [f"{x:.4f};{1e3 * f / area:.4f}" for x, f in zip(travel, force, strict=True)]
+    text = "\n".join(["Axial strain (%);Stress (kPa)", *(r.replace(".", ",") for r in rows)])
+    (HERE / "stress_strain.csv").write_text(text + "\n", encoding="utf-8")
+
+
+def load_steps():
+    """German: an oedometer test with unloading and reloading, 70 mm by 20 mm, e0 = 0.912."""
+    stresses = [12.5, 25, 50, 100, 200, 100, 25, 100, 200, 400]
+    virgin, swelling = 0.25, 0.04  # slopes over log10 of stress
+    ratio, highest, rows = 0.912, 12.5, []
+    for number, (before, stress) in enumerate(pairwise([10.0, *stresses]), start=1):
+        elastic = min(stress, max(highest, before)) / before
+        ratio -= swelling * np.log10(elastic) + virgin * np.log10(max(stress / highest, 1.0))
+        highest = max(highest, stress)
+        rows.append(f"{number};{1440 * number};{stress:g};{ratio:.4f}".replace(".", ","))
+    head = """Ödometerversuch
+Probe Nr.;Lehm 3
+Probendurchmesser;70,0;mm
+Probenhöhe;20,0;mm
+Anfangsporenzahl e0;0,912
+
+Laststufe;Zeit (min);Spannung (kN/m²);Porenzahl e (-)
+"""
+    (HERE / "load_steps.csv").write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+
+
 if __name__ == "__main__":
-    for make in (decimal_comma, tab_units, two_specimens, trouble, hopeless):
+    texts = (decimal_comma, tab_units, trouble, hopeless, stress_strain, load_steps)
+    for make in (*texts, two_specimens):
         make()

@@ -1,0 +1,164 @@
+"""One column in the unit that is kept: N or kPa, mm or a fraction, s.
+
+Units come from the command line, else from the heading; without one the usual unit is assumed
+and said.  Time may be written as its root: t = (sqrt t)^2.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.core.errors import BadValue, shown
+from calibrate.core.units import FORCE as FORCES
+from calibrate.core.units import MILLIMETRES, UNITS, Kind
+from calibrate.core.units import STRAIN as STRAINS
+from calibrate.core.units import STRESS as STRESSES
+from calibrate.core.units import TIME as TIMES
+from calibrate.core.units import VOID_RATIO as VOID_RATIOS
+from calibrate.instrument_import.columns import Channel
+from calibrate.instrument_import.sizes import Column
+from calibrate.instrument_import.tables import Table
+from calibrate.instrument_import.vocabulary import (
+    CONSOLIDATION,
+    DISPLACEMENT,
+    FORCE,
+    ROOT_TIME,
+    SHEAR_STRENGTH,
+    STRAIN,
+    STRENGTH,
+    STRESS,
+    TIME,
+    VOID_RATIO,
+)
+
+KINDS: dict[str, Kind] = {
+    FORCE: FORCES,
+    STRESS: STRESSES,
+    STRENGTH: STRESSES,
+    SHEAR_STRENGTH: STRESSES,
+    DISPLACEMENT: MILLIMETRES,
+    STRAIN: STRAINS,
+    CONSOLIDATION: STRAINS,
+    VOID_RATIO: VOID_RATIOS,
+    TIME: TIMES,
+    ROOT_TIME: TIMES,
+}
+_USUAL = {FORCE: "N", DISPLACEMENT: "mm", TIME: "s", ROOT_TIME: "min"}
+_USUAL |= dict.fromkeys((STRESS, STRENGTH, SHEAR_STRENGTH), "kPa")
+_WHOLE = 1e-6  # a degree of consolidation ends at 1 (or 100 %) within this
+_STEP = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(?:-|–|→|->|to|bis|a|à)\s*(\d+(?:\.\d+)?)(?!\d)", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units that the user insists on, as pint knows them; None: as the file says.
+
+    `strain` may be "", a pure number.
+    """
+
+    force: str | None = None
+    displacement: str | None = None
+    stress: str | None = None
+    strain: str | None = None
+    time: str | None = None
+
+    def of(self, kind: str) -> str | None:
+        """The unit that the user gave for a column of this kind."""
+        same = {STRENGTH: STRESS, SHEAR_STRENGTH: STRESS, ROOT_TIME: TIME}
+        given = {FORCE: self.force, DISPLACEMENT: self.displacement, STRESS: self.stress}
+        given |= {STRAIN: self.strain, TIME: self.time}
+        return given.get(same.get(kind, kind))
+
+    def fixed(self) -> frozenset[str]:
+        """The kinds of columns whose unit the user insists on."""
+        kinds = (FORCE, DISPLACEMENT, STRESS, STRAIN, TIME)
+        return frozenset(kind for kind in kinds if self.of(kind) is not None)
+
+
+def measured(table: Table, channel: Channel, units: Units) -> tuple[Column, str]:
+    """A column in its kept unit, and what was assumed about its unit, "" if nothing."""
+    values = table.numbers[:, channel.column]
+    words = f"column {shown(channel.heading.words(), 40)}"
+    if channel.kind == CONSOLIDATION:
+        return _degrees(words, values)
+    factor, note = _factor(channel, values, units)
+    return Column(channel.kind, words, values * factor), note
+
+
+def time_in_seconds(
+    table: Table, channel: Channel | None, units: Units
+) -> tuple[np.ndarray | None, str]:
+    """The times (s) of a table, None if it has none, and what was assumed about their unit."""
+    if channel is None:
+        return None, ""
+    values = table.numbers[:, channel.column]
+    factor, note = _factor(channel, values, units)
+    return (values**2 if channel.kind == ROOT_TIME else values) * factor, note
+
+
+def is_degree(channel: Channel, parts: list[np.ndarray]) -> bool:
+    """Whether a column without a length rises in every specimen from 0 to exactly 1 or 100."""
+    if channel.kind != STRAIN or not parts:
+        return False
+    finite = [part[np.isfinite(part)] for part in parts]
+    return all(len(p) and p[0] == 0 and _is_whole(float(p.max())) for p in finite)
+
+
+def load_of_name(label: str, travel: Column, units: Units) -> tuple[Column, str]:
+    """The stress (kPa) of a step that only the specimen's name states: "25-50 kPa".
+
+    The first reading counts as taken before the load was added.
+    """
+    found = _STEP.search(label)
+    if found is None:
+        problem = f"{travel.words} is a settlement over time whose load is not stated"
+        repair = 'add a column of stress, or name the specimens by their step: "25-50"'
+        raise BadValue(problem, repair)
+    written = units.of(STRESS)
+    per = _per(written, STRESS) if written is not None else 1.0
+    low, high = (float(text) * per for text in found.groups())
+    values = np.full(len(travel.values), high)
+    values[:1] = low
+    name = f"the name {shown(label, 30)}"
+    text = f"stress from {low:g} to {high:g} kPa, as {name} says: "
+    unit = "unit as given" if written is not None else "taken as kPa"
+    text += f"{unit}; the first reading counts as before the load was added"
+    return Column(STRESS, name, values), text
+
+
+def _factor(channel: Channel, values: np.ndarray, units: Units) -> tuple[float, str]:
+    """Kept units in one unit of the column, and what was assumed."""
+    wanted, heading = units.of(channel.kind), channel.heading
+    if wanted is not None:
+        return _per(wanted, channel.kind), ""
+    if heading.unit is not None:
+        return _per(heading.unit[1], channel.kind), ""
+    name = shown(heading.name, 30)
+    if channel.kind == VOID_RATIO:
+        return 1.0, ""
+    if channel.kind == STRAIN:
+        largest = float(np.nanmax(np.abs(values)))
+        unit, word = ("%", "%") if largest > 1 else ("", "a fraction")
+        return _per(unit, STRAIN), f"column {name} has no unit: taken as {word}"
+    usual = _USUAL[channel.kind]
+    return _per(usual, channel.kind), f"column {name} has no unit: taken as {usual}"
+
+
+def _per(unit: str, kind: str) -> float:
+    """Kept units of this kind in one `unit`; "" is a pure number."""
+    return float(UNITS.Quantity(1.0, unit).to(KINDS[kind].unit).magnitude)
+
+
+def _degrees(words: str, values: np.ndarray) -> tuple[Column, str]:
+    """A degree of consolidation as a fraction, whether it was written up to 1 or to 100."""
+    largest = float(np.nanmax(values))
+    factor = 0.01 if largest > 1.5 else 1.0
+    text = f"{words} ends at {largest:g}: taken as a degree of consolidation"
+    return Column(CONSOLIDATION, words, factor * values), text
+
+
+def _is_whole(largest: float) -> bool:
+    return any(abs(largest / whole - 1) < _WHOLE for whole in (1.0, 100.0))
