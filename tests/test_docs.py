@@ -21,6 +21,8 @@ import typer
 import yaml
 
 from calibrate import cli
+from calibrate.labtests.base import Pace
+from calibrate.labtests.measured import Cylinder
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -250,9 +252,10 @@ def test_the_effect_is_nothing_at_strength_0(examples):
 
 
 def test_the_test_states_its_movements(examples):
-    test = examples["relaxation"](force=80.0)
+    stated = examples["Relaxation"](force="80 N")
+    test = stated.apparatus(Cylinder(0.05, 0.1), Pace(0.05, 0.05, 1e-3))
     loading, holding = test.movements()
-    assert test.names == ("loading", "holding")
+    assert test.names == ("load", "hold")
     assert float(loading.segment.force_target) == 80.0
     assert float(holding.segment.platen_speed) == 0.0
     assert float(holding.time_scale * holding.segment.duration) == pytest.approx(60.0)

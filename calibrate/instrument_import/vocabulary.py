@@ -168,7 +168,7 @@ def names_specimens(name: str) -> bool:
     return plain(name).strip(" .:#_-").replace("_", " ") in _SPECIMENS
 
 
-# Test type -> words that name it; later types first: "unconfined" holds "confined".
+# Test type -> words that name it; later types first, since their words hold those of earlier ones.
 TESTS = {name: kind.words for name, kind in reversed(tuple(TYPES.items())) if kind.words}
 
 

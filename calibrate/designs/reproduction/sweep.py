@@ -14,9 +14,10 @@ from calibrate.designs.reproduction.verdict import (
     rounded,
     without_data,
 )
+from calibrate.labtests.pair import KINDS
 
 COLUMNS = {"depression_depth": "depression_depth_mm", "crushing_force": "crushing_force_n"}
-TESTS = {"confined": "depression_depth", "unconfined": "crushing_force"}
+TESTS = dict(zip(KINDS, COLUMNS, strict=True))
 
 
 def figures() -> Iterator[Figure]:

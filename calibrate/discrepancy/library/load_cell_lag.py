@@ -1,4 +1,4 @@
-"""What a lag of the load cell does to the features of confined compression, in closed form.
+"""What a lag of the load cell does to the features of compression in the mould, in closed form.
 
     L = v tau       v: the platen's speed, tau the lag (`low_pass` has the filter)
 
@@ -21,8 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from calibrate.discrepancy.library.low_pass import filtered_evenly
-from calibrate.labtests.diagnosis.base import Feature
-from calibrate.labtests.diagnosis.confined import REFERENCE
+from calibrate.labtests.diagnosis.base import REFERENCE, Feature
 
 LAG = "acquisition_lag"
 STEP = 0.02  # mm of path between points
@@ -35,7 +34,7 @@ SMALL = 0.01  # s; step of the lag for finite differences
 
 @dataclass(frozen=True, eq=False)
 class LoadCellLag:
-    """Which of the features are read off the confined test's two branches, and the platen's speed
+    """Which of the features are read off the two branches in the mould, and the platen's speed
     (mm/s) there."""
 
     features: Sequence[Feature]

@@ -15,6 +15,7 @@ import numpy as np
 
 BEFORE = "before contact"  # kind and segment of the force that a machine shows at rest
 TARGET = "target"  # kind and segment of a scalar that is known without a curve
+REFERENCE = 0.5  # share of the largest force whose displacement on loading is zero
 APART = (TARGET, BEFORE)  # kinds that are not read off a curve's course
 
 Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]  # test -> displacement (mm), force (N)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibrate.labtests.diagnosis.base import (
+    REFERENCE,
     AbstractTestFeatures,
     Feature,
     UsualSizes,
@@ -33,7 +34,6 @@ ON_UNLOADING = {
     "reversal": (0.98, 0.95, 0.9),
     "unloading": (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05),
 }
-REFERENCE = 0.5  # share of the largest force whose displacement on loading is zero
 NEAR_TOP = 0.99  # share of the largest force beyond which travel at the top counts
 LATE_START = 0.08  # share of the largest force; a loading that begins above it is read from there
 BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
