@@ -4,6 +4,7 @@ On copies of `jdem`, then on objects of a laboratory.
 """
 
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -151,3 +152,13 @@ def test_a_key_depends_on_the_source_of_the_run_and_of_the_bed(tmp_path, monkeyp
             patch.setattr(keys, part, (Mine,))
             found.add(work.key(soil, 0))
     assert len(found) == 3
+
+
+def test_keys_are_made_by_several_threads_at_once():
+    """Every source is parsed anew; Python 3.11 cannot parse in two threads at a time."""
+    expected = keys.packing_content(SPECIMEN, 0, None)
+    for cached in (keys._source_hash, keys._dependencies):
+        cached.cache_clear()
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: keys.packing_content(SPECIMEN, 0, None), range(16)))
+    assert made == [expected] * 16

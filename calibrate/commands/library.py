@@ -47,6 +47,7 @@ def library_command(
     from calibrate.io.soil import base_soil
 
     measured = load_lab(bundled_lab() if lab is None else lab)
+    measured.pair()  # refuses other tests than those of a library
     make_folder(out.parent)
     smaller = None if onto is None else store.load(onto)
     design = Design(packings=packings, spheres=spheres)

@@ -9,6 +9,7 @@ import hashlib
 import inspect
 import json
 import sys
+import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
@@ -27,6 +28,7 @@ from jdem.packing.settling import Specimen, prepare
 
 OURS = ("jdem", "calibrate")  # packages whose definitions are followed
 SETTLES = (prepare,)
+_PARSING = threading.Lock()  # the parser of Python 3.11 fails where two threads enter it
 RUNS = (VirtualLab, inertial_number)  # the latter for the checks that are kept with a run
 
 
@@ -64,12 +66,14 @@ def engine_hash(*given) -> str:
     (`jdem.sensitivity`) is not part of it.
     """
     names = _names(*SETTLES, *RUNS, *given)
-    return _source_hash(frozenset(name for name in names if _package(name) in OURS))[:16]
+    with _PARSING:
+        return _source_hash(frozenset(name for name in names if _package(name) in OURS))[:16]
 
 
 def source_hash(*roots) -> str:
     """Hash of the source that functions, classes, and everything inside objects depend on."""
-    return _source_hash(_names(*roots))
+    with _PARSING:
+        return _source_hash(_names(*roots))
 
 
 @cache
