@@ -8,13 +8,16 @@ ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test lint docs notebooks clean help
+.PHONY: calibrate test check lint docs notebooks clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
 	$(BIN)/calibrate fit --preset quick --out results/calibrate
 
 test: lint  ## lint, then run all tests on two cores
 	$(ONE_THREAD) $(BIN)/python -m pytest -n 2
+
+check: lint  ## lint and the fast tests, in about a minute
+	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 -m "not thorough"
 
 lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .

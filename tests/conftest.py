@@ -20,6 +20,19 @@ settings.load_profile("compiling")
 jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".jax_cache"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
+# Modules that take longer than some eight seconds on one core; `make check` leaves them out.
+THOROUGH = {
+    *("abuse", "campaign", "cluster", "diagnose_verb", "effects", "engine", "fit"),
+    *("lab", "laws", "laws_contract", "machine_abuse", "notebooks", "report", "sensitivity"),
+    *("smooth", "study", "view", "virtual_power"),
+}
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.stem.removeprefix("test_") in THOROUGH:
+            item.add_marker(pytest.mark.thorough)
+
 
 @pytest.fixture
 def command_line(monkeypatch, tmp_path, capfd):
