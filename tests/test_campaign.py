@@ -23,7 +23,7 @@ from calibrate.core.progress import PlainLines, Silent, duration
 from calibrate.simulation import NETCDF, side_by_side, store
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.seal import LENGTH, sealed, unsealed
-from calibrate.simulation.specimens import simulation_json
+from calibrate.simulation.specimens import coarse, simulation_json
 
 SEEDS = (0, 1)
 
@@ -401,3 +401,25 @@ def test_side_by_side_keeps_the_order_and_stops_at_an_error():
     with pytest.raises(ValueError, match="the second one"):
         side_by_side(fails, 50, Silent(), "squares", 2)
     assert len(begun) < 50
+
+
+def test_a_run_of_an_earlier_cache_states_its_resolution(tmp_path):
+    """Entries written before resolution was kept are completed from their packing."""
+    work = toy_campaign(tmp_path)
+    (run,) = work.runs(soils(1), [0], "run")[0]
+    key = work.key(soils(1)[0], 0)
+    old = {k: v for k, v in run.quality.items() if k not in ("spheres_across", "porosity")}
+    work._store.keep_run(key, replace(run, quality=old))
+    (again,) = work.runs(soils(1), [0], "run")[0]
+    (packing,) = work.packings([0])
+    across, height = 2 * float(packing.mould_radius), float(packing.height)
+    diameter = float(packing.mean_diameter())
+    solid = packing.spheres.count * np.pi / 6 * diameter**3
+    assert again.quality["spheres_across"] == pytest.approx(across / diameter)
+    porosity = 1 - solid / (np.pi / 4 * across**2 * height)
+    assert again.quality["porosity"] == pytest.approx(porosity)
+
+
+def test_few_spheres_across_are_said():
+    assert "4.6 spheres across" in coarse({"spheres_across": 4.6})
+    assert coarse({"spheres_across": 8.0}) == coarse({}) == ""

@@ -12,6 +12,7 @@ from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, Test, read
 from calibrate.records.fit import FitRecord, Packing, Summary
 from calibrate.reports.html import Page, Picture, Table, number, plus_minus, quantity, render, words
+from calibrate.simulation.specimens import coarse
 
 SMALL = (4.6, 2.9)  # inches
 FAR = 2.0  # deviations beyond which a fitted number is counted as missed
@@ -86,6 +87,8 @@ def _warnings(found: FitRecord) -> Iterator[str]:
     for direction in found.identifiability.directions:
         if not direction.fixed_by_data:
             yield f"left open by the data: {_weights(direction.weights)}."
+    if sentence_of_size := coarse(found.quality):
+        yield f"{sentence_of_size}."
     if found.quality.get("overflow"):
         yield "a contact list stayed too small in a run."
 

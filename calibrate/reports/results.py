@@ -21,7 +21,7 @@ from calibrate.records.base import Measured, record
 from calibrate.records.fit import FitRecord
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
-from calibrate.simulation.specimens import measured_json
+from calibrate.simulation.specimens import coarse, measured_json
 
 
 def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
@@ -36,10 +36,11 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
     speed = result["particle_steps_per_s"] / 1e6
     inertial = result["quality"]["inertial_number"]
     console.print(
-        f"inertial number {inertial:.1e}, {speed:.2f} M particle-steps/s per run; "
-        f"curves and figure in {session.out}",
+        f"{_resolution(result)}, inertial number {inertial:.1e}, {speed:.2f} M particle-steps/s "
+        f"per run; curves and figure in {session.out}",
         highlight=False,
     )
+    _warn_if_coarse(console, result)
 
 
 def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
@@ -58,6 +59,7 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     console.print(_parameters_table(done))
     for line in _conclusions(done, result):
         console.print(line, markup=False, highlight=False)
+    _warn_if_coarse(console, result)
     console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
 
 
@@ -130,6 +132,18 @@ def _write_history(path: Path, history: list[dict]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_text(path, text.getvalue())
+
+
+def _resolution(result: dict) -> str:
+    """How finely the specimen is resolved."""
+    quality = result["quality"]
+    return f"{quality['spheres_across']:.1f} spheres across, porosity {quality['porosity']:.2f}"
+
+
+def _warn_if_coarse(console: Console, result: dict) -> None:
+    warning = coarse(result["quality"])
+    if warning:
+        console.print(f"warning: {warning}", highlight=False)
 
 
 def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:

@@ -18,7 +18,7 @@ from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.simulation.compiled import blank
 from calibrate.simulation.executors import AbstractPlace, Here, MachineFailure, cores
 from calibrate.simulation.keys import content_hash, packing_content, run_content
-from calibrate.simulation.run import Run, not_simulated
+from calibrate.simulation.run import Run, completed, not_simulated
 from calibrate.simulation.store import SHIPPED, Store
 from jdem.apparatus.base import AbstractApparatus
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -84,7 +84,10 @@ class Campaign:
         found = {key: self._store.run(key) for key in unique}
         tasks = [task for key, task in unique.items() if found[key] is None]
         found.update(self._simulated(tasks, what))
-        return [[run for key, _, _ in row if (run := found[key])] for row in keyed]
+        return [
+            [completed(run, packing) for key, _, packing in row if (run := found[key])]
+            for row in keyed
+        ]
 
     def key(self, soil: SoilParameters, seed: int) -> str:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""

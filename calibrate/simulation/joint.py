@@ -18,7 +18,9 @@ from calibrate.simulation.run import Run, names_in
 from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
 
-SUMMED = ("steps", "runtime_s", "platen_work_j")  # of the checks; the worst counts of the others
+# How the checks of several runs become one; the largest counts of those that are not named.
+COMBINED = {name: np.sum for name in ("steps", "runtime_s", "platen_work_j")}
+COMBINED |= {"spheres_across": np.min, "time_step_s": np.min}
 
 
 class AbstractCampaign(Protocol):
@@ -111,6 +113,6 @@ def _worst(together: Sequence[Run]) -> dict[str, float]:
     for name in together[0].quality:
         values = np.array([run.quality[name] for run in together])
         known = values[np.isfinite(values)]
-        combined = np.sum if name in SUMMED else np.max
+        combined = COMBINED.get(name, np.max)
         found[name] = float(combined(known)) if known.size else float("nan")
     return found

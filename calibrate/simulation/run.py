@@ -4,7 +4,7 @@ A failure is one sentence that names the cause: a contact list that was too smal
 that was too large, a number that is not finite, a soil too soft to test, a machine that gave up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -26,7 +26,10 @@ QUALITY = (
     "steps",
     "spheres",
     "runtime_s",
+    "spheres_across",
+    "porosity",
 )
+LEAST_ACROSS = 8.0  # spheres; below, the grains are a large part of the specimen (7.5 to 20 in use)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,7 @@ def summary(
         "steps": float(steps),
         "spheres": float(packing.spheres.count),
         "runtime_s": seconds,
+        **resolution_of(packing),
     }
     return Run(
         observables=_observables(lab, outcome),
@@ -78,6 +82,20 @@ def summary(
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
     )
+
+
+def resolution_of(packing: Packing) -> dict[str, float]:
+    """How finely a bed is resolved: the mould's diameter over the spheres' mean diameter, and its
+    porosity before the tests."""
+    across = 2 * packing.mould_radius / packing.mean_diameter()
+    return {"spheres_across": float(across), "porosity": 1 - float(packing.solid_fraction())}
+
+
+def completed(run: Run, packing: Packing) -> Run:
+    """The run with its bed's resolution, which entries of earlier caches do not hold."""
+    if "porosity" in run.quality:
+        return run
+    return replace(run, quality={**run.quality, **resolution_of(packing)})
 
 
 def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:

@@ -15,7 +15,7 @@ from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
-from calibrate.simulation.run import Run
+from calibrate.simulation.run import LEAST_ACROSS, Run
 from jdem.materials.soil import SoilParameters
 
 SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
@@ -99,10 +99,25 @@ def simulation_json(runs: Sequence[Run]) -> dict:
     }
 
 
+OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean}
+
+
+def coarse(quality: dict) -> str:
+    """One sentence where the specimen is too few spheres across; "" where it is not."""
+    across = quality.get("spheres_across", float("nan"))
+    if not across < LEAST_ACROSS:
+        return ""
+    return (
+        f"the specimen is {across:.1f} spheres across, below {LEAST_ACROSS:.0f}: numbers and "
+        "scatter depend on the size of the spheres; give a finer --preset for results"
+    )
+
+
 def quality_json(runs: Sequence[Run]) -> dict:
-    """The worst of each check over packings, and whether any list stayed too small."""
+    """The worst of each check over packings, their mean resolution, and whether any list stayed
+    too small."""
     worst = {
-        name: float(np.max([run.quality[name] for run in runs]))
+        name: float(OVER_PACKINGS.get(name, np.max)([run.quality[name] for run in runs]))
         for name in runs[0].quality
         if name not in ("runtime_s", "steps", "overflow")
     }
