@@ -1,6 +1,6 @@
 """When to rebuild the contact lists: before anything can have crossed their skin.
 
-    motion = the two largest motions of spheres since the rebuild + the walls' motion
+    motion = the two largest motions of spheres since the rebuild + the boundaries' motion
 
 Lists are complete while motion < skin. They are rebuilt before an interval in which motion
 could exceed it if everything went on as in the last interval, with as much again in
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.boundaries.walls import Walls
+from jdem.boundaries.composite import Boundaries
 from jdem.core import smooth
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import Demand, rebuild
@@ -28,7 +28,7 @@ class Upkeep(eqx.Module):
     """
 
     position: Vector
-    walls: Walls
+    boundaries: Boundaries
     latest: Array
     largest: Array
     demand: Demand
@@ -38,7 +38,7 @@ class Upkeep(eqx.Module):
         """Makes sure that the first interval starts with a rebuild."""
         zero = jnp.zeros_like(state.time)
         position = jax.lax.stop_gradient(state.motion.position)
-        return Upkeep(position, state.walls, zero + jnp.inf, zero, Demand.none())
+        return Upkeep(position, state.boundaries, zero + jnp.inf, zero, Demand.none())
 
 
 def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upkeep, Array]:
@@ -49,7 +49,7 @@ def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upke
 
     def renew(state: BedState):
         lists = (state.pairs, state.wall_contacts)
-        return rebuild(bed.grid, bed.spheres, state.walls, state.motion.position, *lists)
+        return rebuild(bed.grid, bed.spheres, state.boundaries, state.motion.position, *lists)
 
     def keep(state: BedState):
         return state.pairs, state.wall_contacts, Demand.none()
@@ -57,13 +57,13 @@ def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upke
     pairs, contacts, demand = jax.lax.cond(due, renew, keep, state)
     origin = jax.tree.map(
         lambda now, then: jnp.where(due, now, then),
-        (state.motion.position, state.walls),
-        (upkeep.position, upkeep.walls),
+        (state.motion.position, state.boundaries),
+        (upkeep.position, upkeep.boundaries),
     )
     state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
     demand = upkeep.demand.including(demand)
-    position, walls = jax.lax.stop_gradient(origin)
-    upkeep = Upkeep(position, walls, upkeep.latest, upkeep.largest, demand)
+    position, boundaries = jax.lax.stop_gradient(origin)
+    upkeep = Upkeep(position, boundaries, upkeep.latest, upkeep.largest, demand)
     return state, upkeep, jnp.where(due, 0.0, motion)
 
 
@@ -71,16 +71,16 @@ def checked(state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
     """After an interval that began with the motion `before` (m)."""
     motion = _motion(state, upkeep)
     largest = jnp.maximum(upkeep.largest, motion)
-    return Upkeep(upkeep.position, upkeep.walls, motion - before, largest, upkeep.demand)
+    return Upkeep(upkeep.position, upkeep.boundaries, motion - before, largest, upkeep.demand)
 
 
 def _motion(state: BedState, upkeep: Upkeep) -> Array:
     """Motion since the last rebuild, m; no derivative passes through it."""
     position = jax.lax.stop_gradient(state.motion.position)
     spheres = _sum_of_two_largest(smooth.norm(position - upkeep.position))
-    platen = state.walls.platen_height - upkeep.walls.platen_height
-    mould = state.walls.mould_radius - upkeep.walls.mould_radius
-    return spheres + jax.lax.stop_gradient(jnp.abs(platen) + jnp.abs(mould))
+    both = zip(state.boundaries, upkeep.boundaries, strict=True)
+    travelled = sum(now.travelled(then) for now, then in both)
+    return spheres + jax.lax.stop_gradient(travelled)
 
 
 def _sum_of_two_largest(lengths: Array) -> Array:

@@ -14,8 +14,7 @@ import numpy as np
 from jax import Array
 
 from jdem.bodies.spheres import Spheres
-from jdem.boundaries import walls as wall_module
-from jdem.boundaries.walls import Walls
+from jdem.boundaries.composite import Boundaries
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw, Memory
 
@@ -45,7 +44,7 @@ class Grid(eqx.Module):
 class ContactList(eqx.Module):
     """Entries sorted by key; unused ones stand at the end and have `alive` 0.
 
-    For pairs, `second` is a sphere; for wall contacts it is the wall's number.
+    For pairs, `second` is a sphere; for wall contacts it is the boundary's number.
     """
 
     key: Array
@@ -93,7 +92,7 @@ _NO_KEY = np.iinfo(np.int32).max
 def rebuild(
     grid: Grid,
     spheres: Spheres,
-    walls: Walls,
+    boundaries: Boundaries,
     position: Vector,
     pairs: ContactList,
     contacts: ContactList,
@@ -101,8 +100,8 @@ def rebuild(
     """Both lists for the spheres' present places, with the histories of the old lists."""
     candidates, valid, fullest = _cell_candidates(grid, spheres, position)
     new_pairs, pair_count = _packed(candidates, valid, spheres.count, grid.pairs, pairs)
-    near = _near_walls(grid, spheres, walls, position)
-    new_contacts, wall_count = _packed(*near, wall_module.COUNT, grid.wall_contacts, contacts)
+    near = _near_boundaries(grid, spheres, boundaries, position)
+    new_contacts, wall_count = _packed(*near, len(boundaries), grid.wall_contacts, contacts)
     return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest)
 
 
@@ -147,12 +146,13 @@ def _close(grid: Grid, spheres: Spheres, position: Vector, second):
     return offset.dot(offset) < reach * reach
 
 
-def _near_walls(grid: Grid, spheres: Spheres, walls: Walls, position: Vector):
-    """Every sphere with every wall: ((sphere, wall), valid)."""
-    gap = wall_module.distances(walls, position) - spheres.radius[:, None]
-    first = jnp.broadcast_to(jnp.arange(spheres.count)[:, None], gap.shape)
-    second = jnp.broadcast_to(jnp.arange(wall_module.COUNT)[None], gap.shape)
-    return (first.ravel(), second.ravel()), (gap < grid.skin).ravel()
+def _near_boundaries(grid: Grid, spheres: Spheres, boundaries: Boundaries, position: Vector):
+    """Every sphere with every boundary: ((sphere, boundary), valid)."""
+    near = [b.near(position, spheres.radius, grid.skin) for b in boundaries]
+    valid = jnp.stack(near, axis=-1)
+    first = jnp.broadcast_to(jnp.arange(spheres.count)[:, None], valid.shape)
+    second = jnp.broadcast_to(jnp.arange(len(boundaries))[None], valid.shape)
+    return (first.ravel(), second.ravel()), valid.ravel()
 
 
 def _packed(candidates, valid, stride, capacity, old: ContactList):
