@@ -159,7 +159,7 @@ def run(
     prepared = _prepared(bed, state, row_of(programme, 0))
     none = jnp.zeros((), jnp.int32)
     samples = _empty_samples(capacity, len(state.boundaries), state.time.dtype)
-    upkeep, memory = Upkeep.begin(prepared), around.begin(state.time.dtype)
+    upkeep, memory = Upkeep.begin(bed, prepared), around.begin(state.time.dtype)
     progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
 
     def advanced(step: Stepper, progress: _Progress):
@@ -175,7 +175,7 @@ def run(
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
         done = ended(segment, readings, elapsed)
-        upkeep = checked(state, upkeep, motion)
+        upkeep = checked(bed, state, upkeep, motion)
         following = row_of(programme, jnp.minimum(number + 1, count - 1))
         changes = (done > 0) & (number + 1 < count)
         changed = _prepared(bed, state, following).boundaries
@@ -224,7 +224,7 @@ def _empty_samples(capacity: int, boundaries: int, dtype) -> Sample:
 
 def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
     """The state with boundaries placed as the segment begins."""
-    position, radius = state.motion.position, bed.spheres.radius
+    position, radius = bed.spheres.positions(state.motion), bed.spheres.radius
     boundaries = placed(state.boundaries, segment, position, radius)
     return eqx.tree_at(lambda s: s.boundaries, state, boundaries)
 

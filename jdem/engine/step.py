@@ -48,10 +48,11 @@ def step(bed: Bed, state: BedState, command: Command, motions: Motions | None = 
 def _step(bed: Bed, state: BedState, command: Command, motions: Motions) -> BedState:
     driving = partial(_driven, bed.follows)
     boundaries, stretching = together(driving, state.boundaries, command.rates)
-    rows = jax.lax.optimization_barrier(state.motion.rows(bed.spheres))
+    rows = jax.lax.optimization_barrier(bed.spheres.rows(state.motion))
     loads, pairs = pair_loads(bed, rows, state.pairs)
     loads, contacts, felt = wall_loads(bed, rows, boundaries, state.wall_contacts, loads)
-    motion, absorbed = motions(bed, state.motion, stretching, loads.rows, command)
+    on_bodies = bed.spheres.collected(loads.rows, state.motion)
+    motion, absorbed = motions(bed, state.motion, stretching, on_bodies, command)
     gravity = -bed.gravity * jnp.sum(bed.spheres.mass * state.motion.velocity.z)
     powers = (loads.power, loads.rolling, gravity)
     before = (state.energy, state.time)
