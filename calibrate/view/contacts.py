@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem.boundaries.composite import nearest
+from jdem.boundaries.composite import effective_radius, nearest
 from jdem.core import smooth
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList
@@ -80,7 +80,7 @@ def _with_walls(bed: Bed, state: BedState) -> Contacts:
     contact = _still(
         overlap=bed.spheres.radius[one] - seen.distance,
         normal=seen.normal,
-        radius=bed.spheres.radius[one],
+        radius=effective_radius(bed.spheres.radius[one], seen.curvature),
         mass=bed.spheres.mass[one],
         friction=bed.wall_friction[wall],
     )

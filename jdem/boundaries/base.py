@@ -35,6 +35,7 @@ class Surface(eqx.Module):
     distance: Array  #: m; from the point to the surface
     normal: Vector  #: unit vector from the surface to the point
     velocity: Vector  #: m/s; of the surface
+    curvature: Array | None = None  #: 1/m; 1/R of a convex surface that spheres touch, None: flat
 
 
 class Rates(eqx.Module):
@@ -56,6 +57,11 @@ class AbstractBoundary(eqx.Module):
     reference: eqx.AbstractVar[Vector]
     rates: eqx.AbstractVar[Rates]
     axis: eqx.AbstractVar[Axis]
+
+    @staticmethod
+    @abc.abstractmethod
+    def at(reference: Vector, axis: Axis, size: Real) -> "AbstractBoundary":
+        """A boundary at rest, of a size (m) if its kind has one."""
 
     @abc.abstractmethod
     def surface(self, position: Vector) -> Surface:

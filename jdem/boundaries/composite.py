@@ -3,6 +3,8 @@
 A new kind is one file beside this one and one line in KINDS.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -13,10 +15,10 @@ from jdem.boundaries.plane import Plane
 from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 
-KINDS: tuple[type[AbstractBoundary], ...] = (
-    Plane,
-    Cylinder,
-)
+KINDS: dict[str, type[AbstractBoundary]] = {
+    "plane": Plane,
+    "cylinder": Cylinder,
+}
 
 Boundaries = tuple[AbstractBoundary, ...]
 
@@ -27,20 +29,30 @@ FORCE, TORQUE, PUSH = 0, 1, 2  # what resists speed, spin and growth
 
 def cell(platen_height: Real, mould_radius: Real, dtype) -> Boundaries:
     """Base at z = 0, platen at a height (m), and a mould of a radius (m), all at rest."""
-    still, centre = Rates.zero(dtype), point(0.0, 0.0, 0.0, dtype)
-    return (
-        Plane(centre, still, UP),
-        Plane(point(0.0, 0.0, platen_height, dtype), still, DOWN),
-        Cylinder(centre, still, UP, jnp.asarray(mould_radius, dtype)),
-    )
+    centre = point(0.0, 0.0, 0.0, dtype)
+    platen = Plane.at(point(0.0, 0.0, platen_height, dtype), DOWN)
+    return (Plane.at(centre, UP), platen, Cylinder.at(centre, UP, mould_radius))
 
 
 def nearest(boundaries: Boundaries, number: Array, position: Vector) -> Surface:
     """The surface of boundary `number` as seen from `position`; arrays of one shape."""
-    chosen, *others = (boundary.surface(position) for boundary in boundaries)
+    chosen, *others = _alike([boundary.surface(position) for boundary in boundaries])
     for k, surface in enumerate(others, start=1):
         chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, a, b), surface, chosen)
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, number.shape), chosen)
+
+
+def _alike(surfaces: list[Surface]) -> list[Surface]:
+    """All with a curvature where any has one: nothing is computed for flat surfaces alone."""
+    if all(surface.curvature is None for surface in surfaces):
+        return surfaces
+    flat = jnp.zeros((), surfaces[0].distance.dtype)
+    return [replace(s, curvature=flat) if s.curvature is None else s for s in surfaces]
+
+
+def effective_radius(radius: Array, curvature: Array | None) -> Array:
+    """R* = 1/(1/r + 1/R) (m) of a sphere on a surface of this curvature (1/m)."""
+    return radius if curvature is None else radius / (1 + radius * curvature)
 
 
 def spin_of(boundaries: Boundaries, number: Array) -> Vector:

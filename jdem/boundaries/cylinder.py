@@ -33,6 +33,11 @@ class Cylinder(AbstractBoundary):
     axis: Axis = eqx.field(static=True)
     radius: Array
 
+    @staticmethod
+    def at(reference: Vector, axis: Axis, size: Real) -> "Cylinder":
+        dtype = reference.x.dtype
+        return Cylinder(reference, Rates.zero(dtype), axis, jnp.asarray(size, dtype))
+
     def surface(self, position: Vector) -> Surface:
         radial = across(self.axis, position - self.reference)
         off_axis = smooth.norm(radial)

@@ -31,6 +31,10 @@ class Plane(AbstractBoundary):
     rates: Rates
     axis: Axis = eqx.field(static=True)
 
+    @staticmethod
+    def at(reference: Vector, axis: Axis, size: Real = 0.0) -> "Plane":
+        return Plane(reference, Rates.zero(reference.x.dtype), axis)
+
     def surface(self, position: Vector) -> Surface:
         offset = position - self.reference
         sliding = turned(self.axis, offset) * self.rates.spin

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.boundaries.composite import LOADS, Boundaries, nearest, spin_of
+from jdem.boundaries.composite import LOADS, Boundaries, effective_radius, nearest, spin_of
 from jdem.core import smooth
 from jdem.core.fusion import once
 from jdem.core.kernel import entrywise
@@ -110,7 +110,7 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
 
 
 def _wall_geometry(bed: Bed, one: Array, boundaries: Boundaries, wall: Array, alive: Array):
-    """Contacts of listed spheres with boundaries, which have infinite radius and mass."""
+    """Contacts of listed spheres with boundaries, which have infinite mass."""
     surface = once(nearest(boundaries, wall, Vector(*one[0:3])))
     overlap = jnp.where(alive > 0, one[9] - surface.distance, -1.0)
     lever = one[9] - overlap
@@ -122,7 +122,7 @@ def _wall_geometry(bed: Bed, one: Array, boundaries: Boundaries, wall: Array, al
         approach_speed=-relative.dot(surface.normal),
         normal=surface.normal,
         slip=relative.without(surface.normal),
-        radius=one[9],
+        radius=effective_radius(one[9], surface.curvature),
         mass=one[10],
         friction=bed.wall_friction[wall] * alive,
         time_step=bed.time_step * jnp.ones_like(overlap),
