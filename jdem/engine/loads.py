@@ -61,7 +61,7 @@ def wall_loads(bed: Bed, rows: Array, boundaries: Boundaries, contacts: ContactL
     found = entrywise(_wall_forces, (bed, rows, boundaries), entries)
     on_first, felt, absorbed, history = found
     sums = jnp.sum(absorbed, axis=0)
-    felt = jnp.sum(felt, axis=0).reshape(-1, LOADS)
+    felt = jnp.stack([jnp.sum(each, axis=0) for each in felt])
     rows = loads.rows.at[contacts.first].add(on_first)
     loads = Loads(rows, loads.power + sums[:4], loads.rolling + jnp.sum(sums[4:]))
     return loads, eqx.tree_at(lambda c: c.history, contacts, history), felt
@@ -79,7 +79,7 @@ def _wall_forces(shared: tuple[Bed, Array, Boundaries], entries):
     place = Vector(*one[0:3]) - contact.normal * lever
     felt = _felt(contact, once(-push), force.moment, place)
     felt = [jnp.where((wall == k)[:, None], felt, 0.0) for k in range(len(boundaries))]
-    return *once((on_first, jnp.concatenate(felt, axis=1), power)), history
+    return *once((on_first, tuple(felt), power)), history
 
 
 def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
