@@ -37,7 +37,8 @@ from calibrate.io.soil import with_values
 from jdem.bodies.spheres import Spheres
 from jdem.core import kernel
 from jdem.core.quantity import cast
-from jdem.engine.loop import Record, Segment, run, start
+from jdem.engine.loop import Record, run, start
+from jdem.engine.segment import Segment
 from jdem.engine.step import Bed, BedState, Command, step
 from jdem.packing.settling import Specimen, prepare
 
@@ -196,7 +197,7 @@ def timed_floor(rounds: int) -> dict[str, float]:
     steps = Steps(column(2), "float64").checked()
     bed, state, *_ = steps.given(steps.point)
     zero = jnp.zeros(())
-    command = Command(zero, zero, zero, zero)
+    command = Command(jnp.zeros((3, len(state.boundaries))), zero, zero)
     with patch.object(kernel, "_COMPILABLE", frozenset()):  # XLA does not count inside a kernel
         compiled = eqx.filter_jit(step).lower(bed, state, command).compile().compiled
     cost: Any = compiled.cost_analysis()

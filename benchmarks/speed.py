@@ -36,7 +36,8 @@ from jdem.bodies.spheres import Spheres
 from jdem.core.quantity import cast
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid
-from jdem.engine.loop import Record, Segment, run, stack, start
+from jdem.engine.loop import Record, run, start
+from jdem.engine.segment import Segment, cell_segment, stack
 from jdem.engine.step import Bed, BedState
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Specimen, prepare
@@ -147,7 +148,7 @@ def vector(centres: np.ndarray) -> Vector:
 
 def loading(force: float, dtype: str) -> Segment:
     """At 0.1 m/s to `force` (N); the end is sharp, as the peer's is."""
-    segment = Segment(
+    segment = cell_segment(
         platen_speed=0.1,
         force_target=force + 2,
         servo_width=0.1,

@@ -10,11 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jdem.bodies.spheres import Motion, Spheres
+from jdem.boundaries.base import FAR
+from jdem.boundaries.composite import CELL_SURFACES, PLATEN
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed
-from jdem.engine.loop import FAR, Segment, run, stack, start
+from jdem.engine.loop import run, start
 from jdem.engine.neighbors import Grid, rebuild
+from jdem.engine.segment import Segment, stack
 from jdem.engine.step import Command, step
 from jdem.materials.soil import SoilParameters
 
@@ -47,7 +50,17 @@ def spheres_of(count, spread=0.0):
     return Spheres(radius, DENSITY * 4 / 3 * np.pi * radius**3)
 
 
-def bed_of(spheres, soil, *, gravity=GRAVITY, smoothing=SHARP, skin=1.0, **numerics):
+def bed_of(
+    spheres,
+    soil,
+    *,
+    gravity=GRAVITY,
+    smoothing=SHARP,
+    skin=1.0,
+    surfaces=CELL_SURFACES,
+    follows=PLATEN,
+    **numerics,
+):
     """`skin` is in mean diameters; every list has room for all there is."""
     count, gap = spheres.count, skin * 2 * RADIUS
     grid = Grid(
@@ -58,7 +71,8 @@ def bed_of(spheres, soil, *, gravity=GRAVITY, smoothing=SHARP, skin=1.0, **numer
         cell=2.4 * RADIUS + gap,
         skin=gap,
     )
-    bed = build_bed(spheres, soil, grid, Numerics(smoothing=smoothing, **numerics))
+    numerics = Numerics(smoothing=smoothing, **numerics)
+    bed = build_bed(spheres, soil, grid, numerics, surfaces=surfaces, follows=follows)
     return eqx.tree_at(lambda b: b.gravity, bed, jnp.asarray(gravity, bed.time_step.dtype))
 
 
@@ -72,15 +86,31 @@ def state_of(bed, position, velocity=None, spin=None, mould_radius=FAR):
     return eqx.tree_at(lambda s: s.motion, state, motion)
 
 
+def listed(bed, state):
+    """The state with lists for where its spheres are."""
+    pairs, contacts, _ = rebuild(
+        bed.grid,
+        bed.spheres,
+        state.boundaries,
+        state.motion.position,
+        state.pairs,
+        state.wall_contacts,
+    )
+    return eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+
+
+def idle(state, damping=0.0, unloaded=0.0):
+    """The machine stands still."""
+    dtype = state.time.dtype
+    rates = jnp.zeros((3, len(state.boundaries)), dtype)
+    return Command(rates, jnp.asarray(damping, dtype), jnp.asarray(unloaded, dtype))
+
+
 @eqx.filter_jit
 def advanced(bed, state, steps, damping=0.0):
     """The motion after each of `steps` steps of one list (the skin must outlast them)."""
-    pairs, contacts, _ = rebuild(
-        bed.grid, bed.spheres, state.walls, state.motion.position, state.pairs, state.wall_contacts
-    )
-    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
-    zero = jnp.zeros((), bed.time_step.dtype)
-    command = Command(zero, zero, zero + damping, zero)
+    state = listed(bed, state)
+    command = idle(state, damping)
 
     def advance(state, _):
         state = step(bed, state, command)
@@ -101,4 +131,4 @@ def ran(bed, state, samples, steps=100, damping=0.0):
 def last(samples):
     """The last interval that was recorded."""
     row = np.flatnonzero(np.asarray(samples.segment) >= 0)[-1]
-    return jax.tree.map(lambda leaf: float(leaf[row]), samples)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[row], samples)

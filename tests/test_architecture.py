@@ -15,7 +15,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("jdem", "calibrate")
-FAMILIES = ("jdem.laws", "jdem.effects", "jdem.apparatus", "jdem.sensitivity")
+FAMILIES = (
+    "jdem.bodies",
+    "jdem.boundaries",
+    "jdem.laws",
+    "jdem.effects",
+    "jdem.apparatus",
+    "jdem.sensitivity",
+)
 # Folders (and loose modules) of each package from the ground up: imports run downward only.
 ORDER = {
     "jdem": (

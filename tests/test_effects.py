@@ -344,8 +344,7 @@ def test_a_servo_that_slows_down_before_its_target_does_not_soften_the_soil():
 
 def standing_at(height, time):
     """A state of the machine, as far as the clock of effects reads it."""
-    walls = SimpleNamespace(platen_height=jnp.asarray(height))
-    return SimpleNamespace(time=jnp.asarray(time), walls=walls)
+    return SimpleNamespace(time=jnp.asarray(time), platen_height=jnp.asarray(height))
 
 
 def test_capillary_tension_strengthens_without_the_mould(outcome):

@@ -8,7 +8,7 @@ from hand_made_beds import advanced, bed_of, spheres_of, state_of
 from law_cases import MOST, PAIR, RADIUS, law_of
 
 from jdem.apparatus.pair import collide, drive_overlap, overlap_path
-from jdem.boundaries.walls import BASE
+from jdem.boundaries.composite import BASE
 from jdem.core.smooth import Smoothing
 from jdem.materials.catalogue import soil_with
 from jdem.materials.soil import wall_law

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jdem.core import kernel
-from jdem.core.fusion import boundaries, once
+from jdem.core.fusion import fenced, once
 from jdem.core.kernel import BLOCK, block_count, entrywise, in_blocks
 
 LENGTHS = (1, 7, BLOCK, BLOCK + 1, 3 * BLOCK)
@@ -30,7 +30,7 @@ def given(length: int):
 
 
 def in_one_kernel(function, shared, entries):
-    with boundaries():
+    with fenced():
         return entrywise(function, shared, entries)
 
 

@@ -20,7 +20,8 @@ from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, vir
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import build_bed, steps_per_sample
-from jdem.engine.loop import KEEP, REMOVE, Segment, run, stack, start
+from jdem.engine.loop import run, start
+from jdem.engine.segment import KEEP, REMOVE, cell_segment, stack
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -123,13 +124,13 @@ def at_rest(packing, soil, mould):
     """Means over the second half of two damped seconds without platen."""
     bed = build_bed(packing.spheres, soil, WHOLE.grid, NUMERICS)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    rest = Segment(damping=100.0, duration=2.0, platen=REMOVE, mould=mould)
+    rest = cell_segment(damping=100.0, duration=2.0, platen=REMOVE, mould=mould)
     steps = steps_per_sample(bed, NUMERICS)
     record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 24000)
     assert not record.overflow_of(WHOLE.grid), record.explain_overflow(WHOLE.grid)
     rows = np.flatnonzero(np.asarray(record.samples.segment) == 0)
     late = rows[len(rows) // 2 :]
-    return jax.tree.map(lambda leaf: float(np.mean(np.asarray(leaf)[late])), record.samples)
+    return jax.tree.map(lambda leaf: np.mean(np.asarray(leaf)[late], axis=0), record.samples)
 
 
 @pytest.mark.parametrize("wall_friction", [0.0, 0.3])

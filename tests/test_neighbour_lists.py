@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hand_made_beds import RADIUS, spheres_of
 
-from jdem.boundaries.walls import Walls
+from jdem.boundaries.composite import cell
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList, Grid, rebuild
 from jdem.laws.base import AbstractContactLaw
@@ -30,7 +30,7 @@ def cloud_grid(**capacities):
 
 
 CLOUD_SPHERES = spheres_of(CLOUD, 0.2)
-CLOUD_WALLS = Walls(*(jnp.asarray(x) for x in (0.03, 0.0, 0.014, 0.0)))
+CLOUD_WALLS = cell(0.03, 0.014, float)
 relisted = eqx.filter_jit(rebuild)
 
 

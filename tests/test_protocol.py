@@ -10,8 +10,9 @@ import pytest
 from calibrate.simulation.run import not_simulated
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.protocol import LONGEST_HOLD, Protocol, Step
+from jdem.boundaries.composite import PLATEN
 from jdem.engine.bed import Numerics
-from jdem.engine.loop import KEEP, LOWER, REMOVE
+from jdem.engine.segment import KEEP, LOWER, REMOVE
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import ForceLeft, LargestDisplacement
@@ -34,7 +35,7 @@ def cycle() -> Protocol:
 def test_steps_become_movements_of_the_machine():
     steps = (*CYCLE, Step("open", "open"), Step("rest", "rest", 1.0), Step("travel", "crush", 2e-3))
     movements = Protocol(steps).movements()
-    platen = [int(m.segment.platen) for m in movements]
+    platen = [int(m.segment.placed[PLATEN]) for m in movements]
     assert platen == [LOWER, KEEP, KEEP, KEEP, REMOVE, KEEP, LOWER]
     assert [m.free for m in movements] == [False] * 4 + [True] * 3
     assert [m.testing for m in movements] == [True] * 4 + [False] * 2 + [True]

@@ -10,7 +10,8 @@ import numpy as np
 from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of, state_of
 
 from jdem.core.smooth import Smoothing
-from jdem.engine.loop import LOWER, Segment, run, stack
+from jdem.engine.loop import run
+from jdem.engine.segment import LOWER, cell_segment, stack
 
 TARGET = 0.5  # N
 HEAP = RADIUS * np.array([[0, 0, 1.0], [2.02, 0, 1.0], [1.01, 1.75, 1.0], [1.01, 0.58, 2.65]])
@@ -29,14 +30,14 @@ def pressed(log_unit):
     common = {"platen_speed": 0.02, "servo_width": 0.05 * unit, "damping": 200.0}
     programme = stack(
         [
-            Segment(
+            cell_segment(
                 **common,
                 force_target=TARGET * unit,
                 tolerance=0.1 * unit,
                 duration=1.0,
                 platen=jnp.asarray(LOWER),
             ),
-            Segment(**common, duration=0.01),
+            cell_segment(**common, duration=0.01),
         ]
     )
     samples = run(bed, state_of(bed, HEAP), programme, jnp.asarray(50), 400).samples

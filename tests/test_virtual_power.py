@@ -16,9 +16,11 @@ from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
 
 from calibrate.inference.parameters import FACTORS
 from calibrate.io.soil import with_values
+from jdem.boundaries.base import FAR
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
-from jdem.engine.loop import FAR, Segment, run, stack, start
+from jdem.engine.loop import run, start
+from jdem.engine.segment import cell_segment, stack
 from jdem.sensitivity.virtual_power import FrozenMotion
 
 NAMES = (*FACTORS, "shear_modulus")
@@ -40,7 +42,7 @@ LEG = 10 * STEPS * STEP  # s; 2e-6 m of travel
 
 def moves(*speeds):
     """The platen moves at these speeds (m/s), one leg each."""
-    return [Segment(platen_speed=v, duration=LEG, damping=STRONG) for v in speeds]
+    return [cell_segment(platen_speed=v, duration=LEG, damping=STRONG) for v in speeds]
 
 
 @eqx.filter_jit
@@ -117,7 +119,7 @@ def test_a_stage_before_it_is_part_of_the_effect():
     Dropping what the first stage made of the bed gives another slope: stiffer soils would
     be stronger at the same overlap.
     """
-    servo = Segment(
+    servo = cell_segment(
         platen_speed=SPEED, force_target=0.1, servo_width=0.02, tolerance=4e-3, damping=STRONG,
         duration=40 * STEPS * STEP,
     )  # fmt: skip

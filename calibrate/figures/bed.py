@@ -18,7 +18,8 @@ from matplotlib.patches import Circle
 from calibrate.figures.style import DARK, MIDDLE, save
 from calibrate.view.contacts import Contacts
 from calibrate.view.frames import Frame
-from jdem.engine.loop import FAR
+from jdem.boundaries.base import FAR
+from jdem.boundaries.composite import MOULD
 
 LOAD_COLOURS = "YlGnBu"
 CUT = "cut along the axis; lines: contacts near it, dark in compression, orange in tension"
@@ -83,8 +84,8 @@ def _bed(axis: Axes, frame: Frame, touching: Contacts, top: float, window) -> No
 
 def _walls(axis: Axes, frame: Frame) -> None:
     """Base, platen and mould where they stand; walls that were taken away are not drawn."""
-    walls = frame.state.walls
-    radius, height = 1e3 * float(walls.mould_radius), 1e3 * float(walls.platen_height)
+    radius = 1e3 * float(frame.state.boundaries[MOULD].size)
+    height = 1e3 * float(frame.state.platen_height)
     width = 1e3 * float(np.abs(np.asarray(frame.state.motion.position.x)).max()) + 8
     axis.plot([-width, width], [0, 0], color="0.2", lw=2)
     if height < 1e3 * FAR / 2:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem.boundaries.walls import surface
+from jdem.boundaries.composite import effective_radius, nearest
 from jdem.core import smooth
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList
@@ -76,15 +76,15 @@ def _with_walls(bed: Bed, state: BedState) -> Contacts:
     contacts = state.wall_contacts
     one, wall = contacts.first, contacts.second
     centre = state.motion.position.at(one)
-    nearest = surface(state.walls, wall, centre)
+    seen = nearest(state.boundaries, wall, centre)
     contact = _still(
-        overlap=bed.spheres.radius[one] - nearest.distance,
-        normal=nearest.normal,
-        radius=bed.spheres.radius[one],
+        overlap=bed.spheres.radius[one] - seen.distance,
+        normal=seen.normal,
+        radius=effective_radius(bed.spheres.radius[one], seen.curvature),
         mass=bed.spheres.mass[one],
         friction=bed.wall_friction[wall],
     )
-    ends = (centre, centre - nearest.normal * nearest.distance)
+    ends = (centre, centre - seen.normal * seen.distance)
     return _touching(bed.wall_law, contact, contacts, ends, -1 - np.asarray(wall))
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from calibrate.core.errors import CalibrationError
 from jdem.core.quantity import cast
 from jdem.engine.bed import build_bed, steps_per_sample
-from jdem.engine.loop import KEEP, Record, Segment, run, stack, start
+from jdem.engine.loop import Record, run, start
+from jdem.engine.segment import KEEP, Segment, stack
 from jdem.engine.step import Bed, BedState
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -93,7 +94,7 @@ class _Pieces:
             yield Frame(name, float(self.state.time), force, self.bed, self.state), ended
             if ended:
                 return
-            segment = replace(segment, platen=jnp.asarray(KEEP), mould=jnp.asarray(KEEP))
+            segment = replace(segment, placed=jnp.full_like(segment.placed, KEEP))
 
     def _advance(self, segment: Segment) -> tuple[float, float]:
         """Runs one piece; mean force on the platen in its last sample (N), its duration (s)."""

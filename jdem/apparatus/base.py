@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.core.quantity import Real, quantity
-from jdem.engine.loop import Segment
+from jdem.engine.segment import Segment
 from jdem.observables import Curve
 
 

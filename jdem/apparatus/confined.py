@@ -12,7 +12,7 @@ from jax import Array
 
 from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
 from jdem.core.quantity import Real, cast, quantity
-from jdem.engine.loop import KEEP, LOWER, Segment
+from jdem.engine.segment import KEEP, LOWER, Segment, cell_segment
 from jdem.observables import Curve, depression_depth, displacement_at
 
 OVERSHOOT = 2.0  # servo widths
@@ -86,7 +86,7 @@ class ConfinedCompression(AbstractApparatus):
         return self.force_high + OVERSHOOT * self.servo_width
 
     def _towards(self, force, duration, platen) -> Segment:
-        return Segment(
+        return cell_segment(
             platen_speed=self.simulated_rate,
             force_target=force,
             servo_width=self.servo_width,

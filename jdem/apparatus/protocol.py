@@ -17,7 +17,7 @@ from jax import Array
 
 from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
 from jdem.core.quantity import Real, quantity
-from jdem.engine.loop import KEEP, LOWER, REMOVE, Segment
+from jdem.engine.segment import KEEP, LOWER, REMOVE, cell_segment
 from jdem.observables import AbstractGauge, Curve, displacement_at
 
 TO_FORCE, TRAVEL, HOLD, KEEP_FORCE, OPEN, REST = "force", "travel", "hold", "keep", "open", "rest"
@@ -131,9 +131,9 @@ class Protocol(AbstractApparatus):
         if step.kind == TRAVEL:
             speed = self.simulated_rate * jnp.sign(step.value)
             duration = jnp.abs(step.value) / self.simulated_rate
-            segment = Segment(platen_speed=speed, duration=duration, **common)
+            segment = cell_segment(platen_speed=speed, duration=duration, **common)
         else:
-            segment = Segment(
+            segment = cell_segment(
                 platen_speed=self.simulated_rate,
                 force_target=step.value,
                 servo_width=self.servo_width,
@@ -147,7 +147,7 @@ class Protocol(AbstractApparatus):
         time = jnp.minimum(step.value * step.nominal_rate / self.simulated_rate, LONGEST_HOLD)
         common = {"damping": self.damping.loading, "unloaded_damping": self.damping.unloaded}
         if step.kind == KEEP_FORCE and force is not None:
-            segment = Segment(
+            segment = cell_segment(
                 platen_speed=self.simulated_rate,
                 force_target=force,
                 servo_width=10 * self.servo_width,
@@ -155,12 +155,12 @@ class Protocol(AbstractApparatus):
                 **common,
             )
         else:
-            segment = Segment(duration=time, **common)
+            segment = cell_segment(duration=time, **common)
         return Movement(step.name, segment, step.value / jnp.maximum(time, 1e-9), free=free)
 
     def _free(self, step: Step) -> Movement:
         opens = step.kind == OPEN
-        segment = Segment(
+        segment = cell_segment(
             mould_speed=OPENING_RATE if opens else 0.0,
             damping=self.damping.resting,
             unloaded_damping=self.damping.unloaded,

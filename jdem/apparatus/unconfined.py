@@ -12,7 +12,7 @@ from jax import Array
 
 from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
 from jdem.core.quantity import Real, quantity
-from jdem.engine.loop import KEEP, LOWER, REMOVE, Segment
+from jdem.engine.segment import KEEP, LOWER, REMOVE, Segment, cell_segment
 from jdem.observables import crushing_force, running_mean
 
 
@@ -67,7 +67,7 @@ class UnconfinedCompression(AbstractApparatus):
         return replace(self, peak_rows=2 * int(self.peak_rows * ratio / 2) + 1)
 
     def _opening(self) -> Segment:
-        return Segment(
+        return cell_segment(
             mould_speed=self.opening_rate,
             damping=self.damping.resting,
             unloaded_damping=self.damping.unloaded,
@@ -76,7 +76,7 @@ class UnconfinedCompression(AbstractApparatus):
         )
 
     def _resting(self) -> Segment:
-        return Segment(
+        return cell_segment(
             damping=self.damping.resting,
             unloaded_damping=self.damping.unloaded,
             duration=self.rest,
@@ -85,7 +85,7 @@ class UnconfinedCompression(AbstractApparatus):
         )
 
     def _crushing(self) -> Segment:
-        return Segment(
+        return cell_segment(
             platen_speed=self.simulated_rate,
             damping=self.damping.loading,
             unloaded_damping=self.damping.unloaded,

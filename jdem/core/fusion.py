@@ -6,7 +6,7 @@ before that happens.  A call that must not be inlined stays, so the identity beh
 keeps what is before it apart from what follows, without copying anything (an always-true
 conditional does so too, but copies every array; docs/decisions.md has the timings).
 
-Laws say `once(...)` without knowing why; the engine opens `boundaries` around a time step.
+Laws say `once(...)` without knowing why; the engine opens `fenced` around a time step.
 Outside of it, as for a single contact, `once` does nothing.
 """
 
@@ -24,7 +24,7 @@ _bounded: ContextVar[bool] = ContextVar("bounded", default=False)
 
 
 @contextmanager
-def boundaries() -> Iterator[None]:
+def fenced() -> Iterator[None]:
     """Makes `once` a boundary while a step is traced.
 
     Elsewhere than on a CPU there are no boundaries: other backends fuse several outputs

@@ -57,6 +57,14 @@ def entrywise(function: Callable[[Any, Any], Tree], shared: Any, entries: Any) -
     return kernel() if kernel.possible else function(shared, entries)
 
 
+def together(function: Callable[..., Tree], *arguments: Any) -> Tree:
+    """function(*arguments) of a few numbers, as one kernel instead of one for each operation."""
+    if not bounded():
+        return function(*arguments)
+    kernel = _Kernel(function, *arguments)
+    return kernel() if kernel.possible else function(*arguments)
+
+
 def block_count(length: int) -> int:
     """Blocks of BLOCK entries that a list is taken in: 1 unless they are whole."""
     return max(1, length // BLOCK) if length % BLOCK == 0 else 1

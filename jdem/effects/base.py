@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.core.quantity import Real
-from jdem.engine.loop import Segment
+from jdem.engine.segment import Segment
 from jdem.laws.base import AbstractContactLaw
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import Packing

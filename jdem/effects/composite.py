@@ -123,7 +123,7 @@ class Altered(AbstractSurroundings):
         for effect in self.effects:
             between = effect.law(between, stage)
         walls = wall_law(soil, self.mean_diameter, self.smoothing)
-        present = (between, walls, soil.static_friction, friction_of_walls(soil))
+        present = (between, walls, soil.static_friction, friction_of_walls(soil, bed.surfaces))
         present = cast(present, jnp.asarray(bed.time_step).dtype)
         return eqx.tree_at(
             lambda b: (b.particle_law, b.wall_law, b.friction, b.wall_friction), bed, present
@@ -143,7 +143,7 @@ class Altered(AbstractSurroundings):
         interval = elapsed * time_scale
         # At the machine's own speed: a servo that slows down before its target is the simulation's
         # way to turn, and a soil that softened by it would never let it arrive.
-        strain = self.timetable.platen_speed[segment] * elapsed / before.walls.platen_height
+        strain = self.timetable.platen_speed[segment] * elapsed / before.platen_height
         clock = Clock(
             (memory.time + interval) * self.timetable.testing[segment],
             _slowed(memory.slowness, strain, self.reference_rate * interval),

@@ -9,7 +9,7 @@ import equinox as eqx
 
 from jdem.core.quantity import Real, quantity
 from jdem.effects.base import About, AbstractEffect
-from jdem.engine.loop import Segment
+from jdem.engine.segment import Segment
 
 
 class AcquisitionLag(AbstractEffect):

@@ -10,11 +10,12 @@ import numpy as np
 from jax import Array
 
 from jdem.bodies.spheres import Spheres
+from jdem.boundaries.composite import CELL_SURFACES, PLATEN
 from jdem.core.kernel import in_blocks
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
-from jdem.engine.loop import Segment
 from jdem.engine.neighbors import Grid
+from jdem.engine.segment import Segment
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters, particle_law, wall_law
 
@@ -47,11 +48,13 @@ def build_bed(
     grid: Grid,
     numerics: Numerics,
     time_step: Array | None = None,
+    surfaces: tuple[str, ...] = CELL_SURFACES,
+    follows: int | None = PLATEN,
 ) -> Bed:
     """A bed in the wanted precision.
 
     `time_step` (s) overrides the one from the stiffness.  Surface energy is scaled to
-    the spheres' mean diameter.
+    the spheres' mean diameter.  surfaces and follows as in `Bed`.
     """
     mean_diameter = 2 * jnp.mean(spheres.radius)
     between = particle_law(soil, mean_diameter, numerics.smoothing)
@@ -63,17 +66,20 @@ def build_bed(
         particle_law=between,
         wall_law=walls,
         friction=soil.static_friction,
-        wall_friction=friction_of_walls(soil),
+        wall_friction=friction_of_walls(soil, surfaces),
         time_step=time_step,
         roll_width=numerics.smoothing.roll,
         grid=grid,
+        surfaces=surfaces,
+        follows=follows,
     )
     return cast(bed, jnp.dtype(numerics.dtype))
 
 
-def friction_of_walls(soil: SoilParameters) -> Array:
-    """Friction coefficients (-) of base, platen and mould, shape (3,)."""
-    return jnp.stack([soil.platen_friction, soil.platen_friction, soil.wall_friction])
+def friction_of_walls(soil: SoilParameters, surfaces: tuple[str, ...]) -> Array:
+    """Friction coefficients (-) of boundaries whose surfaces are like "platen" or "mould"."""
+    known = {"platen": soil.platen_friction, "mould": soil.wall_friction}
+    return jnp.stack([known[surface] for surface in surfaces])
 
 
 def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:

@@ -1,7 +1,7 @@
-"""Energy by channel: where the work of platen, mould and gravity went.
+"""Energy by channel: where the work of boundaries and gravity went.
 
-    W_platen + W_mould + W_gravity = dK + sum of what springs, dashpots, rolling and the
-                                     background absorbed
+    sum W_boundary + W_gravity = dK + sum of what springs, dashpots, rolling and the
+                                 background absorbed
 
 Power of contacts and gravity is evaluated at the start of a step.  What that misses,
 because velocities change within the step, is kept as `integration`: an error of first
@@ -13,14 +13,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.boundaries.walls import MOULD, PLATEN, Walls
+from jdem.boundaries.composite import PLATEN
 
 
 class Ledger(eqx.Module):
-    """Work (J) since the start; springs hold what they store and what they dissipate."""
+    """Work (J) since the start; springs hold what they store and what they dissipate.
 
-    platen: Array
-    mould: Array
+    boundaries, shape (boundaries,), is what each of them gave.
+    """
+
+    boundaries: Array
     gravity: Array
     normal_spring: Array
     normal_dashpot: Array
@@ -30,16 +32,21 @@ class Ledger(eqx.Module):
     background: Array
     integration: Array
 
+    @property
+    def platen(self) -> Array:
+        """Work of the testing cell's platen, J."""
+        return self.boundaries[..., PLATEN]
+
     @staticmethod
-    def zeros(dtype) -> "Ledger":
-        return Ledger(*[jnp.zeros((), dtype) for _ in range(10)])
+    def zeros(boundaries: int, dtype) -> "Ledger":
+        return Ledger(jnp.zeros(boundaries, dtype), *[jnp.zeros((), dtype) for _ in range(8)])
 
     def __add__(self, other: "Ledger") -> "Ledger":
         return jax.tree.map(jnp.add, self, other)
 
     def supplied(self) -> Array:
-        """Work of platen, mould, gravity, and of the integration error."""
-        return self.platen + self.mould + self.gravity + self.integration
+        """Work of boundaries, gravity, and of the integration error."""
+        return jnp.sum(self.boundaries) + self.gravity + self.integration
 
     def absorbed(self) -> Array:
         """Work that went into springs, dashpots, rolling and background damping."""
@@ -51,17 +58,15 @@ class Ledger(eqx.Module):
     def of_step(
         contacts: Array,
         rolling: Array,
-        walls: Array,
+        boundaries: Array,
         absorbed: Array,
         gravity: Array,
-        walls_moving: Walls,
         time_step,
     ) -> "Ledger":
-        """One step: contact power (4,) and that of moments in W, forces on walls (N), energies
+        """One step: power (W) of contacts (4,), of moments, boundaries and gravity, energies
         absorbed (3,) in J."""
         return Ledger(
-            platen=-walls[PLATEN] * walls_moving.platen_speed * time_step,
-            mould=-walls[MOULD] * walls_moving.mould_speed * time_step,
+            boundaries=boundaries * time_step,
             gravity=gravity * time_step,
             normal_spring=contacts[0] * time_step,
             normal_dashpot=contacts[1] * time_step,

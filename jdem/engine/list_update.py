@@ -1,6 +1,6 @@
 """When to rebuild the contact lists: before anything can have crossed their skin.
 
-    motion = the two largest motions of spheres since the rebuild + the walls' motion
+    motion = the two largest motions of spheres since the rebuild + the boundaries' motion
 
 Lists are complete while motion < skin. They are rebuilt before an interval in which motion
 could exceed it if everything went on as in the last interval, with as much again in
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.boundaries.walls import Walls
+from jdem.boundaries.composite import Boundaries
 from jdem.core import smooth
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import Demand, rebuild
@@ -28,28 +28,28 @@ class Upkeep(eqx.Module):
     """
 
     position: Vector
-    walls: Walls
+    boundaries: Boundaries
     latest: Array
     largest: Array
     demand: Demand
 
     @staticmethod
-    def begin(state: BedState) -> "Upkeep":
+    def begin(bed: Bed, state: BedState) -> "Upkeep":
         """Makes sure that the first interval starts with a rebuild."""
         zero = jnp.zeros_like(state.time)
-        position = jax.lax.stop_gradient(state.motion.position)
-        return Upkeep(position, state.walls, zero + jnp.inf, zero, Demand.none())
+        position = _positions(bed, state)
+        return Upkeep(position, state.boundaries, zero + jnp.inf, zero, Demand.none())
 
 
 def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upkeep, Array]:
     """The state with lists that will last an interval, and the motion that they have seen."""
-    motion = _motion(state, upkeep)
+    motion, position = _motion(bed, state, upkeep), bed.spheres.positions(state.motion)
     reserve = jnp.maximum(2 * upkeep.latest, RESERVE * bed.grid.skin)
     due = motion + reserve > bed.grid.skin
 
     def renew(state: BedState):
         lists = (state.pairs, state.wall_contacts)
-        return rebuild(bed.grid, bed.spheres, state.walls, state.motion.position, *lists)
+        return rebuild(bed.grid, bed.spheres, state.boundaries, position, *lists)
 
     def keep(state: BedState):
         return state.pairs, state.wall_contacts, Demand.none()
@@ -57,30 +57,33 @@ def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upke
     pairs, contacts, demand = jax.lax.cond(due, renew, keep, state)
     origin = jax.tree.map(
         lambda now, then: jnp.where(due, now, then),
-        (state.motion.position, state.walls),
-        (upkeep.position, upkeep.walls),
+        (position, state.boundaries),
+        (upkeep.position, upkeep.boundaries),
     )
     state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
     demand = upkeep.demand.including(demand)
-    position, walls = jax.lax.stop_gradient(origin)
-    upkeep = Upkeep(position, walls, upkeep.latest, upkeep.largest, demand)
+    position, boundaries = jax.lax.stop_gradient(origin)
+    upkeep = Upkeep(position, boundaries, upkeep.latest, upkeep.largest, demand)
     return state, upkeep, jnp.where(due, 0.0, motion)
 
 
-def checked(state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
+def checked(bed: Bed, state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
     """After an interval that began with the motion `before` (m)."""
-    motion = _motion(state, upkeep)
+    motion = _motion(bed, state, upkeep)
     largest = jnp.maximum(upkeep.largest, motion)
-    return Upkeep(upkeep.position, upkeep.walls, motion - before, largest, upkeep.demand)
+    return Upkeep(upkeep.position, upkeep.boundaries, motion - before, largest, upkeep.demand)
 
 
-def _motion(state: BedState, upkeep: Upkeep) -> Array:
+def _positions(bed: Bed, state: BedState) -> Vector:
+    return jax.lax.stop_gradient(bed.spheres.positions(state.motion))
+
+
+def _motion(bed: Bed, state: BedState, upkeep: Upkeep) -> Array:
     """Motion since the last rebuild, m; no derivative passes through it."""
-    position = jax.lax.stop_gradient(state.motion.position)
-    spheres = _sum_of_two_largest(smooth.norm(position - upkeep.position))
-    platen = state.walls.platen_height - upkeep.walls.platen_height
-    mould = state.walls.mould_radius - upkeep.walls.mould_radius
-    return spheres + jax.lax.stop_gradient(jnp.abs(platen) + jnp.abs(mould))
+    spheres = _sum_of_two_largest(smooth.norm(_positions(bed, state) - upkeep.position))
+    both = zip(state.boundaries, upkeep.boundaries, strict=True)
+    travelled = sum(now.travelled(then) for now, then in both)
+    return spheres + jax.lax.stop_gradient(travelled)
 
 
 def _sum_of_two_largest(lengths: Array) -> Array:

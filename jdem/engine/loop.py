@@ -1,7 +1,7 @@
 """The one loop: segments of a machine's programme, sampled into a curve.
 
-A programme is a table of segments (numbers, not code), so one compiled loop serves
-every apparatus and any parameter values.  Each sample sees to the contact lists, runs
+One compiled loop serves every programme (`jdem.engine.segment`) and any parameter values,
+for one set of boundaries.  Each sample sees to the contact lists, runs
 `steps_per_sample` time steps and stores means over them.  A segment ends after its
 duration or once its servo force is reached; the loop ends with the last segment.
 """
@@ -17,60 +17,55 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.bodies.spheres import Motion, kinetic_energy
-from jdem.boundaries.walls import BASE, COUNT, MOULD, PLATEN, Walls
-from jdem.core.quantity import Real, quantity
+from jdem.boundaries.composite import BASE, LOADS, MOULD, PLATEN, Boundaries, cell
+from jdem.core.fusion import fenced
+from jdem.core.kernel import together
 from jdem.engine.energy import Ledger
 from jdem.engine.list_update import Upkeep, checked, refreshed
 from jdem.engine.neighbors import ContactList, Demand, Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
-from jdem.engine.step import Bed, BedState, Command, step
-
-KEEP, REMOVE, LOWER = 0, 1, 2
-FAR = 10.0  # m; where a wall is put that has been taken away
-
-
-class Segment(eqx.Module):
-    """One movement of the machine; SI units, or a stack of segments along axis 0.
-
-    The platen moves at platen_speed * tanh((force_target - F)/servo_width), downward
-    positive, so it arrives at the target smoothly; with an infinite target the speed is
-    constant.  The mould opens at mould_speed.  The segment ends after `duration` or when
-    |F - force_target| < tolerance.  F is what the load cell reads: it follows the force with
-    the time constant `lag`; with a lag the segment also ends when F passes the target.
-    `platen` and `mould` say what happens to the walls first: KEEP, REMOVE, or LOWER the
-    platen onto the highest sphere.
-    """
-
-    platen_speed: Real = quantity(0.0)
-    force_target: Real = quantity(jnp.inf)
-    servo_width: Real = quantity(1.0)
-    tolerance: Real = quantity(0.0)
-    mould_speed: Real = quantity(0.0)
-    damping: Real = quantity(0.0)
-    unloaded_damping: Real = quantity(0.0)
-    duration: Real = quantity(0.0)
-    lag: Real = quantity(0.0)
-    platen: Array = eqx.field(default=KEEP, converter=jnp.asarray)
-    mould: Array = eqx.field(default=KEEP, converter=jnp.asarray)
+from jdem.engine.segment import Segment, command_of, ended, placed, read, row_of
+from jdem.engine.state import Bed, BedState, Command
+from jdem.engine.step import step
 
 
 class Sample(eqx.Module):
-    """Means over one sampling interval; arrays of shape (samples,) once recorded.
+    """Means over one sampling interval; axis 0 counts samples once recorded.
 
-    platen_height in m is the value at the interval's middle; forces in N, `reading` being the
-    platen force that the load cell reads; kinetic energy in J and time in s at its end;
-    segment is -1 in rows that were not reached.
+    reference (boundaries, 3) in m, the reference points, is the value at the interval's middle;
+    loads (boundaries, 7) as in `BedState`; `reading` is what the load cell reads; kinetic energy
+    in J and time in s at its end; segment is -1 in rows that were not reached.  Properties are
+    those of the testing cell: height in m, forces in N.
     """
 
     segment: Array
     time: Array
-    platen_height: Array
-    platen_force: Array
-    base_force: Array
-    mould_force: Array
-    mould_drag: Array
+    reference: Array
+    loads: Array
     reading: Array
     kinetic_energy: Array
+
+    @property
+    def platen_height(self) -> Array:
+        return self.reference[..., PLATEN, 2]
+
+    @property
+    def platen_force(self) -> Array:
+        return self.loads[..., PLATEN, 6]
+
+    @property
+    def base_force(self) -> Array:
+        return self.loads[..., BASE, 6]
+
+    @property
+    def mould_force(self) -> Array:
+        """Radial, N."""
+        return self.loads[..., MOULD, 6]
+
+    @property
+    def mould_drag(self) -> Array:
+        """Axial, upward, N."""
+        return self.loads[..., MOULD, 2]
 
 
 class Record(eqx.Module):
@@ -97,19 +92,21 @@ class Record(eqx.Module):
 
 
 def start(bed: Bed, position, platen_height, mould_radius) -> BedState:
-    """A bed at rest between its walls, without any contact history."""
-    dtype = position.x.dtype
+    """A bed at rest in the testing cell, without any contact history."""
+    return begun(bed, position, cell(platen_height, mould_radius, position.x.dtype))
+
+
+def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
+    """A bed at rest between any boundaries, without any contact history."""
+    dtype, count = position.x.dtype, len(boundaries)
     zero = jnp.zeros((), dtype)
     return BedState(
         motion=Motion.at_rest(position),
-        walls=Walls(
-            jnp.asarray(platen_height, dtype), zero, jnp.asarray(mould_radius, dtype), zero
-        ),
+        boundaries=boundaries,
         pairs=ContactList.empty(bed.grid.pairs, dtype, bed.particle_law),
         wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law),
-        wall_force=jnp.zeros(COUNT, dtype),
-        mould_drag=zero,
-        energy=Ledger.zeros(dtype),
+        loads=jnp.zeros((count, LOADS), dtype),
+        energy=Ledger.zeros(count, dtype),
         time=zero,
         reading=zero,
     )
@@ -158,16 +155,16 @@ def run(
     changes how, and no value.
     """
     around = Unchanging() if surroundings is None else surroundings
-    count = jnp.shape(programme.platen_speed)[0]
-    prepared = _prepared(bed, state, _row(programme, 0))
+    count = jnp.shape(programme.duration)[0]
+    prepared = _prepared(bed, state, row_of(programme, 0))
     none = jnp.zeros((), jnp.int32)
-    samples = _empty_samples(capacity, state.time.dtype)
-    upkeep, memory = Upkeep.begin(prepared), around.begin(state.time.dtype)
+    samples = _empty_samples(capacity, len(state.boundaries), state.time.dtype)
+    upkeep, memory = Upkeep.begin(bed, prepared), around.begin(state.time.dtype)
     progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
 
     def advanced(step: Stepper, progress: _Progress):
         number, memory, before = progress.segment, progress.memory, progress.state
-        segment, present = _row(programme, number), around.bed(bed, number, memory)
+        segment, present = row_of(programme, number), around.bed(bed, number, memory)
 
         def shown(reading):
             return around.shown(reading, memory)
@@ -177,16 +174,16 @@ def run(
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
-        ended = _ended(segment, readings, elapsed)
-        upkeep = checked(state, upkeep, motion)
-        following = _row(programme, jnp.minimum(number + 1, count - 1))
-        changes = (ended > 0) & (number + 1 < count)
-        walls = _prepared(bed, state, following).walls
-        walls = jax.tree.map(lambda a, b: jnp.where(changes, a, b), walls, state.walls)
+        done = ended(segment, readings, elapsed)
+        upkeep = checked(bed, state, upkeep, motion)
+        following = row_of(programme, jnp.minimum(number + 1, count - 1))
+        changes = (done > 0) & (number + 1 < count)
+        changed = _prepared(bed, state, following).boundaries
+        changed = jax.tree.map(lambda a, b: jnp.where(changes, a, b), changed, state.boundaries)
         return _Progress(
-            eqx.tree_at(lambda s: s.walls, state, walls),
-            number + ended,
-            jnp.where(ended, state.time, progress.begun),
+            eqx.tree_at(lambda s: s.boundaries, state, changed),
+            number + done,
+            jnp.where(done, state.time, progress.begun),
             progress.sample + 1,
             jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
             upkeep,
@@ -213,46 +210,23 @@ def _until(
     return jax.lax.while_loop(unfinished, advance, progress)
 
 
-def stack(segments: list[Segment]) -> Segment:
-    """Several segments as one programme."""
-    return jax.tree.map(
-        lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *segments
+def _empty_samples(capacity: int, boundaries: int, dtype) -> Sample:
+    blank = jnp.zeros(capacity, dtype)
+    return Sample(
+        segment=jnp.full(capacity, -1, jnp.int32),
+        time=blank,
+        reference=jnp.zeros((capacity, boundaries, 3), dtype),
+        loads=jnp.zeros((capacity, boundaries, LOADS), dtype),
+        reading=blank,
+        kinetic_energy=blank,
     )
 
 
-def _row(programme: Segment, index) -> Segment:
-    return jax.tree.map(lambda leaf: leaf[index], programme)
-
-
-def _empty_samples(capacity: int, dtype) -> Sample:
-    blank = jnp.zeros(capacity, dtype)
-    unreached = jnp.full(capacity, -1, jnp.int32)
-    return Sample(unreached, *[blank] * 8)
-
-
 def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
-    """Walls taken away or lowered as the segment begins."""
-    top = jnp.max(state.motion.position.z + bed.spheres.radius)
-    walls = state.walls
-    height = jnp.where(segment.platen == LOWER, top, walls.platen_height)
-    height = jnp.where(segment.platen == REMOVE, FAR, height)
-    radius = jnp.where(segment.mould == REMOVE, FAR, walls.mould_radius)
-    zero = jnp.zeros_like(height)
-    return eqx.tree_at(lambda s: s.walls, state, Walls(height, zero, radius, zero))
-
-
-def _ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]) -> Array:
-    """1 once the force is reached, or after the duration to the nearest interval.
-
-    `readings` (N) are those before, averaged over, and after the interval; `elapsed` (s) is
-    the time since the segment began and the length of the interval.
-    """
-    before, mean, after = (reading - segment.force_target for reading in readings)
-    since, interval = elapsed
-    reached = jnp.abs(mean) < segment.tolerance
-    passed = (segment.lag > 0) & (before * after < 0)  # a late reading does not slow down
-    over = since >= segment.duration - 0.5 * interval
-    return (reached | passed | over).astype(jnp.int32)
+    """The state with boundaries placed as the segment begins."""
+    position, radius = bed.spheres.positions(state.motion), bed.spheres.radius
+    boundaries = placed(state.boundaries, segment, position, radius)
+    return eqx.tree_at(lambda s: s.boundaries, state, boundaries)
 
 
 def _sampled(
@@ -267,48 +241,26 @@ def _sampled(
 
     def advance(_, carry):
         state, sums = carry
-        state = step(bed, state, _command(segment, shown(state.reading)))
-        state = _read(state, segment.lag, bed.time_step)
-        return state, sums + _probe(state)
+        with fenced():
+            command = together(command_of, segment, shown(state.reading))
+            state = read(step(bed, state, command), segment, bed.time_step)
+            return state, sums + together(_probe, state.boundaries, state.loads, state.reading)
 
-    sums = jnp.zeros(6, state.time.dtype)
+    sums = jnp.zeros_like(_probe(state.boundaries, state.loads, state.reading))
     state, sums = jax.lax.fori_loop(0, steps, advance, (state, sums))
-    means = sums / steps
+    means, count = sums / steps, len(state.boundaries)
+    places, loads, reading = jnp.split(means, [3 * count, (3 + LOADS) * count])
     sample = Sample(
         segment=jnp.zeros((), jnp.int32),
         time=state.time,
-        platen_height=means[0],
-        platen_force=means[1],
-        base_force=means[2],
-        mould_force=means[3],
-        mould_drag=means[4],
-        reading=means[5],
+        reference=places.reshape(count, 3),
+        loads=loads.reshape(count, LOADS),
+        reading=reading[0],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
     return state, sample
 
 
-def _read(state: BedState, lag: Real, time_step: Real) -> BedState:
-    """The load cell's reading R after a time step: lag dR/dt = F - R, implicitly."""
-    force = state.wall_force[PLATEN]
-    reading = force + (state.reading - force) * (lag / (lag + time_step))
-    return eqx.tree_at(lambda s: s.reading, state, reading)
-
-
-def _command(segment: Segment, force: Array) -> Command:
-    """What the machine does where it sees `force` (N)."""
-    unlimited = jnp.isinf(segment.force_target)
-    target = jnp.where(unlimited, force, segment.force_target)  # or inf x 0 is a slope: NaN
-    share = jnp.where(unlimited, 1.0, jnp.tanh((target - force) / segment.servo_width))
-    return Command(
-        platen_speed=-segment.platen_speed * share,
-        mould_speed=segment.mould_speed,
-        damping=segment.damping,
-        unloaded_damping=segment.unloaded_damping,
-    )
-
-
-def _probe(state: BedState) -> Array:
-    force = state.wall_force
-    height, drag = state.walls.platen_height, state.mould_drag
-    return jnp.stack([height, force[PLATEN], force[BASE], force[MOULD], drag, state.reading])
+def _probe(boundaries: Boundaries, loads: Array, reading: Array) -> Array:
+    places = jnp.stack([boundary.reference.stack() for boundary in boundaries])
+    return jnp.concatenate([places.ravel(), loads.ravel(), reading[None]])

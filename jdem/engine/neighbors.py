@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jdem.bodies.spheres import Spheres
-from jdem.boundaries import walls as wall_module
-from jdem.boundaries.walls import Walls
+from jdem.bodies.base import AbstractBodies
+from jdem.boundaries.composite import Boundaries
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw, Memory
 
@@ -45,7 +44,7 @@ class Grid(eqx.Module):
 class ContactList(eqx.Module):
     """Entries sorted by key; unused ones stand at the end and have `alive` 0.
 
-    For pairs, `second` is a sphere; for wall contacts it is the wall's number.
+    For pairs, `second` is a sphere; for wall contacts it is the boundary's number.
     """
 
     key: Array
@@ -92,23 +91,23 @@ _NO_KEY = np.iinfo(np.int32).max
 
 def rebuild(
     grid: Grid,
-    spheres: Spheres,
-    walls: Walls,
+    bodies: AbstractBodies,
+    boundaries: Boundaries,
     position: Vector,
     pairs: ContactList,
     contacts: ContactList,
 ) -> tuple[ContactList, ContactList, Demand]:
     """Both lists for the spheres' present places, with the histories of the old lists."""
-    candidates, valid, fullest = _cell_candidates(grid, spheres, position)
-    new_pairs, pair_count = _packed(candidates, valid, spheres.count, grid.pairs, pairs)
-    near = _near_walls(grid, spheres, walls, position)
-    new_contacts, wall_count = _packed(*near, wall_module.COUNT, grid.wall_contacts, contacts)
+    candidates, valid, fullest = _cell_candidates(grid, bodies, position)
+    new_pairs, pair_count = _packed(candidates, valid, bodies.count, grid.pairs, pairs)
+    near = _near_boundaries(grid, bodies, boundaries, position)
+    new_contacts, wall_count = _packed(*near, len(boundaries), grid.wall_contacts, contacts)
     return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest)
 
 
-def _cell_candidates(grid: Grid, spheres: Spheres, position: Vector):
+def _cell_candidates(grid: Grid, bodies: AbstractBodies, position: Vector):
     """All pairs within a cell and with half of its neighbours: ((i, j), valid, fullest cell)."""
-    count = spheres.count
+    count = bodies.count
     place = _cell_index(grid, position)
     flat = _flat(grid, place)
     order = jnp.argsort(flat)
@@ -125,7 +124,9 @@ def _cell_candidates(grid: Grid, spheres: Spheres, position: Vector):
     own = jnp.where(own > jnp.arange(count)[:, None], own, count)
     second = jnp.concatenate([own, theirs.reshape(count, -1)], axis=1)
     first = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], second.shape)
-    valid = (second < count) & _close(grid, spheres, position, second)
+    valid = (second < count) & _close(grid, bodies, position, second)
+    together = bodies.one_body(first, second)
+    valid = valid if together is None else valid & ~together
     low, high = jnp.minimum(first, second), jnp.maximum(first, second)
     return (low.ravel(), high.ravel()), valid.ravel(), jnp.max(start[1:] - start[:-1])
 
@@ -139,20 +140,21 @@ def _flat(grid: Grid, place):
     return (place[..., 0] * grid.shape[1] + place[..., 1]) * grid.shape[2] + place[..., 2]
 
 
-def _close(grid: Grid, spheres: Spheres, position: Vector, second):
+def _close(grid: Grid, bodies: AbstractBodies, position: Vector, second):
     """Whether each sphere is within reach of those in its row of `second` (N, candidates)."""
-    other = jnp.minimum(second, spheres.count - 1)
+    other = jnp.minimum(second, bodies.count - 1)
     offset = jax.tree.map(lambda axis: axis[:, None], position) - position.at(other)
-    reach = spheres.radius[:, None] + spheres.radius[other] + (grid.skin + grid.reach)
+    reach = bodies.radius[:, None] + bodies.radius[other] + (grid.skin + grid.reach)
     return offset.dot(offset) < reach * reach
 
 
-def _near_walls(grid: Grid, spheres: Spheres, walls: Walls, position: Vector):
-    """Every sphere with every wall: ((sphere, wall), valid)."""
-    gap = wall_module.distances(walls, position) - spheres.radius[:, None]
-    first = jnp.broadcast_to(jnp.arange(spheres.count)[:, None], gap.shape)
-    second = jnp.broadcast_to(jnp.arange(wall_module.COUNT)[None], gap.shape)
-    return (first.ravel(), second.ravel()), (gap < grid.skin).ravel()
+def _near_boundaries(grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector):
+    """Every sphere with every boundary: ((sphere, boundary), valid)."""
+    near = [b.near(position, bodies.radius, grid.skin) for b in boundaries]
+    valid = jnp.stack(near, axis=-1)
+    first = jnp.broadcast_to(jnp.arange(bodies.count)[:, None], valid.shape)
+    second = jnp.broadcast_to(jnp.arange(len(boundaries))[None], valid.shape)
+    return (first.ravel(), second.ravel()), valid.ravel()
 
 
 def _packed(candidates, valid, stride, capacity, old: ContactList):

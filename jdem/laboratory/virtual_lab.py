@@ -17,9 +17,10 @@ from jdem.core.quantity import cast
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
-from jdem.engine.loop import AbstractFrozen, Record, Sample, Segment, run, stack, start
+from jdem.engine.loop import AbstractFrozen, Record, Sample, run, start
 from jdem.engine.neighbors import Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
+from jdem.engine.segment import Segment, stack
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters
 from jdem.observables import Curve

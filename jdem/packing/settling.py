@@ -22,8 +22,9 @@ from jdem.bodies.spheres import Spheres
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid, sample_capacity, steps_per_sample
-from jdem.engine.loop import LOWER, REMOVE, Record, Segment, run, stack, start
+from jdem.engine.loop import Record, run, start
 from jdem.engine.neighbors import Grid
+from jdem.engine.segment import LOWER, REMOVE, Segment, cell_segment, stack
 from jdem.materials.soil import SoilParameters
 
 LOOSE = 4.0  # height of the drawn column over the settled bed's, at most
@@ -168,9 +169,9 @@ def _settled(
 ) -> Record:
     """The drawn bed after falling (soft spheres, large steps), resting and levelling."""
     height = float(loose.height)
-    fall = Segment(damping=10.0, duration=np.sqrt(2 * height / 9.81) + 0.05, platen=REMOVE)
-    calm = Segment(damping=200.0, duration=0.04, platen=REMOVE)
-    level = Segment(
+    fall = cell_segment(damping=10.0, duration=np.sqrt(2 * height / 9.81) + 0.05, platen=REMOVE)
+    calm = cell_segment(damping=200.0, duration=0.04, platen=REMOVE)
+    level = cell_segment(
         platen_speed=0.1,
         force_target=seating_force,
         servo_width=0.5 * seating_force,

@@ -29,8 +29,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.bodies.spheres import Motion, kinetic_energy
-from jdem.boundaries.walls import PLATEN, Walls
+from jdem.boundaries.composite import PLATEN
 from jdem.core import smooth
+from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
 from jdem.engine.loop import AbstractFrozen
@@ -87,13 +88,15 @@ class FrozenMotion(AbstractFrozen):
 
     def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
         """One time step; its work is taken alone, free of what the sum so far rounds off."""
-        before = eqx.tree_at(lambda s: s.energy, state, Ledger.zeros(state.time.dtype))
+        before = eqx.tree_at(
+            lambda s: s.energy, state, Ledger.zeros(len(state.boundaries), state.time.dtype)
+        )
         after = step(bed, before, jax.lax.stop_gradient(command), _as_it_went)
         balanced = force_by_power(bed, state.motion, after)
-        force = after.wall_force
-        force = force.at[PLATEN].set(with_derivative_of(force[PLATEN], balanced))
-        energy = state.energy + after.energy
-        return eqx.tree_at(lambda s: (s.wall_force, s.energy), after, (force, energy))
+        columns = jnp.array([2, 6])  # the axial force, upward, and the push
+        force = with_derivative_of(after.loads[PLATEN, columns], balanced)
+        loads, energy = after.loads.at[PLATEN, columns].set(force), state.energy + after.energy
+        return eqx.tree_at(lambda s: (s.loads, s.energy), after, (loads, energy))
 
 
 def force_by_power(bed: Bed, before: Motion, after: BedState) -> Array:
@@ -103,8 +106,9 @@ def force_by_power(bed: Bed, before: Motion, after: BedState) -> Array:
     """
     work = after.energy
     kinetic = kinetic_energy(bed.spheres, after.motion) - kinetic_energy(bed.spheres, before)
-    taken = work.absorbed() + kinetic - work.gravity - work.mould
-    travel = -after.walls.platen_speed * bed.time_step
+    others = jnp.sum(work.boundaries.at[PLATEN].set(0.0))
+    taken = work.absorbed() + kinetic - work.gravity - others
+    travel = after.boundaries[PLATEN].rates.speed * bed.time_step
     return smooth.divide(taken - jax.lax.stop_gradient(work.integration), travel)
 
 
@@ -117,9 +121,9 @@ def with_derivative_of(value, other):
     return jax.tree.map(joined, value, other)
 
 
-def _as_it_went(bed: Bed, motion: Motion, walls: Walls, loads: Array, command: Command):
+def _as_it_went(bed: Bed, motion: Motion, stretching: Real, loads: Array, command: Command):
     """`next_motion` as numbers; positions keep their derivative, and rolling feels its limit."""
-    still = jax.lax.stop_gradient((bed, motion, walls, loads, command))
+    still = jax.lax.stop_gradient((bed, motion, stretching, loads, command))
     moved, absorbed = next_motion(*still)
     position = with_derivative_of(moved.position, motion.position)
     rolling = bed.time_step * _rolling_power(moved.spin, loads[:, 6], bed.roll_width)
