@@ -12,12 +12,14 @@ from jax import Array
 from jdem.boundaries.base import DOWN, UP, AbstractBoundary, Rates, Surface, along, point
 from jdem.boundaries.cylinder import Cylinder
 from jdem.boundaries.plane import Plane
+from jdem.boundaries.sphere import Sphere
 from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 
 KINDS: dict[str, type[AbstractBoundary]] = {
     "plane": Plane,
     "cylinder": Cylinder,
+    "sphere": Sphere,
 }
 
 Boundaries = tuple[AbstractBoundary, ...]
