@@ -52,11 +52,7 @@ def column(copies: int) -> speed.Spread:
     bed = settled()
     lifted = [bed.centres + np.array([0.0, 0.0, k * bed.height]) for k in range(copies)]
     return speed.Spread(
-        np.concatenate(lifted),
-        np.tile(bed.radius, copies),
-        np.tile(bed.mass, copies),
-        "stacked",
-        bed.time_step,
+        np.concatenate(lifted), np.tile(bed.radius, copies), np.tile(bed.mass, copies), "stacked"
     )
 
 
@@ -68,8 +64,7 @@ def settled() -> speed.Spread:
     )
     packing = prepare(specimen, 0)
     centres, radius = np.asarray(packing.position.stack()), np.asarray(packing.spheres.radius)
-    mass = np.asarray(packing.spheres.mass)
-    return speed.Spread(centres, radius, mass, "packing 0 of jdem", speed.OWN_TIME_STEP)
+    return speed.Spread(centres, radius, np.asarray(packing.spheres.mass), "packing 0 of jdem")
 
 
 class Steps:
@@ -79,7 +74,7 @@ class Steps:
         self.bed, self._dtype, self.spheres = bed, dtype, len(bed.radius)
         self.numerics = speed.numerics_of(bed, dtype)
         interval = speed.numerics_of(settled(), dtype).sample_time  # a bed's, however many stand
-        self.every = max(1, round(interval / bed.time_step))
+        self.every = max(1, round(interval / speed.TIME_STEP))
         self.steps = SAMPLES * self.every
         self.point = jnp.log(jnp.asarray([float(getattr(speed.SOIL, n)) for n in FACTORS]))
 

@@ -46,7 +46,6 @@ PEERS = Path(__file__).parent / "peers"
 MOULD_RADIUS = 0.025  # m, as in benchmarks/peers
 DENSITY = 1830.0  # kg/m3 of the spheres, as in benchmarks/peers
 TIME_STEP = 1.5e-5  # s, as in benchmarks/peers
-OWN_TIME_STEP = 7.5e-6  # s; our own packing has smaller spheres and jumps at the peers' step
 
 # As in benchmarks/peers/in.common.edinburgh: k2/k1 = 1.667 is a plasticity ratio of 0.4.
 SOIL = SoilParameters(
@@ -70,7 +69,7 @@ class Spread:
     radius: np.ndarray
     mass: np.ndarray
     origin: str
-    time_step: float = TIME_STEP  # s
+    pairs_per_sphere: float = Numerics().pairs_per_sphere  # room in the list
 
     @property
     def height(self) -> float:
@@ -99,7 +98,7 @@ def own_bed() -> Spread:
         np.asarray(packing.spheres.radius),
         np.asarray(packing.spheres.mass),
         "packing 0 of jdem",
-        OWN_TIME_STEP,
+        3.6,  # the default overflows before 100 N
     )
 
 
@@ -120,9 +119,9 @@ def ready(bed: Spread, dtype: str) -> Timed:
     """Compiles, loads the bed to 100 N, and runs to 400 N once to warm up."""
     numerics = numerics_of(bed, dtype)
     built = built_bed(bed, numerics)
-    every = max(1, round(numerics.sample_time / bed.time_step))
+    every = max(1, round(numerics.sample_time / TIME_STEP))
     state = cast(start(built, vector(bed.centres), bed.height, MOULD_RADIUS), jnp.dtype(dtype))
-    capacity = int(np.ceil(0.3 / (every * bed.time_step)))
+    capacity = int(np.ceil(0.3 / (every * TIME_STEP)))
     begun = time.perf_counter()
     compiled = compiled_run(built, state, loading(0.0, dtype), every, capacity)
     seconds = time.perf_counter() - begun
@@ -134,7 +133,7 @@ def ready(bed: Spread, dtype: str) -> Timed:
 
 def numerics_of(bed: Spread, dtype: str) -> Numerics:
     specimen = Specimen(diameter=2 * MOULD_RADIUS, height=bed.height, count=len(bed.radius))
-    return numerics_for(specimen, dtype=dtype, pairs_per_sphere=4.0)
+    return numerics_for(specimen, dtype=dtype, pairs_per_sphere=bed.pairs_per_sphere)
 
 
 def built_bed(bed: Spread, numerics: Numerics, soil: SoilParameters = SOIL) -> Bed:
@@ -142,7 +141,7 @@ def built_bed(bed: Spread, numerics: Numerics, soil: SoilParameters = SOIL) -> B
     radius = bed.radius
     grid = plan_grid(len(radius), float(radius.mean()), float(radius.max()), extent, numerics)
     spheres = Spheres(jnp.asarray(radius), jnp.asarray(bed.mass))
-    return build_bed(spheres, soil, grid, numerics, jnp.asarray(bed.time_step))
+    return build_bed(spheres, soil, grid, numerics, jnp.asarray(TIME_STEP))
 
 
 def vector(centres: np.ndarray) -> Vector:
@@ -277,8 +276,8 @@ def markdown(content: dict) -> str:
     ]
     return (
         f"# Speed\n\n{content['spheres']} spheres ({content['bed']}) in confined compression "
-        f"from 100 N to 400 N, dt {content['time_step']:g} s; M particle-steps/s, median and "
-        f"range of {content['rounds']} rounds measured in turn. {content['peer']}\n\n"
+        f"from 100 N to 400 N, dt {TIME_STEP:g} s; M particle-steps/s, median and range of "
+        f"{content['rounds']} rounds measured in turn. {content['peer']}\n\n"
         + reporting.table(
             (
                 "",
@@ -342,7 +341,6 @@ def main() -> None:
         "seed": "none: the bed is a file" if folder else 0,
         "bed": bed.origin,
         "spheres": len(bed.radius),
-        "time_step": bed.time_step,
         "rounds": chosen.rounds,
         "peer": "" if folder else "The peer was not measured: no liggghts or mpirun on PATH.",
         "ours": [
