@@ -164,12 +164,19 @@ def test_every_page_has_its_place_in_the_site():
     assert books == {leaf for leaf in nav if leaf.startswith("tutorials/")}
 
 
+def test_what_is_left_out_of_the_site_is_named_from_its_root():
+    """A bare name would leave out a made page of the same name in any folder."""
+    config = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    assert all(line.startswith("/") for line in config["exclude_docs"].split())
+
+
 def test_the_page_of_the_lab_file_has_every_entry():
     import lab_file_page
 
     text = lab_file_page.page()
     for path, model in lab_file_page.tables():
-        assert all(f"| `{name}` |" in text for name in model.model_fields), path
+        names = [field.alias or name for name, field in model.model_fields.items()]
+        assert all(f"| `{name}` |" in text for name in names), path
     fields = [f for _, m in lab_file_page.tables() for f in m.model_fields.items()]
     units = {name: lab_file_page.kind_of(field) for name, field in fields}
     assert units["diameter"].unit == "m" and units["force_low"].unit == "N"

@@ -19,57 +19,98 @@ from calibrate.labtests.composite import TYPES
 
 HEAD = """# Lab file
 
-A lab file is TOML. A quantity is a string with its unit, such as `"50 mm"`; any unit of the right
-kind is read. Curves are CSV files in the folder of the lab file or below it. An entry without a
-default must be given. An unknown name is refused.
+A lab file is a text file in TOML. A quantity is a string with its unit, such as `"50 mm"`. Any
+unit of the right kind is read. Curves are CSV files in the folder of the lab file or below it. An
+unknown name is refused.
 
-Tests stand in a list `[[tests]]`. They are made in order, each on the specimen as the test before
-left it, or on a `specimen` of its own. `[confined]` and `[unconfined]` may also stand alone, with
-`[targets]` and `[[curves]]` beside them: then both tests are made, one after the other.
+There are two forms. A file has one of them, not both.
+
+- **A list of tests.** Each test is a table `[[tests]]` with its own targets and curves. The tests
+  are made in the order of the file. A test goes on with the specimen as the test before left it. A test
+  with a `specimen` of its own begins with a new one.
+- **The usual pair.** `[confined]` and `[unconfined]` stand alone, with `[targets]` and `[[curves]]`
+  beside them. Both tests are made on one specimen, first the confined and then the unconfined one,
+  also if the file says nothing about one of them.
+
+A unit in the column "unit" is the one that the program uses inside. You may write another. A table
+that has several places, such as a protocol, is shown once, at its first place.
 """
 MEANING = {
-    "SoilTable.density": "bulk density, one value a determination",
-    "SoilTable.water_content": "gravimetric, one value a determination",
+    "AbstractLabTables.soil": "what was tested",
+    "AbstractLabTables.specimen": "the cylinder of soil; also of each test without its own",
+    "AbstractLabTables.tests": "a list of tests; the tables below show each type",
+    "AbstractLabTables.curves": "curves of the usual pair",
+    "AbstractLabTables.particles": "size and Poisson's ratio of the particles",
+    "AbstractLabTables.parameters": "what is known of each contact parameter",
+    "AbstractLabTables.named_sets": "sets of parameter values; a fit simulates them for comparison",
+    "LabTables.targets": "targets of the usual pair",
+    "LabTables.confined": "the first test of the usual pair",
+    "LabTables.unconfined": "the second test of the usual pair",
+    "TargetsTable.depression_depth": "of the confined test",
+    "TargetsTable.crushing_force": "of the unconfined test",
+    "SoilTable.name": "of the soil, in results",
+    "SoilTable.density": "bulk density, one value for each sample; without it that of the bundled soil",
+    "SoilTable.water_content": "gravimetric, one value for each sample; kept for the record",
     "SoilTable.source": "where the numbers come from",
+    "SpecimenTable.diameter": "inner diameter of the mould",
     "SpecimenTable.height": "of the soil in the mould",
     "SpecimenTable.mould_height": "of the mould, if known",
-    "ConfinedTest.rate": "speed of the platen",
+    "ConfinedTest.rate": "speed of the platen in the laboratory",
     "ConfinedTest.force_low": "the depression depth counts from here",
     "ConfinedTest.force_high": "and to here; the platen turns",
     "ConfinedTest.greased": "whether the mould was greased; kept for the record",
-    "UnconfinedTest.rate": "speed of the platen",
+    "UnconfinedTest.rate": "speed of the platen in the laboratory",
+    "RelaxationTest.rate": "speed of the platen in the laboratory",
+    "RelaxationTest.force": "to which the platen goes",
+    "RelaxationTest.hold": "how long the platen stands still",
     "UnconfinedTest.rest": "between the removal of the mould and the test",
-    "AbstractLabTest.type": "which kind of test this is",
-    "AbstractLabTest.name": "of the test in results; default: its type",
-    "AbstractLabTest.specimen": "a specimen of its own",
-    "AbstractLabTest.protocol": "a list of steps, in place of the usual course",
-    "AbstractLabTest.targets": "by observable, such as `crushing_force_n`",
+    "AbstractLabTest.type": "kind of test; must be given in `[[tests]]`",
+    "AbstractLabTest.name": "of the test in results; default: its type; each name once",
+    "AbstractLabTest.specimen": "a specimen of its own, in place of that of the test before",
+    "AbstractLabTest.protocol": "a list of steps; replaces the usual course of the test",
+    "AbstractLabTest.targets": "one table for each observable",
     "AbstractLabTest.curves": "any number of repeats",
+    "StepTable.step": "what the machine does",
     "StepTable.to": "a force, stress, displacement or strain where the movement ends",
-    "StepTable.rate": "a speed or a strain rate; default: 1 mm/min, or that of the step before",
+    "StepTable.rate": "a speed or a strain rate, of the laboratory; default: 1 mm/min",
     "StepTable.keep": "what a hold keeps, by default the displacement",
-    "StepTable.duration": "`for` in the file: how long a hold or a rest lasts",
-    "TargetTable.mean": "a quantity; a stress or strain is turned by the specimen's size",
+    "StepTable.duration": "how long a hold or a rest lasts",
+    "TargetTable.mean": "a quantity; a stress or strain is converted with the specimen's size",
     "TargetTable.scatter": "standard deviation of one repeat",
     "TargetTable.repeats": "number of repeats behind the mean",
-    "TargetTable.file": "in place of the three: a CSV file with one repeat a row",
+    "TargetTable.file": "a CSV file with one repeat a row, in place of mean, scatter and repeats",
     "TargetTable.column": "of the file",
     "TargetTable.unit": "of the column",
     "TargetTable.times": "a factor, such as 2 from undrained to compressive strength",
     "TargetTable.where": "rows to keep, by column and value",
-    "CurveTable.test": "in a list `[[curves]]` outside of `[[tests]]`: whose curve it is",
+    "CurveTable.test": "`confined` or `unconfined`; must be given for the usual pair",
     "CurveTable.where": "rows to keep, by column and value",
-    "CurveTable.points": "rows are load steps, not a continuous record",
+    "CurveTable.points": "true: rows are load steps, not a continuous record",
     "CurveTable.decimal": "decimal sign of the numbers",
     "CurveTable.file": "path of the CSV file",
+    "CurveTable.displacement": "give this, strain or void_ratio",
+    "CurveTable.strain": "in place of displacement",
+    "CurveTable.void_ratio": "in place of displacement",
+    "CurveTable.force": "give this or stress",
+    "CurveTable.stress": "in place of force",
+    "DisplacementColumn.column": "name of the column in the CSV file",
+    "StrainColumn.column": "name of the column in the CSV file",
+    "VoidRatioColumn.column": "name of the column in the CSV file",
+    "ForceColumn.column": "name of the column in the CSV file",
+    "StressColumn.column": "name of the column in the CSV file",
+    "DisplacementColumn.unit": "of the column",
+    "StrainColumn.unit": "of the column",
+    "ForceColumn.unit": "of the column",
+    "StressColumn.unit": "of the column",
+    "VoidRatioColumn.initial": "initial void ratio e0; default: the first row",
     "CurveTable.delimiter": "between cells of a row",
-    "ParticlesTable.reference_diameter": "at which `surface_energy` is stated",
+    "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated; default: 80 um",
     "ParticlesTable.poisson_ratio": "of the particles",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",
-    "ParameterTable.prior_sd": "prior standard deviation of ln p",
-    "ParameterTable.free": "true: fit it; false: hold it; absent: the data choose",
+    "ParameterTable.prior_sd": "prior standard deviation of ln p; 0.1 is about 10 %",
+    "ParameterTable.free": "false: hold it; true: fit it, and hold all others; where none is true, the data choose",
 }
 EXAMPLES = {
     "reference_diameter": 'reference_diameter = "80 um"',
@@ -91,24 +132,21 @@ def page() -> str:
 
 def tables() -> list[tuple[str, type[BaseModel]]]:
     """Every table with its place in the file: "", soil, specimen, ..., curves[].force."""
-    found = _below("", LabTables)
+    found: list[tuple[str, type[BaseModel]]] = []
+    _add("", LabTables, found)
     for name, kind in TYPES.items():
-        known = [model for _, model in found]
-        if kind not in known:
-            place = f'tests[], type = "{name}"'
-            found += [entry for entry in _below(place, kind) if entry[1] not in known]
+        _add(f'tests[], type = "{name}"', kind, found)
     return found
 
 
-def _below(path: str, model: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
-    found = [(path, model)]
+def _add(path: str, model: type[BaseModel], found: list[tuple[str, type[BaseModel]]]) -> None:
+    """Adds a table and the tables inside it; one that several tables hold is shown once."""
+    if any(model is seen for _, seen in found):
+        return
+    found.append((path, model))
     for name, field in model.model_fields.items():
-        inner = _models(field.annotation)
-        place = f"{path}.{name}".strip(".") + _mark(field.annotation)
-        for each in inner:
-            if all(each is not seen for _, seen in found):
-                found += _below(place, each)
-    return found
+        for each in _models(field.annotation):
+            _add(f"{path}.{name}".strip(".") + _mark(field.annotation), each, found)
 
 
 def _mark(annotation: Any) -> str:
@@ -127,18 +165,25 @@ def _table(path: str, model: type[BaseModel]) -> str:
     title = f"[{place}]" if place and "[]" not in place else place.replace("[]", "")
     if place.endswith("[]"):
         title = f"[[{title}]]"
-    doc = " ".join((model.__doc__ or "").split())
+    doc = " ".join((model.__doc__ or "").split()) + _observables(model)
     head = ["| entry | meaning | unit | default | example |", "| --- | --- | --- | --- | --- |"]
     rows = [_row(model, name, field) for name, field in model.model_fields.items()]
     heading = f"## `{title}`{kind and f' with `{kind.strip()}`'}" if path else "## Tables"
     return "\n".join([heading, "", doc, "", *head, *rows, ""])
 
 
+def _observables(model: type[BaseModel]) -> str:
+    """What a type of test gives, under the names that its targets have."""
+    given = [o.name for o in getattr(model, "observables", ())]
+    return f" Observables: {', '.join(f'`{name}`' for name in given)}." if given else ""
+
+
 def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     kind = kind_of(field)
     default = "**required**" if field.is_required() else _default(field, kind)
-    cells = [f"`{name}`", _meaning(model, name, field), kind.unit if kind else "", default]
-    return "| " + " | ".join([*cells, _example(name, field, kind)]) + " |"
+    entry, unit = field.alias or name, kind.unit if kind else ""
+    cells = [f"`{entry}`", _meaning(model, name, field), unit, default]
+    return "| " + " | ".join([*cells, _example(entry, field, kind)]) + " |"
 
 
 def _meaning(model: type[BaseModel], name: str, field: FieldInfo) -> str:
