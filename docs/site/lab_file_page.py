@@ -26,8 +26,8 @@ unknown name is refused.
 There are two forms. A file has one of them, not both.
 
 - **A list of tests.** Each test is a table `[[tests]]` with its own targets and curves. The tests
-  are made in the order of the file. A test goes on with the specimen as the test before left it. A test
-  with a `specimen` of its own begins with a new one.
+  are made in the order of the file. A test goes on with the specimen as the test before left it.
+  A test with a `specimen` of its own begins with a new one.
 - **The usual pair.** `[confined]` and `[unconfined]` stand alone, with `[targets]` and `[[curves]]`
   beside them. Both tests are made on one specimen, first the confined and then the unconfined one,
   also if the file says nothing about one of them.
@@ -49,8 +49,8 @@ MEANING = {
     "TargetsTable.depression_depth": "of the confined test",
     "TargetsTable.crushing_force": "of the unconfined test",
     "SoilTable.name": "of the soil, in results",
-    "SoilTable.density": "bulk density, one value for each sample; without it that of the bundled soil",
-    "SoilTable.water_content": "gravimetric, one value for each sample; kept for the record",
+    "SoilTable.density": "bulk density, one value a sample; without it that of the bundled soil",
+    "SoilTable.water_content": "gravimetric, one value a sample; kept for the record",
     "SoilTable.source": "where the numbers come from",
     "SpecimenTable.diameter": "inner diameter of the mould",
     "SpecimenTable.height": "of the soil in the mould",
@@ -110,7 +110,7 @@ MEANING = {
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",
     "ParameterTable.prior_sd": "prior standard deviation of ln p; 0.1 is about 10 %",
-    "ParameterTable.free": "false: hold it; true: fit it, and hold all others; where none is true, the data choose",
+    "ParameterTable.free": "true: fit it, hold the rest; false: hold it; no true: the data choose",
 }
 EXAMPLES = {
     "reference_diameter": 'reference_diameter = "80 um"',
