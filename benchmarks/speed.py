@@ -25,7 +25,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +32,7 @@ import reporting
 
 from calibrate.simulation.resolution import numerics_for
 from jdem.bodies.spheres import Spheres
+from jdem.core.program import program
 from jdem.core.quantity import cast
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid
@@ -164,7 +164,7 @@ def loading(force: float, dtype: str) -> Segment:
 def compiled_run(
     bed: Bed, state: BedState, programme: Segment, every: int, capacity: int
 ) -> Callable:
-    jitted = eqx.filter_jit(
+    jitted = program(
         lambda bed, state, programme, steps: run(bed, state, programme, steps, capacity)
     )
     return jitted.lower(bed, state, programme, jnp.asarray(every)).compile()

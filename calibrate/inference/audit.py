@@ -15,7 +15,6 @@ wrong one.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -26,6 +25,7 @@ from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
 from calibrate.labtests.composite import described
 from calibrate.simulation import Campaign
 from calibrate.simulation.joint import AbstractCampaign
+from jdem.core.program import program
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.packing.settling import Packing
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
@@ -197,7 +197,7 @@ def traced(
     """
     point = jnp.log(jnp.asarray(space.start()))
 
-    @eqx.filter_jit
+    @program
     def slopes(packing: Packing, time_step: Array) -> tuple[Array, Array]:
         def response(asked: Array) -> Array:
             outcome = lab.run(packing, space.soil(jnp.exp(asked[0, 0])), time_step)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from calibrate.simulation.run import Run, summary
 from jdem.bodies.spheres import Spheres
+from jdem.core.program import program
 from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -37,10 +38,10 @@ class Programs:
         with self._lock:
             begun = time.perf_counter()
             if kind not in self._compiled:
-                program = eqx.filter_jit(VirtualLab.run).lower(lab, packing, soil).compile()
+                made = program(VirtualLab.run).lower(lab, packing, soil).compile()
                 for old in list(self._compiled)[: len(self._compiled) + 1 - KEPT]:
                     del self._compiled[old]
-                self._compiled[kind] = program
+                self._compiled[kind] = made
             return self._compiled[kind], time.perf_counter() - begun
 
 
@@ -62,9 +63,9 @@ def blank(specimen: Specimen) -> Packing:
 
 
 def _timed(lab: VirtualLab, packing: Packing, soil: SoilParameters) -> Run:
-    program, _ = PROGRAMS.get(lab, packing, soil)
+    compiled, _ = PROGRAMS.get(lab, packing, soil)
     begun = time.perf_counter()
-    outcome = jax.block_until_ready(program(lab, packing, soil))
+    outcome = jax.block_until_ready(compiled(lab, packing, soil))
     return summary(lab, packing, soil, outcome, time.perf_counter() - begun)
 
 

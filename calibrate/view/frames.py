@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.errors import CalibrationError
+from jdem.core.program import program
 from jdem.core.quantity import cast
 from jdem.engine.bed import build_bed, steps_per_sample
 from jdem.engine.loop import Record, run, start
@@ -76,7 +77,7 @@ class _Pieces:
         position = cast(packing.position, dtype)
         self.state = start(self.bed, position, packing.height, packing.mould_radius)
         self.samples = PIECE
-        self.loop = eqx.filter_jit(run)
+        self.loop = program(run)
 
     def run(self) -> Iterator[tuple[Frame, bool]]:
         """Frames of all movements, each with whether it ends its movement."""

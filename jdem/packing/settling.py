@@ -10,7 +10,8 @@ under test.
 
 import zipfile
 import zlib
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 import equinox as eqx
@@ -19,6 +20,7 @@ import numpy as np
 from jax import Array
 
 from jdem.bodies.spheres import Spheres
+from jdem.core.program import program
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid, sample_capacity, steps_per_sample
@@ -205,13 +207,17 @@ def _advanced(
     """The bed after a programme; raises ValueError where a contact list was too small."""
     bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
-    record = _run(bed, state, programme, steps_per_sample(bed, numerics), capacity)
+    record = _program()(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):
         raise ValueError(f"while settling the bed, {record.explain_overflow(bed.grid)}")
     return record
 
 
-_run = eqx.filter_jit(run)
+@cache
+def _program() -> Callable:
+    return program(run)
+
+
 _ROWS = 256  # capacities are multiples of it: one program falls and levels beds of all seeds
 
 
