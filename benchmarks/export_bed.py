@@ -30,7 +30,8 @@ from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing, Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing, Specimen
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parent / "peers"))

@@ -53,7 +53,7 @@ from calibrate.simulation.resolution import Preset
 from calibrate.validation import plan, run, trial
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
 SEED = 1  # of the withheld cases

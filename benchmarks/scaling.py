@@ -40,7 +40,8 @@ from jdem.core.quantity import cast
 from jdem.engine.loop import Record, run, start
 from jdem.engine.segment import Segment
 from jdem.engine.step import Bed, BedState, Command, step
-from jdem.packing.settling import Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 BED, COPIES = 500, (1, 2, 4, 10, 20, 40)
 SAMPLES = 20

@@ -40,7 +40,8 @@ from jdem.engine.loop import Record, run, start
 from jdem.engine.segment import Segment, cell_segment, stack
 from jdem.engine.step import Bed, BedState
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 PEERS = Path(__file__).parent / "peers"
 MOULD_RADIUS = 0.025  # m, as in benchmarks/peers
@@ -69,7 +70,6 @@ class Spread:
     radius: np.ndarray
     mass: np.ndarray
     origin: str
-    pairs_per_sphere: float = Numerics().pairs_per_sphere  # room in the list
 
     @property
     def height(self) -> float:
@@ -98,7 +98,6 @@ def own_bed() -> Spread:
         np.asarray(packing.spheres.radius),
         np.asarray(packing.spheres.mass),
         "packing 0 of jdem",
-        3.6,  # the default overflows before 100 N
     )
 
 
@@ -133,7 +132,7 @@ def ready(bed: Spread, dtype: str) -> Timed:
 
 def numerics_of(bed: Spread, dtype: str) -> Numerics:
     specimen = Specimen(diameter=2 * MOULD_RADIUS, height=bed.height, count=len(bed.radius))
-    return numerics_for(specimen, dtype=dtype, pairs_per_sphere=bed.pairs_per_sphere)
+    return numerics_for(specimen, dtype=dtype)
 
 
 def built_bed(bed: Spread, numerics: Numerics, soil: SoilParameters = SOIL) -> Bed:

@@ -42,7 +42,7 @@ from jdem.engine.step import Bed
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.laws.coulomb import CoulombSpring
 from jdem.mechanics.dashpot import dashpot_constant
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 
 PARAMETER = "shear_modulus"
 SPHERES = 300

@@ -34,7 +34,7 @@ from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation import Campaign, engine_hash
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 from jdem.sensitivity.base import Sensitivity, averaged
 from jdem.sensitivity.composite import blended
 from jdem.sensitivity.virtual_power import VirtualPower

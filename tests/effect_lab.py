@@ -10,7 +10,7 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Specimen
+from jdem.packing.specimen import Specimen
 
 SMALL = Specimen(count=60, height=0.06)
 NUMERICS = numerics_for(SMALL)

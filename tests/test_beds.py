@@ -14,7 +14,7 @@ from calibrate.simulation import Campaign
 from calibrate.simulation.executors import Here
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from calibrate.simulation.store import SHIPPED, Store
-from jdem.packing.settling import prepare
+from jdem.packing.composite import prepare
 
 COMMAND = "python tests/support/shipped_beds.py"
 

@@ -32,7 +32,7 @@ from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
 from jdem.effects.composite import EFFECTS, Altered, with_strengths
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.observables import Curve, displacement_at
-from jdem.packing.settling import prepare
+from jdem.packing.composite import prepare
 
 NAMES = list(EFFECTS)
 TYPICAL = {name: effect.about.typical[-1] for name, effect in EFFECTS.items()}

@@ -29,7 +29,7 @@ from jdem.bodies.spheres import Spheres
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
-from jdem.packing.settling import Packing, save
+from jdem.packing.specimen import Packing, save
 
 TESTS = Path(__file__).parent
 DATA = TESTS / "data" / "export_contact"

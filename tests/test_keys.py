@@ -23,7 +23,7 @@ from jdem.engine.bed import Numerics
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 
 ROOTS = {
-    "prepare": [("jdem.packing.settling", "prepare")],
+    "prepare": [("jdem.packing.composite", "prepare")],
     "run": [("jdem.laboratory.virtual_lab", "VirtualLab")],
     "cemented": [
         ("jdem.laboratory.virtual_lab", "VirtualLab"),

@@ -26,7 +26,9 @@ from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
-from jdem.packing.settling import Specimen, load, neutral_soil, prepare, save
+from jdem.packing.composite import prepare
+from jdem.packing.settling import neutral_soil
+from jdem.packing.specimen import Specimen, load, save
 
 SMALL = Specimen(count=60, height=0.06)
 NUMERICS = numerics_for(SMALL)
@@ -278,13 +280,13 @@ def test_seeds_give_different_packings(packing, other_packing):
 
 def test_falling_and_levelling_share_one_program(monkeypatch):
     """A bed of 50 falls for less time than levelling may take, by more than capacities round."""
-    capacities, settle = [], jdem.packing.settling._run
+    capacities, settle = [], jdem.packing.settling._program()
 
     def noted(*arguments):
         capacities.append(arguments[-1])
         return settle(*arguments)
 
-    monkeypatch.setattr(jdem.packing.settling, "_run", noted)
+    monkeypatch.setattr(jdem.packing.settling, "_program", lambda: noted)
     prepare(Specimen(count=50), 0)
     assert len(capacities) == 2 and len(set(capacities)) == 1
 

@@ -16,7 +16,8 @@ from jdem.engine.segment import KEEP, LOWER, REMOVE
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import ForceLeft, LargestDisplacement
-from jdem.packing.settling import Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 SPECIMEN = Specimen(diameter=0.05, height=0.05, count=40)
 CYCLE = (

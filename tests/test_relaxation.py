@@ -13,7 +13,7 @@ from calibrate.simulation.run import summary
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import prepare
+from jdem.packing.composite import prepare
 
 TINY = Preset("tiny", 48, 0.2, 0.4, 1)
 TEXT = """[soil]

@@ -22,7 +22,8 @@ from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 SMALL = Specimen(count=60, height=0.06)
 SOIL = SoilParameters()

@@ -24,7 +24,7 @@ from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
-from jdem.packing.settling import Packing, Specimen
+from jdem.packing.specimen import Packing, Specimen
 
 SPECIMEN = Specimen(height=0.05, count=48)
 SOIL = base_soil(load_lab(bundled_lab()))

@@ -31,7 +31,7 @@ from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import prepare
+from jdem.packing.composite import prepare
 
 HERE = Path(__file__).parent
 

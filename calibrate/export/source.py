@@ -14,7 +14,7 @@ from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.catalogue import CATALOGUE
-from jdem.packing import settling as packing
+from jdem.packing import specimen as packing
 
 RESULT = "result.json"  # what `calibrate fit` writes into its folder
 

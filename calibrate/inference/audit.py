@@ -27,7 +27,7 @@ from calibrate.simulation import Campaign
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.core.program import program
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.pathwise import Pathwise

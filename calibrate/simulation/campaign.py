@@ -23,7 +23,7 @@ from calibrate.simulation.store import SHIPPED, Store
 from jdem.apparatus.base import AbstractApparatus
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing, Specimen
+from jdem.packing.specimen import Packing, Specimen
 
 TRIES = 3  # of a run that the machine does not finish
 

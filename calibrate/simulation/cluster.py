@@ -21,7 +21,8 @@ from calibrate.simulation.compiled import simulated
 from calibrate.simulation.executors import AbstractPlace, MachineFailure
 from calibrate.simulation.keys import engine_hash
 from calibrate.simulation.run import Run
-from jdem.packing.settling import Packing, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing
 
 IN_FLIGHT = 256  # runs handed to the scheduler at once; adaptive clusters grow with the queue
 PATIENCE = 20.0  # s until a scheduler must have answered

@@ -18,7 +18,7 @@ from jdem.core.program import program
 from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing, Specimen
+from jdem.packing.specimen import Packing, Specimen
 
 KEPT = 16  # compiled programs; the oldest makes room
 

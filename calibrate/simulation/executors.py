@@ -17,7 +17,8 @@ from calibrate.simulation.compiled import PROGRAMS, simulated
 from calibrate.simulation.run import Run
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing, Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing, Specimen
 
 Made = TypeVar("Made")
 

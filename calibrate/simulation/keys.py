@@ -24,7 +24,8 @@ from calibrate.simulation.dependencies import Dependencies
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
-from jdem.packing.settling import Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 OURS = ("jdem", "calibrate")  # packages whose definitions are followed
 SETTLES = (prepare,)

@@ -17,7 +17,7 @@ from calibrate.labtests.measured import Cylinder
 from jdem.engine.bed import Numerics
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
-from jdem.packing.settling import Specimen
+from jdem.packing.specimen import Specimen
 
 
 @dataclass(frozen=True)

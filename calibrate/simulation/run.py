@@ -13,7 +13,7 @@ from calibrate.labtests.composite import names
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 
 UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
 QUALITY = (

@@ -27,7 +27,7 @@ from filelock import BaseFileLock, FileLock, Timeout
 from calibrate.core.errors import CalibrationError
 from calibrate.simulation.run import Run
 from calibrate.simulation.seal import sealed, unsealed
-from jdem.packing.settling import Packing, load, save
+from jdem.packing.specimen import Packing, load, save
 
 NETCDF = "h5netcdf"
 OBSERVED = "observable "  # before the names of observables among an entry's attributes

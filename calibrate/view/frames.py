@@ -22,7 +22,7 @@ from jdem.engine.segment import KEEP, Segment, stack
 from jdem.engine.step import Bed, BedState
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 
 PIECE = 8  # samples between frames, to begin with
 

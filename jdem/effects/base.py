@@ -22,7 +22,7 @@ from jdem.core.quantity import Real
 from jdem.engine.segment import Segment
 from jdem.laws.base import AbstractContactLaw
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Packing
+from jdem.packing.specimen import Packing
 
 KINDS = ("instrument", "wall", "soil", "specimen", "numerical")
 

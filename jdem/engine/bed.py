@@ -27,15 +27,15 @@ class Numerics(eqx.Module):
     """Choices of the method, not of the soil.
 
     safety (-) scales the time step; sample_time (s) is the interval of output and of list
-    rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere,
-    wall_layer (wall contacts = wall_layer x spheres x diameter / width) and per_cell set
-    list capacities; dtype is "float64" or "float32";
+    rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere
+    (None: `usual_pairs`), wall_layer (wall contacts = wall_layer x spheres x diameter / width)
+    and per_cell set list capacities; dtype is "float64" or "float32";
     """
 
     safety: float = eqx.field(static=True, default=0.3)
     sample_time: float = eqx.field(static=True, default=2.5e-4)
     skin: float = eqx.field(static=True, default=0.08)
-    pairs_per_sphere: float = eqx.field(static=True, default=3.3)
+    pairs_per_sphere: float | None = eqx.field(static=True, default=None)
     wall_layer: float = eqx.field(static=True, default=4.5)
     per_cell: int = eqx.field(static=True, default=8)
     dtype: str = eqx.field(static=True, default="float64")
@@ -102,6 +102,15 @@ def sample_capacity(programme: Segment, numerics: Numerics) -> int:
     return int(np.sum(np.ceil(1.5 * durations / numerics.sample_time))) + 2 * durations.size
 
 
+def usual_pairs(size_ratio: float) -> float:
+    """Room for listed pairs a sphere, at sphere over mould diameter, with the default skin.
+
+    Spheres at walls have fewer neighbours.  A fit to what beds of 500 and 2000 spheres list at
+    most during both compression tests, 3.32 and 3.60, and an eighth more for softer soils.
+    """
+    return 4.6 * (1 - 1.28 * size_ratio)
+
+
 def plan_grid(
     count: int,
     mean_radius: float,
@@ -119,7 +128,9 @@ def plan_grid(
         raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
     skin = numerics.skin * 2 * mean_radius
     cell = 2 * max_radius + skin + reach
-    pairs_per_sphere = numerics.pairs_per_sphere * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
+    room = numerics.pairs_per_sphere
+    room = usual_pairs(2 * mean_radius / extent[0]) if room is None else room
+    pairs_per_sphere = room * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
     layer = numerics.wall_layer * 2 * mean_radius / extent[0]
     across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
     return Grid(

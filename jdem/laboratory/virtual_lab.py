@@ -24,7 +24,7 @@ from jdem.engine.segment import Segment, stack
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters
 from jdem.observables import Curve
-from jdem.packing.settling import Packing, Specimen
+from jdem.packing.specimen import Packing, Specimen
 
 
 class TestSequence(eqx.Module):
@@ -126,7 +126,7 @@ class VirtualLab(eqx.Module):
         numerics = replace(
             self.numerics,
             sample_time=self.numerics.sample_time / 3,
-            pairs_per_sphere=1.5 * self.numerics.pairs_per_sphere,
+            pairs_per_sphere=1.5 * self.grid.pairs / specimen.count,
             wall_layer=1.5 * self.numerics.wall_layer,
             per_cell=self.numerics.per_cell + 4,
         )

@@ -1,94 +1,32 @@
-"""A bed of spheres in its mould: drawn by seed, settled, levelled, stored.
+"""A bed of spheres in its mould: drawn by seed, settled, levelled.
 
 Spheres of random radii (mean +- spread) start on a loose lattice above each other, fall
 under gravity with little friction and no adhesion, and are levelled by a platen at a
 small seating force.  Their density is then set so that the bed has the target bulk
 density.  A packing is prepared once and reused for every parameter set (common random
-numbers); `prepare` takes another soil if the bed is to be made with the parameters
+numbers); `settled` takes another soil if the bed is to be made with the parameters
 under test.
 """
 
-import zipfile
-import zlib
 from collections.abc import Callable
 from functools import cache, partial
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jdem.bodies.spheres import Spheres
 from jdem.core.program import program
-from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
-from jdem.engine.bed import Numerics, build_bed, plan_grid, sample_capacity, steps_per_sample
+from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
 from jdem.engine.loop import Record, run, start
-from jdem.engine.neighbors import Grid
 from jdem.engine.segment import LOWER, REMOVE, Segment, cell_segment, stack
 from jdem.materials.soil import SoilParameters
+from jdem.packing.specimen import Packing, Specimen, solid_fraction, with_density
 
 LOOSE = 4.0  # height of the drawn column over the settled bed's, at most
 SOFT = 0.15  # modulus while the spheres fall, relative to the soil's
 FASTEST = 1.5  # m/s; fall under gravity with the settling programme's damping
-
-
-class Specimen(eqx.Module):
-    """What is to be filled: mould diameter and height of the soil (m), bulk density (kg/m3),
-    number of spheres, and half-width of the uniform distribution of radii over their mean."""
-
-    diameter: float = eqx.field(static=True, default=0.05)
-    height: float = eqx.field(static=True, default=0.10)
-    density: float = eqx.field(static=True, default=1829.6)
-    count: int = eqx.field(static=True, default=150)
-    spread: float = eqx.field(static=True, default=0.15)
-
-    def mean_radius(self) -> float:
-        """Mean radius (m) with which `count` spheres fill the specimen."""
-        cylinder = np.pi / 4 * self.diameter**2 * self.height
-        radius = 0.0
-        for _ in range(20):
-            cube = solid_fraction(2 * radius / self.diameter) * cylinder / self.count
-            radius = float((cube / (4 / 3 * np.pi * (1 + self.spread**2))) ** (1 / 3))
-        return radius
-
-    def max_radius(self) -> float:
-        """Radius (m) of the largest sphere there can be."""
-        return self.mean_radius() * (1 + self.spread)
-
-    def grid(self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0) -> Grid:
-        """Neighbour search for any packing of this specimen, `stretch` times its height, with
-        forces across gaps up to `reach` (m)."""
-        mean, largest = self.mean_radius(), self.max_radius()
-        extent = (self.diameter, stretch * self.height)
-        return plan_grid(self.count, mean, largest, extent, numerics, reach)
-
-
-def solid_fraction(size_ratio: float) -> float:
-    """Solid fraction of a settled bed at sphere over mould diameter; it sets the spheres'
-    size for a wanted height and nothing else (a fit to this module's own beds)."""
-    return 0.62 - 0.55 * size_ratio
-
-
-class Packing(eqx.Module):
-    """A settled bed at rest: centres (m), radii (m), masses (kg), and its mould (m)."""
-
-    position: Vector
-    spheres: Spheres
-    height: Real = quantity()
-    mould_radius: Real = quantity()
-
-    def mean_diameter(self) -> Array:
-        return 2 * jnp.mean(self.spheres.radius)
-
-    def bulk_density(self) -> Array:
-        """Mass of the spheres over the volume between base, platen and mould, kg/m3."""
-        return jnp.sum(self.spheres.mass) / (jnp.pi * self.mould_radius**2 * self.height)
-
-    def solid_fraction(self) -> Array:
-        solid = 4 / 3 * jnp.pi * jnp.sum(self.spheres.radius**3)
-        return solid / (jnp.pi * self.mould_radius**2 * self.height)
 
 
 def neutral_soil() -> SoilParameters:
@@ -107,10 +45,12 @@ def neutral_soil() -> SoilParameters:
     )
 
 
-def prepare(
+def settled(
     specimen: Specimen, seed: int, soil: SoilParameters | None = None, seating_force: float = 2.0
 ) -> Packing:
     """A packing drawn and settled; the same arguments give the same bed bit for bit.
+
+    The porosity is what the spheres' friction leaves it at.
 
     Raises ValueError if the bed had not come to rest.
     """
@@ -119,7 +59,7 @@ def prepare(
     spheres = Spheres(jnp.asarray(radius), jnp.asarray(mass))
     soil = neutral_soil() if soil is None else soil
     loose = Packing(position, spheres, float(position.z.max()) * 1.1, specimen.diameter / 2)
-    record = _settled(specimen, loose, soil, seating_force)
+    record = _fallen(specimen, loose, soil, seating_force)
     motion = record.state.motion
     height = float(record.samples.platen_height[np.flatnonzero(record.samples.segment >= 0)[-1]])
     packing = Packing(motion.position, spheres, height, specimen.diameter / 2)
@@ -129,7 +69,7 @@ def prepare(
             f"a mould of {1e3 * specimen.diameter:.0f} mm (solid fraction "
             f"{float(packing.solid_fraction()):.2f}); use more spheres or a lower specimen"
         )
-    return _with_density(packing, specimen.density)
+    return with_density(packing, specimen.density)
 
 
 def _is_dense(packing: Packing, specimen: Specimen) -> bool:
@@ -166,7 +106,7 @@ def _layer(radius: float, pitch: float) -> list[tuple[float, float]]:
     return max(layers, key=len) or [(0.0, 0.0)]
 
 
-def _settled(
+def _fallen(
     specimen: Specimen, loose: Packing, soil: SoilParameters, seating_force: float
 ) -> Record:
     """The drawn bed after falling (soft spheres, large steps), resting and levelling."""
@@ -182,7 +122,7 @@ def _settled(
         duration=0.3,
         platen=LOWER,
     )
-    numerics = _settling_numerics(2 * specimen.mean_radius())
+    numerics = settling_numerics(2 * specimen.mean_radius())
     programmes = stack([fall, calm]), stack([calm, level])
     longest = max(sample_capacity(programme, numerics) for programme in programmes)
     advance = partial(_advanced, specimen, numerics, _ROWS * -(-longest // _ROWS))
@@ -192,7 +132,7 @@ def _settled(
     return advance(rested, soil, programmes[1])
 
 
-def _position(packing: "Packing"):
+def _position(packing: Packing):
     return packing.position
 
 
@@ -221,7 +161,7 @@ def _program() -> Callable:
 _ROWS = 256  # capacities are multiples of it: one program falls and levels beds of all seeds
 
 
-def _settling_numerics(diameter: float) -> Numerics:
+def settling_numerics(diameter: float) -> Numerics:
     """Lists are rebuilt before a falling sphere has crossed a third of their skin."""
     skin = 0.2
     return Numerics(
@@ -231,35 +171,3 @@ def _settling_numerics(diameter: float) -> Numerics:
         wall_layer=8.0,
         per_cell=12,
     )
-
-
-def _with_density(packing: Packing, density: float) -> Packing:
-    """The packing with all masses scaled to a bulk density (kg/m3)."""
-    scale = density / packing.bulk_density()
-    return eqx.tree_at(lambda p: p.spheres.mass, packing, packing.spheres.mass * scale)
-
-
-def save(packing: Packing, path: Path) -> None:
-    """Writes a packing as numbers only (.npz), atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.npz")
-    np.savez(
-        part,
-        position=np.asarray(packing.position.stack()),
-        radius=np.asarray(packing.spheres.radius),
-        mass=np.asarray(packing.spheres.mass),
-        height=np.asarray(packing.height),
-        mould_radius=np.asarray(packing.mould_radius),
-    )
-    part.replace(path)
-
-
-def load(path: Path) -> Packing:
-    """Reads what `save` wrote; raises OSError or ValueError on a damaged file."""
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            position = Vector.from_rows(jnp.asarray(data["position"]))
-            spheres = Spheres(data["radius"], data["mass"])
-            return Packing(position, spheres, data["height"], data["mould_radius"])
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from None

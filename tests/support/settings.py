@@ -18,7 +18,8 @@ from jdem.effects.base import About, AbstractEffect
 from jdem.engine.bed import Numerics
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import Specimen, neutral_soil
+from jdem.packing.settling import neutral_soil
+from jdem.packing.specimen import Specimen
 
 
 @dataclass(frozen=True, eq=False)

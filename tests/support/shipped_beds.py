@@ -31,7 +31,8 @@ from calibrate.simulation.keys import content_hash, packing_content
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import Seeds, campaign
 from calibrate.simulation.store import SHIPPED, Store
-from jdem.packing.settling import Packing, Specimen, prepare
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing, Specimen
 
 SOILS = ("wheat_after_rice", "trumao")
 Shipped = tuple[str, str, int]  # soil, preset, seed
