@@ -26,10 +26,11 @@ from calibrate.labtests.protocol import program
 @dataclass(frozen=True)
 class Particles:
     """How the soil is represented: surface energy is scaled by d/`reference_diameter` [m]
-    (None: not given); Poisson's ratio."""
+    (None: not given); Poisson's ratio; porosity of the bed of spheres (None: the usual one)."""
 
     reference_diameter: float | None
     poisson_ratio: float
+    porosity: float | None = None
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,11 @@ class SoilTable(AbstractTable):
 
 
 class ParticlesTable(AbstractTable):
-    """How the soil is represented; the reference diameter in m."""
+    """How the soil is represented; the reference diameter in m, the porosity that of the bed."""
 
     reference_diameter: Length | None = None
     poisson_ratio: float = Field(default=0.3, ge=0, lt=0.5)
+    porosity: float | None = Field(default=None, gt=0, lt=1)
 
 
 class ParameterTable(AbstractTable):

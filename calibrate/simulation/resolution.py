@@ -1,16 +1,19 @@
 """Presets: how finely a virtual laboratory is resolved, and what that costs.
 
-| preset | spheres | one run of the paper's two tests, one core | use |
+| preset | spheres | across a specimen of height 2 D | use |
 |---|---|---|---|
-| quick | 150 | see benchmarks/results | trying, tests, first calibration |
-| standard | 1000 | see benchmarks/results | results |
-| fine | 5000 | see benchmarks/results | checks of resolution |
+| quick | 150 | 4.6 | trying, tests |
+| standard | 2000 | 10.6 | results |
+| fine | 10000 | 18.3 | checks of resolution |
+
+What a run costs stands in benchmarks/results/presets.md.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from calibrate.core.errors import InputError
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import Pace
 from calibrate.labtests.measured import Cylinder
@@ -23,22 +26,25 @@ from jdem.packing.specimen import Specimen
 @dataclass(frozen=True)
 class Preset:
     """Number of spheres, simulated platen speeds (m/s) on a specimen in its mould and on a free
-    one, packings averaged over."""
+    one, packings averaged over; whether beds grow to a porosity or settle as they fall."""
 
     name: str
     spheres: int
     rate_in_mould: float
     rate_free: float
     packings: int
+    grown: bool = False
 
+
+NARROWEST = 3.0  # spheres across a specimen
 
 # Rates in the mould keep the inertial number at 200 N below 1e-3 (50 mm by 100 mm specimen).
 PRESETS = {
     preset.name: preset
     for preset in (
         Preset("quick", 150, 0.045, 0.05, 3),
-        Preset("standard", 1000, 0.08, 0.05, 4),
-        Preset("fine", 5000, 0.10, 0.05, 2),
+        Preset("standard", 2000, 0.08, 0.05, 4, grown=True),
+        Preset("fine", 10_000, 0.10, 0.05, 2, grown=True),
     )
 }
 
@@ -62,11 +68,22 @@ def virtual_lab(
 
 
 def _filled(lab: Lab, cylinder: Cylinder, preset: Preset) -> Specimen:
-    """A cylinder filled to the lab's density."""
+    """A cylinder filled to the lab's density and porosity."""
     density = {"density": float(np.mean(lab.density_kg_m3))} if lab.density_kg_m3 else {}
-    return Specimen(
-        diameter=cylinder.diameter, height=cylinder.height, count=preset.spheres, **density
+    filled = Specimen(
+        diameter=cylinder.diameter,
+        height=cylinder.height,
+        count=preset.spheres,
+        porosity=lab.particles.porosity,
+        **density,
     )
+    across = cylinder.diameter / (2 * filled.mean_radius())
+    if across < NARROWEST:
+        problem = f"{preset.spheres} spheres are {across:.1f} across this specimen"
+        repair = f"give a finer --preset: below {NARROWEST:.0f} there is no bed"
+        raise InputError(lab.file, "specimen", problem, repair)
+    usual = preset.grown and filled.porosity is None
+    return filled.at_usual_porosity() if usual else filled
 
 
 def numerics_for(cylinder: Specimen, **choices) -> Numerics:

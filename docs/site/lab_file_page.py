@@ -106,6 +106,7 @@ MEANING = {
     "CurveTable.delimiter": "between cells of a row",
     "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated; default: 80 um",
     "ParticlesTable.poisson_ratio": "of the particles",
+    "ParticlesTable.porosity": "of the bed of spheres; default: usual for their size",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",
@@ -114,6 +115,7 @@ MEANING = {
 }
 EXAMPLES = {
     "reference_diameter": 'reference_diameter = "80 um"',
+    "porosity": "porosity = 0.43",
     "mould_height": 'mould_height = "150 mm"',
     "source": 'source = "own tests, 2026"',
     "value": "value = 7e6",

@@ -6,6 +6,8 @@ with narrower vectors ignores the wish.
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,5 +17,5 @@ _WIDEST = {"xla_cpu_prefer_vector_width": 512}  # bits
 
 def program(function: Callable) -> Callable:
     """`function` jitted as `equinox.filter_jit` does it."""
-    options = _WIDEST if jax.default_backend() == "cpu" else {}
-    return eqx.filter_jit(function, compiler_options=options)
+    options: dict[str, Any] = _WIDEST if jax.default_backend() == "cpu" else {}
+    return partial(eqx.filter_jit, compiler_options=options)(function)

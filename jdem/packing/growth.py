@@ -17,7 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jdem.bodies.spheres import Spheres
 from jdem.core.program import program
@@ -155,7 +155,7 @@ def _random_points(radius: np.ndarray, mould: float, height: float, rng) -> np.n
 
 def _clashing(centres: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """The second sphere of each pair that overlaps."""
-    pairs = cKDTree(centres).query_pairs(2 * radius.max(), output_type="ndarray")
+    pairs = KDTree(centres).query_pairs(2 * radius.max(), output_type="ndarray")
     first, second = pairs[:, 0], pairs[:, 1]
     distance = np.linalg.norm(centres[first] - centres[second], axis=1)
     return np.unique(second[distance < radius[first] + radius[second]])
