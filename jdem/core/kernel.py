@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax import Array
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun, subjaxprs
@@ -34,25 +35,35 @@ _ELEMENTWISE = (
     "sqrt square stop_gradient sub tan tanh xor"
 )
 _ARRANGING = (
-    "broadcast_in_dim concatenate gather optimization_barrier reshape slice split squeeze stack "
-    "transpose"
+    "broadcast_in_dim concatenate dynamic_slice dynamic_update_slice gather optimization_barrier "
+    "reshape slice split squeeze stack transpose"
 )
-_ENCLOSING = "closed_call custom_jvp_call jit scan"
+_ENCLOSING = "closed_call custom_jvp_call jit scan while"
 _COMPILABLE = frozenset(f"{_ELEMENTWISE} {_ARRANGING} {_ENCLOSING}".split())
 
 
-def entrywise(function: Callable[[Any, Any], Tree], shared: Any, entries: Any) -> Tree:
+def entrywise(
+    function: Callable[[Any, Any], Tree], shared: Any, entries: Any, used: Array | None = None
+) -> Tree:
     """function(shared, entries), where row k of a result depends on `shared` and on entry k.
 
     `entries`, and what the function returns, are trees of arrays whose first axis counts the
-    entries; it is called with some of them at a time.  Derivatives pass in forward mode.
+    entries; it is called with some of them at a time.  From entry `used` on, if that is given,
+    results are zero, and whole blocks of them are not computed.  Derivatives pass in forward mode.
     """
     if not bounded():
         return function(shared, entries)
     first, *_ = jax.tree.leaves(entries)
-    count = block_count(first.shape[0])
-    kernel = _Kernel(
-        function if count == 1 else partial(_blockwise, function, count), shared, entries
+    length = first.shape[0]
+    count = block_count(length)
+    kernel = (
+        _Kernel(function, shared, entries)
+        if count == 1
+        else _Kernel(
+            partial(_blockwise, function, count),
+            (shared, jnp.asarray(length if used is None else used)),
+            entries,
+        )
     )
     return kernel() if kernel.possible else function(shared, entries)
 
@@ -75,8 +86,10 @@ def in_blocks(capacity: int) -> int:
     return capacity if capacity <= BLOCK else -(-capacity // BLOCK) * BLOCK
 
 
-def _blockwise(function: Callable, count: int, shared, entries):
-    """function(shared, entries), equally long blocks of the entries after each other."""
+def _blockwise(function: Callable, count: int, given, entries):
+    """function(shared, entries), blocks of the entries after each other as far as they are used;
+    `given` are `shared` and how many entries are."""
+    shared, used = given
 
     def split(leaf: Array) -> Array:
         return leaf.reshape(count, -1, *leaf.shape[1:])
@@ -84,10 +97,24 @@ def _blockwise(function: Callable, count: int, shared, entries):
     def joined(leaf: Array) -> Array:
         return leaf.reshape(-1, *leaf.shape[2:])
 
-    def one(none, block):
-        return none, function(shared, block)
+    leaves, structure = jax.tree.flatten(jax.tree.map(split, entries))
 
-    return jax.tree.map(joined, jax.lax.scan(one, None, jax.tree.map(split, entries))[1])
+    def computed(number):
+        block = [jax.lax.dynamic_index_in_dim(leaf, number, 0, False) for leaf in leaves]
+        return function(shared, jax.tree.unflatten(structure, block))
+
+    def with_block(number, made):
+        return jax.tree.map(
+            lambda rows, one: jax.lax.dynamic_update_index_in_dim(rows, one, number, 0),
+            made,
+            computed(number),
+        )
+
+    shapes = jax.eval_shape(computed, 0)
+    blank = jax.tree.map(lambda one: jnp.zeros((count, *one.shape), one.dtype), shapes)
+    length = jax.tree.leaves(entries)[0].shape[0] // count
+    needed = jnp.minimum(jax.lax.div(used + length - 1, jnp.asarray(length, used.dtype)), count)
+    return jax.tree.map(joined, jax.lax.fori_loop(0, needed, with_block, blank))
 
 
 class _Kernel:

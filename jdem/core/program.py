@@ -6,7 +6,6 @@ with narrower vectors ignores the wish.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -17,5 +16,6 @@ _WIDEST = {"xla_cpu_prefer_vector_width": 512}  # bits
 
 def program(function: Callable) -> Callable:
     """`function` jitted as `equinox.filter_jit` does it."""
-    options: dict[str, Any] = _WIDEST if jax.default_backend() == "cpu" else {}
-    return partial(eqx.filter_jit, compiler_options=options)(function)
+    jitted: Any = eqx.filter_jit  # its signature leaves out the options that it hands on
+    options = _WIDEST if jax.default_backend() == "cpu" else {}
+    return jitted(function, compiler_options=options)

@@ -31,7 +31,8 @@ class Loads(eqx.Module):
 def pair_loads(bed: Bed, rows: Array, pairs: ContactList):
     """Sphere-sphere contacts: loads on the spheres and the list with its new histories."""
     entries = (pairs.first, pairs.second, pairs.alive, pairs.history)
-    on_first, on_second, power, history = entrywise(_pair_forces, (bed, rows), entries)
+    found = entrywise(_pair_forces, (bed, rows), entries, pairs.used())
+    on_first, on_second, power, history = found
     total = jnp.zeros((rows.shape[0], 8), rows.dtype)
     total = total.at[pairs.first].add(on_first).at[pairs.second].add(on_second)
     sums = jnp.sum(power, axis=0)
@@ -58,7 +59,7 @@ def wall_loads(bed: Bed, rows: Array, boundaries: Boundaries, contacts: ContactL
     """Loads with those of contacts with boundaries added, the list, and loads on boundaries with
     torques about the origin."""
     entries = (contacts.first, contacts.second, contacts.alive, contacts.history)
-    found = entrywise(_wall_forces, (bed, rows, boundaries), entries)
+    found = entrywise(_wall_forces, (bed, rows, boundaries), entries, contacts.used())
     on_first, felt, absorbed, history = found
     sums = jnp.sum(absorbed, axis=0)
     felt = jnp.stack([jnp.sum(each, axis=0) for each in felt])

@@ -53,6 +53,10 @@ class ContactList(eqx.Module):
     alive: Array
     history: Memory  #: what the law remembers of each entry
 
+    def used(self) -> Array:
+        """How many entries there are; they stand at the beginning."""
+        return jnp.sum(self.alive > 0).astype(jnp.int32)
+
     @staticmethod
     def empty(capacity: int, dtype, law: AbstractContactLaw) -> "ContactList":
         """Without entries, for contacts that follow `law`."""
