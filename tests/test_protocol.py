@@ -18,7 +18,7 @@ from jdem.materials.soil import SoilParameters
 from jdem.observables import ForceLeft, LargestDisplacement
 from jdem.packing.settling import Specimen, prepare
 
-SPECIMEN = Specimen(diameter=0.05, height=0.05, count=40)
+SPECIMEN = Specimen(diameter=0.05, height=0.05, count=48)  # test_fit's: one program settles both
 CYCLE = (
     Step("force", "load", 100.0),
     Step("hold", "hold", 60.0),
