@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from effect_lab import NUMERICS, ROWS, SMALL, SOIL, small_lab
 
 import jdem.packing.settling
 from calibrate.inference.parameters import FACTORS
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import build_bed, steps_per_sample
@@ -24,13 +25,9 @@ from jdem.engine.loop import run, start
 from jdem.engine.segment import KEEP, REMOVE, cell_segment, stack
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
-from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
 from jdem.packing.settling import Specimen, load, neutral_soil, prepare, save
 
-SMALL = Specimen(count=60, height=0.06)
-NUMERICS = numerics_for(SMALL)
-SOIL = SoilParameters()
 LOW = dict(zip(FACTORS, (0.3, 0.2, 0.1, 4.0, 0.2, 0.5, 0.3), strict=True))  # Table 2
 HIGH = dict(zip(FACTORS, (0.7, 1.0, 0.6, 20.0, 0.7, 3.0, 1.0), strict=True))
 GENERATOR = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])  # Plackett and Burman 1946, 12 runs
@@ -48,7 +45,7 @@ def full():
     """The paper's forces, and crushing past the first peak; rates in m/s, strokes in m."""
     confined = ConfinedCompression(simulated_rate=0.05, stroke=0.35 * SMALL.height)
     tests = TestSequence((confined, UnconfinedCompression(stroke=0.004)))
-    return VirtualLab.of(SMALL, tests, NUMERICS)
+    return small_lab(tests)
 
 
 WHOLE = full()
@@ -129,7 +126,7 @@ def at_rest(packing, soil, mould):
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     rest = cell_segment(damping=100.0, duration=2.0, platen=REMOVE, mould=mould)
     steps = steps_per_sample(bed, NUMERICS)
-    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 24000)
+    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, ROWS)
     assert not record.overflow_of(WHOLE.grid), record.explain_overflow(WHOLE.grid)
     rows = np.flatnonzero(np.asarray(record.samples.segment) == 0)
     late = rows[len(rows) // 2 :]
