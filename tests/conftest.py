@@ -27,8 +27,9 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 THOROUGH = (
     *("notebooks", "lab", "fit", "effects", "cluster", "report", "virtual_power", "engine"),
     *("laws_contract", "laws", "view", "abuse", "relaxation", "study", "unit_of_force"),
-    *("protocol", "machine_abuse", "diagnose_verb", "oedometer", "campaign", "sensitivity"),
-    "smooth",
+    *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "oedometer"),
+    *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),
+    *("sensitivity", "smooth"),
 )
 
 
