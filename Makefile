@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # One thread per test worker: two workers fill two cores.
 ONE_THREAD := OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false
+# Each module's tests stay in one worker, which makes its beds and compiles its programs once.
+TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -14,10 +16,10 @@ calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/
 	$(BIN)/calibrate fit --preset quick --out results/calibrate
 
 test: lint  ## lint, then run all tests on two cores
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2
+	$(TESTS)
 
 check: lint  ## lint and the fast tests, in about a minute
-	$(ONE_THREAD) $(BIN)/python -m pytest -n 2 -m "not thorough"
+	$(TESTS) -m "not thorough"
 
 lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .

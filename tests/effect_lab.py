@@ -1,5 +1,7 @@
 """A small bed in which effects are tried: forces are half the paper's, crushing is short."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -15,7 +17,8 @@ from jdem.packing.specimen import Specimen
 SMALL = Specimen(count=60, height=0.06)
 NUMERICS = numerics_for(SMALL)
 SOIL = SoilParameters()
-HOLD = 0.005  # s, simulated; the longest hold that the program has room for
+HOLD = 0.005  # s, simulated
+ROWS = 7000  # of a record; test_lab and test_view have as many, so that programs are the same
 
 
 def both_tests(hold=0.0):
@@ -29,8 +32,15 @@ def both_tests(hold=0.0):
     return TestSequence((confined, UnconfinedCompression(stroke=1e-3, rest=2e-3, opening=1e-4)))
 
 
+def small_lab(tests, effects=()):
+    """A laboratory for the small bed with room for ROWS samples."""
+    lab = VirtualLab.of(SMALL, tests, NUMERICS, effects)
+    assert lab.capacity <= ROWS
+    return replace(lab, capacity=ROWS)
+
+
 def lab_with(*effects, hold=0.0):
-    lab = VirtualLab.of(SMALL, both_tests(HOLD), NUMERICS, effects)
+    lab = small_lab(both_tests(HOLD), effects)
     return eqx.tree_at(lambda lab: lab.tests, lab, both_tests(hold))
 
 

@@ -3,8 +3,11 @@
 Soils are the corners of a Plackett-Burman design of the seven calibrated factors, one with
 tensile exponent 5, and two with the large surface energies that coarse spheres carry, at
 which the adhesion's cap acts.  A path of overlaps visits every kink of EEPA.  Laws are pure
-functions of arrays, so all soils of one slope exponent run in one compiled program.
+functions of arrays, so all soils of one slope exponent run in one compiled program; paths have
+few lengths for the same reason.
 """
+
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -12,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem.apparatus.pair import SpherePair, overlap_path
+from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
@@ -21,6 +24,7 @@ from jdem.materials.soil import SoilParameters, particle_law
 RADIUS = 2.5e-3
 PAIR = SpherePair(RADIUS)
 MOST = 3e-5  # m; largest overlap of a path
+POINTS, LEGS = 400, 7  # points of a leg; legs of the longest path
 SLIP, APPROACH, TIME_STEP, FRICTION = 2e-3, 1e-3, 1e-5, 0.5
 
 RANGES = {
@@ -55,6 +59,7 @@ def soil_of(exponent, **values):
     return SoilParameters(**given, reference_diameter=2 * RADIUS, slope_exponent=exponent)
 
 
+@cache
 def corner_soils(exponent):
     corners = [
         soil_of(exponent, **{k: RANGES[k][s] for k, s in zip(RANGES, signs, strict=True)})
@@ -150,10 +155,26 @@ def all_jacobians(soils, smoothing, overlaps):
     return jax.vmap(one)(soils, overlaps)
 
 
+def sampled_cycle(soil):
+    """Loading, adhesive unloading, reload and separation."""
+    turn = minimum_of(soil)[1]
+    return overlap_path(jnp.asarray([MOST, 0.4 * turn, 0.9 * MOST, -0.01 * MOST]), POINTS)
+
+
 def last_row(soil, smoothing, turns):
-    """Force parts and d_max at the end of a path, which first loads in as many legs as make
-    all paths alike (one compiled program)."""
-    turns = [*np.linspace(0, turns[0], 6 - len(turns))[1:-1], *turns]
-    overlaps = overlap_path(jnp.asarray(turns), 200)[None]
-    forces, memory = all_rows(stacked([soil]), smoothing, overlaps)
+    """Force parts and d_max at the end of a path, which first loads in as many legs, and is taken
+    as many times, as make it like the sampled cycles of all soils (one compiled program)."""
+    turns = [*np.linspace(0, turns[0], 10 - len(turns))[1:-1], *turns]
+    overlaps = overlap_path(jnp.asarray(turns), POINTS // 2)
+    alike = len(corner_soils(soil.slope_exponent))
+    forces, memory = all_rows(stacked([soil] * alike), smoothing, jnp.stack([overlaps] * alike))
     return np.asarray(forces)[0, -1], float(memory[0, -1, 0])
+
+
+_drive = eqx.filter_jit(drive_overlap)
+
+
+def drive(law, overlaps):
+    """Normal force (N) along a path; points without contact before it make all paths alike."""
+    apart = np.full(LEGS * POINTS - len(overlaps), -MOST)
+    return np.asarray(_drive(law, PAIR, np.concatenate([apart, overlaps])))[len(apart) :]

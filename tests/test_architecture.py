@@ -297,9 +297,15 @@ RULES: tuple[Rule, ...] = (
 )
 
 
+@pytest.fixture(scope="module")
+def tree() -> dict[str, Module]:
+    """This repository's, read once."""
+    return read_modules(ROOT)
+
+
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
-def test_tree_keeps_rule(rule: Rule):
-    violations = rule(read_modules(ROOT))
+def test_tree_keeps_rule(rule: Rule, tree: dict[str, Module]):
+    violations = rule(tree)
     assert not violations, "\n".join(violations)
 
 

@@ -149,12 +149,15 @@ def test_a_spin_without_contact_is_kept():
 # ------------------------------------------------------------------ a few spheres at rest
 
 
+one_step = eqx.filter_jit(step)
+
+
 def slowed(overlap, unloaded):
     """Share of a sphere's sideways speed that one step leaves, pressed into the base (m)."""
     bed = bed_of(spheres_of(1), soil_of(restitution=1.0, platen_friction=0.0), gravity=0.0)
     place, speed = np.array([[0.0, 0.0, RADIUS - overlap]]), np.array([[1e-3, 0.0, 0.0]])
     state = listed(bed, state_of(bed, place, speed))
-    after = eqx.filter_jit(step)(bed, state, idle(state, unloaded=unloaded))
+    after = one_step(bed, state, idle(state, unloaded=unloaded))
     share = float(after.motion.velocity.x[0]) / 1e-3
     load = float(after.wall_force[BASE]) / (GRAVITY * float(bed.spheres.mass[0]))
     return share, load, float(bed.time_step)

@@ -1,8 +1,8 @@
 """Both laboratory tests on small beds: weight, energy, derivatives, extremes, precision.
 
 One bed of 60 spheres is prepared for the whole file.  Laboratories differ only in how
-fast and how far they press; each is compiled once and then serves every soil, packing
-and rate, which `assert_max_traces` checks while the tests use it.
+fast and how far they press; one program serves them all with every soil, packing and rate,
+which `assert_max_traces` checks while the tests use it.
 """
 
 from dataclasses import replace
@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from effect_lab import NUMERICS, ROWS, SMALL, SOIL, small_lab
 
 import jdem.packing.settling
 from calibrate.inference.parameters import FACTORS
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import build_bed, steps_per_sample
@@ -24,37 +25,33 @@ from jdem.engine.loop import run, start
 from jdem.engine.segment import KEEP, REMOVE, cell_segment, stack
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
-from jdem.materials.soil import SoilParameters
 from jdem.observables import inertial_number
 from jdem.packing.composite import prepare
 from jdem.packing.settling import neutral_soil
 from jdem.packing.specimen import Specimen, load, save
 
-SMALL = Specimen(count=60, height=0.06)
-NUMERICS = numerics_for(SMALL)
-SOIL = SoilParameters()
 LOW = dict(zip(FACTORS, (0.3, 0.2, 0.1, 4.0, 0.2, 0.5, 0.3), strict=True))  # Table 2
 HIGH = dict(zip(FACTORS, (0.7, 1.0, 0.6, 20.0, 0.7, 3.0, 1.0), strict=True))
 GENERATOR = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])  # Plackett and Burman 1946, 12 runs
 
 
-def brief(**numerics):
+def brief():
     """Half the paper's forces and hardly any crushing: for what needs many runs."""
     confined = ConfinedCompression(
         simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
-    unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-3, opening=1e-4)
-    return VirtualLab.of(SMALL, TestSequence((confined, unconfined)), replace(NUMERICS, **numerics))
+    return TestSequence((confined, UnconfinedCompression(stroke=5e-4, rest=2e-3, opening=1e-4)))
 
 
 def full():
     """The paper's forces, and crushing past the first peak; rates in m/s, strokes in m."""
     confined = ConfinedCompression(simulated_rate=0.05, stroke=0.35 * SMALL.height)
     tests = TestSequence((confined, UnconfinedCompression(stroke=0.004)))
-    return VirtualLab.of(SMALL, tests, NUMERICS)
+    return small_lab(tests)
 
 
-WHOLE, BRIEF = full(), brief()
+WHOLE = full()
+BRIEF = replace(WHOLE, tests=brief())
 # The same laboratory with the paper's forces.
 PRESSED = eqx.tree_at(
     lambda lab: (lab.tests["confined"].force_low, lab.tests["confined"].force_high),
@@ -89,9 +86,13 @@ def other_packing():
 whole = eqx.filter_jit(eqx.debug.assert_max_traces(VirtualLab.run, max_traces=1))
 
 
+def ran(lab, packing, soil):
+    return whole(lab, packing, soil, lab.time_step(packing, soil))
+
+
 @pytest.fixture(scope="session")
 def outcome(packing):
-    return whole(WHOLE, packing, SOIL)
+    return ran(WHOLE, packing, SOIL)
 
 
 @eqx.filter_jit
@@ -113,9 +114,8 @@ def observables(lab, packing, point, tangent, time_step):
     return values, tangents, failed
 
 
-@eqx.filter_jit
 def depth(lab, packing, point, time_step):
-    outcome = lab.run(packing, soil_of(point), time_step)
+    outcome = whole(lab, packing, soil_of(point), time_step)
     return 1e3 * outcome.observables["confined"]["depression_depth"]
 
 
@@ -128,7 +128,7 @@ def at_rest(packing, soil, mould):
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     rest = cell_segment(damping=100.0, duration=2.0, platen=REMOVE, mould=mould)
     steps = steps_per_sample(bed, NUMERICS)
-    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, 24000)
+    record = eqx.filter_jit(run)(bed, state, stack([rest]), steps, ROWS)
     assert not record.overflow_of(WHOLE.grid), record.explain_overflow(WHOLE.grid)
     rows = np.flatnonzero(np.asarray(record.samples.segment) == 0)
     late = rows[len(rows) // 2 :]
@@ -180,12 +180,12 @@ def test_nothing_failed(outcome):
 
 
 def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_packing):
-    """`whole` may be traced once; the fixture `outcome` was its first call."""
+    """`whole` may be traced once."""
     harder = replace(SOIL, shear_modulus=jnp.asarray(2e7), restitution=jnp.asarray(0.5))
     slower = eqx.tree_at(
         lambda lab: lab.tests["confined"].simulated_rate, WHOLE, jnp.asarray(0.07, float)
     )
-    outcomes = [whole(WHOLE, other_packing, harder), whole(slower, other_packing, SOIL)]
+    outcomes = [ran(WHOLE, other_packing, harder), ran(slower, other_packing, SOIL)]
     depths = [float(o.observables["confined"]["depression_depth"]) for o in (outcome, *outcomes)]
     assert len(set(depths)) == 3
 
@@ -205,9 +205,12 @@ def test_a_batch_of_soils_gives_what_single_runs_give(packing):
 def test_single_precision_gives_the_same_depth(packing):
     """Within 2 %: round-off of 1e-7 decides otherwise at slips and rearrangements, and a bed
     of 60 spheres answers one of these with some 1e-2 mm (scatter of packings: several %)."""
-    coarse = brief(dtype="float32")
+    coarse = replace(BRIEF, numerics=replace(NUMERICS, dtype="float32"))
     step = BRIEF.time_step(packing, SOIL) * 0.8
-    double, single = (float(depth(lab, packing, CENTRE, step)) for lab in (BRIEF, coarse))
+    double = float(depth(BRIEF, packing, CENTRE, step))
+    found = eqx.filter_jit(VirtualLab.run)(coarse, packing, soil_of(CENTRE), step)
+    assert found.record.samples.platen_force.dtype == np.float32
+    single = 1e3 * float(found.observables["confined"]["depression_depth"])
     print(f"depth in float64 {double:.5f} mm, in float32 {single:.5f} mm")
     assert single == pytest.approx(double, rel=0.02)
 

@@ -14,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_cases import (
     MOST,
-    PAIR,
+    POINTS,
     RANGES,
     all_jacobians,
     all_rows,
     contact_at,
     corner_soils,
+    drive,
     every_exponent,
     every_smoothing,
     kink_paths,
@@ -27,12 +28,13 @@ from law_cases import (
     law_of,
     minimum_of,
     plastic_overlap_of,
+    sampled_cycle,
     soil_of,
     stacked,
     stiffness_of,
 )
 
-from jdem.apparatus.pair import drive_overlap, overlap_path
+from jdem.apparatus.pair import overlap_path
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 
@@ -106,21 +108,19 @@ def smooth_path(soil):
 
 
 def central_difference(soils, smoothing, paths, name, step):
-    def rows(factor):
-        moved = [
-            eqx.tree_at(lambda s: getattr(s, name), s, getattr(s, name) * factor) for s in soils
-        ]
-        return np.asarray(all_rows(stacked(moved), smoothing, paths)[0])
+    together = stacked(soils)
 
-    value = np.asarray([getattr(soil, name) for soil in soils])[:, None, None]
+    def rows(factor):
+        moved = eqx.tree_at(lambda s: getattr(s, name), together, getattr(together, name) * factor)
+        return np.asarray(all_rows(moved, smoothing, paths)[0])
+
+    value = np.asarray(getattr(together, name))[:, None, None]
     near, wide = (rows(1 + h) - rows(1 - h) for h in (step, 2 * step))
     return (8 * near - wide) / (12 * step * value)
 
 
 # ------------------------------------------------------------------ energy
 
-POINTS = 400
-drive = eqx.filter_jit(lambda law, overlaps: drive_overlap(law, PAIR, overlaps))
 turning_points = st.lists(st.floats(-0.1 * MOST, MOST), min_size=6, max_size=6)
 
 
@@ -192,11 +192,6 @@ def test_narrow_roundings_recover_the_sharp_law(exponent):
     assert (deviation(1.0) > 1e-5).all()  # else nothing was rounded on this path
     assert (deviation(0.01) < 0.05 * deviation(1.0)).all()
     assert not np.any(deviation(0.0))
-
-
-def sampled_cycle(soil):
-    turn = minimum_of(soil)[1]
-    return overlap_path(jnp.asarray([MOST, 0.4 * turn, 0.9 * MOST, -0.01 * MOST]), POINTS)
 
 
 @every_exponent

@@ -19,7 +19,7 @@ from jdem.observables import ForceLeft, LargestDisplacement
 from jdem.packing.composite import prepare
 from jdem.packing.specimen import Specimen
 
-SPECIMEN = Specimen(diameter=0.05, height=0.05, count=40)
+SPECIMEN = Specimen(diameter=0.05, height=0.05, count=48)  # test_fit's: one program settles both
 CYCLE = (
     Step("force", "load", 100.0),
     Step("hold", "hold", 60.0),

@@ -11,22 +11,18 @@ import subprocess
 import meshio
 import numpy as np
 import pytest
+from effect_lab import SMALL, SOIL, small_lab
 
 from calibrate.figures import bed
-from calibrate.simulation.resolution import numerics_for
 from calibrate.view.contacts import contacts_of
 from calibrate.view.frames import frames
 from calibrate.view.vtk import write_series
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.step import GRAVITY
-from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
-from jdem.materials.soil import SoilParameters
+from jdem.laboratory.virtual_lab import TestSequence
 from jdem.packing.composite import prepare
-from jdem.packing.specimen import Specimen
 
-SMALL = Specimen(count=60, height=0.06)
-SOIL = SoilParameters()
 SEATED = 1.0  # N; the servo's tolerance is 0.75 N
 
 
@@ -38,8 +34,7 @@ def seen():
         simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
     unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-2, opening=1e-4)
-    numerics = numerics_for(SMALL)
-    lab = VirtualLab.of(SMALL, TestSequence((confined, unconfined)), numerics)
+    lab = small_lab(TestSequence((confined, unconfined)))
     states = frames(lab, packing, SOIL, 6)
     return packing, lab, states, [contacts_of(f.bed, f.state) for f in states]
 

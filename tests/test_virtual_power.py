@@ -32,7 +32,7 @@ CLAY = {
 }
 HEIGHT = 2 * RADIUS
 SPEED = 0.01  # m/s
-STEP, STEPS, CAPACITY = 2e-6, 50, 64  # s; time steps in a sample; samples
+STEP, STEPS, CAPACITY = 2e-6, 50, 96  # s; time steps in a sample; samples
 STRONG = 1e12  # 1/s; nothing moves but with the affine motion
 LEG = 10 * STEPS * STEP  # s; 2e-6 m of travel
 
@@ -40,17 +40,20 @@ LEG = 10 * STEPS * STEP  # s; 2e-6 m of travel
 # ------------------------------------------------------------------ given motion
 
 
-def moves(*speeds):
+def moves(*speeds, duration=LEG):
     """The platen moves at these speeds (m/s), one leg each."""
-    return [cell_segment(platen_speed=v, duration=LEG, damping=STRONG) for v in speeds]
+    return [cell_segment(platen_speed=v, duration=duration, damping=STRONG) for v in speeds]
+
+
+STILL = moves(0.0, duration=STEPS * STEP)  # one sample in which nothing happens
 
 
 @eqx.filter_jit
-@eqx.debug.assert_max_traces(max_traces=5)
-def pressed(log_values, programme, first):
-    """Platen forces (N) on both spheres; motion frozen from segment `first` on (None: never).
+@eqx.debug.assert_max_traces(max_traces=2)
+def pressed(log_values, programme, freezes):
+    """Platen forces (N) on both spheres; `freezes`: the motion is frozen from segment 1 on.
 
-    One program for each programme's length and each `first`: five in this file.
+    Two programs, because all programmes of this file have six segments.
     """
     values = dict(zip(NAMES, jnp.exp(log_values), strict=True))
     soil = with_values(soil_of(), {**values, "wall_adhesion": 1.0})
@@ -62,7 +65,7 @@ def pressed(log_values, programme, first):
         HEIGHT,
         FAR,
     )
-    frozen = None if first is None else FrozenMotion(first, carried=True)
+    frozen = FrozenMotion(1, carried=True) if freezes else None
     samples = run(bed, state, programme, jnp.asarray(STEPS), CAPACITY, frozen=frozen).samples
     return samples.platen_force
 
@@ -72,16 +75,24 @@ def centre():
     return jnp.log(jnp.asarray([float(getattr(soil, name)) for name in NAMES]))
 
 
-def slopes(programme, first):
-    """Derivatives (samples, p) of the platen force (N) per unit of ln p."""
-    return np.asarray(jax.jacfwd(lambda x: pressed(x, programme, first))(centre()))
+def slopes(programme):
+    """Derivatives (samples, p) of the platen force (N) per unit of ln p, motion frozen; values are
+    checked to be those of a motion that is not, but for round-off of another program."""
+
+    def both(x):
+        force = pressed(x, programme, True)
+        return force, force
+
+    slope, force = jax.jacfwd(both, has_aux=True)(centre())
+    np.testing.assert_allclose(force, pressed(centre(), programme, False), rtol=1e-12, atol=1e-15)
+    return np.asarray(slope)
 
 
 def differences(programme, step=1e-6):
     point = centre()
     shifts = step * jnp.eye(len(NAMES))
     pairs = [
-        (pressed(point + s, programme, None), pressed(point - s, programme, None)) for s in shifts
+        (pressed(point + s, programme, False), pressed(point - s, programme, False)) for s in shifts
     ]
     return np.stack([np.asarray(up - down) / (2 * step) for up, down in pairs], axis=-1)
 
@@ -89,7 +100,7 @@ def differences(programme, step=1e-6):
 @pytest.fixture(scope="module")
 def cycle():
     """Down, partly up, down again and further: virgin loading, unloading, reload."""
-    return stack(moves(SPEED, SPEED, -0.6 * SPEED, 0.4 * SPEED, SPEED))
+    return stack([*STILL, *moves(SPEED, SPEED, -0.6 * SPEED, 0.4 * SPEED, SPEED)])
 
 
 def test_given_motion_makes_virtual_power_exact(cycle):
@@ -98,9 +109,9 @@ def test_given_motion_makes_virtual_power_exact(cycle):
     Without the first sample of a leg: in its first step the platen has its new speed and
     the spheres have the old one, so the dashpots at both ends differ.
     """
-    expected, found = differences(cycle), slopes(cycle, 0)
-    rows = np.flatnonzero(np.arange(50) % 10)
-    assert np.all(pressed(centre(), cycle, None)[rows] != 0)
+    expected, found = differences(cycle), slopes(cycle)
+    rows = 1 + np.flatnonzero(np.arange(50) % 10)  # after the still one
+    assert np.all(pressed(centre(), cycle, False)[rows] != 0)
     largest = np.abs(expected).max(axis=0)
     for number, name in enumerate(NAMES):
         error = np.abs(found - expected)[rows, number].max()
@@ -110,23 +121,24 @@ def test_given_motion_makes_virtual_power_exact(cycle):
 def test_what_has_no_influence_has_no_slope(cycle):
     """Nothing slides or rolls here."""
     idle = [NAMES.index(name) for name in ("static_friction", "rolling_friction")]
-    assert np.all(slopes(cycle, 0)[:, idle] == 0.0)
+    assert np.all(slopes(cycle)[:, idle] == 0.0)
 
 
 def test_a_stage_before_it_is_part_of_the_effect():
     """A servo stops at 0.1 N, at an overlap that depends on the soil; then the motion is given.
 
     Dropping what the first stage made of the bed gives another slope: stiffer soils would
-    be stronger at the same overlap.
+    be stronger at the same overlap.  So does freezing the motion before the servo moves, which
+    a still sample ahead of it brings about.
     """
     servo = cell_segment(
         platen_speed=SPEED, force_target=0.1, servo_width=0.02, tolerance=4e-3, damping=STRONG,
         duration=40 * STEPS * STEP,
     )  # fmt: skip
-    programme = stack([servo, *moves(SPEED)])
-    expected, found = differences(programme, 1e-7), slopes(programme, 1)
-    rows = np.flatnonzero(np.asarray(pressed(centre(), programme, 1)))[-9:]
+    programme = stack([servo, *moves(*[SPEED] * 5)])
+    expected, found = differences(programme, 1e-7), slopes(programme)
+    rows = np.flatnonzero(np.asarray(pressed(centre(), programme, False)))[-49:-40]
     modulus = NAMES.index("shear_modulus")
     assert found[rows] == pytest.approx(expected[rows], rel=1e-4, abs=1e-4)
-    everything = slopes(programme, 0)[rows, modulus]
+    everything = slopes(stack([*STILL, servo, *moves(*[SPEED] * 4)]))[rows + 1, modulus]
     assert np.all(everything > 1.5 * expected[rows, modulus])
