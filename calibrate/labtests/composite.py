@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.unconfined import UnconfinedTest
@@ -15,6 +16,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         UnconfinedTest,
         OedometerTest,
         RelaxationTest,
+        MachineTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}

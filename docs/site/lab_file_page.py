@@ -24,7 +24,7 @@ kind is read. Curves are CSV files in the folder of the lab file or below it. An
 default must be given. An unknown name is refused.
 
 Tests stand in a list `[[tests]]`. They are made in order, each on the specimen as the test before
-left it, or on a `specimen` of its own. `[confined]` and `[unconfined]` may also stand alone, with
+left it, or on a `specimen` of its own; `machine` takes none. `[confined]` and `[unconfined]` may also stand alone, with
 `[targets]` and `[[curves]]` beside them: then both tests are made, one after the other.
 """
 MEANING = {
@@ -39,6 +39,8 @@ MEANING = {
     "ConfinedTest.greased": "whether the mould was greased; kept for the record",
     "UnconfinedTest.rate": "speed of the platen",
     "UnconfinedTest.rest": "between the removal of the mould and the test",
+    "MachineTest.force": "of the platen on the bare base",
+    "MachineTest.loading": "until the force is there, and again until it is gone",
     "AbstractLabTest.type": "which kind of test this is",
     "AbstractLabTest.name": "of the test in results; default: its type",
     "AbstractLabTest.specimen": "a specimen of its own",
