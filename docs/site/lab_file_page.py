@@ -24,8 +24,9 @@ kind is read. Curves are CSV files in the folder of the lab file or below it. An
 default must be given. An unknown name is refused.
 
 Tests stand in a list `[[tests]]`. They are made in order, each on the specimen as the test before
-left it, or on a `specimen` of its own; `machine` takes none. `[confined]` and `[unconfined]` may also stand alone, with
-`[targets]` and `[[curves]]` beside them: then both tests are made, one after the other.
+left it, or on a `specimen` of its own; `machine` takes none. `[confined]` and `[unconfined]` may
+also stand alone, with `[targets]` and `[[curves]]` beside them: then both tests are made, one after
+the other.
 """
 MEANING = {
     "SoilTable.density": "bulk density, one value a determination",
