@@ -26,11 +26,11 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.designs.study import OBSERVABLES
 from calibrate.inference.audit import judged, traced
 from calibrate.inference.curve_points import POINTS, CurvePoints
 from calibrate.inference.parameters import FACTORS, Space, space
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.labtests.composite import PLAIN
 from calibrate.simulation import Campaign, engine_hash
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -40,6 +40,7 @@ from jdem.sensitivity.composite import blended
 from jdem.sensitivity.virtual_power import VirtualPower
 
 NAMES = (*FACTORS, "shear_modulus")
+OBSERVABLES = [o.name for kind in PLAIN.values() for o in kind.observables]
 VARIANTS = {"carried": VirtualPower(carried=True), "dropped": VirtualPower()}
 
 

@@ -83,6 +83,8 @@ class Lab:
 
     def on_soil(self) -> "Lab":
         """The tests with soil alone, and what was measured in them; `InputError` without any."""
+        if not self.without_soil():
+            return self
         kept = [test.called for test in self.tests if test.with_soil]
         called = names_of(self.tests)
         names = [name for (test, _), (name, _) in called.items() if test in kept]

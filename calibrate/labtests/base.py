@@ -36,7 +36,7 @@ class Observable:
 
     `name` in results ends in its unit; `source` is its name in the apparatus and `scale` takes it
     from SI; an audit passes slopes `within` this share of the reference; `drawn`: a figure of the
-    curve shows it as a force.
+    curve shows it as a force; `symbol` stands for it in narrow tables.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Observable:
     scale: float
     within: float
     drawn: bool = False
+    symbol: str = ""
 
     @property
     def short(self) -> str:
