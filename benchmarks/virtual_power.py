@@ -31,6 +31,7 @@ from calibrate.inference.curve_points import POINTS, CurvePoints
 from calibrate.inference.parameters import FACTORS, Space, space
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import PLAIN
+from calibrate.labtests.unconfined import UnconfinedTest
 from calibrate.simulation import Campaign, engine_hash
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -131,7 +132,7 @@ def committed(seed: str) -> tuple[Sensitivity, Sensitivity, int]:
 def curve_means(seed: str, found: list[dict]) -> list[dict]:
     """Slopes (N) of the force averaged over the whole crushing curve: audit's and these."""
     content = json.loads(reporting.file_of("audit").read_text(encoding="utf-8"))
-    curves = content["audits"][seed]["curves"]["unconfined"]["slopes"]
+    curves = content["audits"][seed]["curves"][UnconfinedTest.type_name]["slopes"]
     each = np.array([one["result"][-POINTS:].mean(axis=0) for one in found])
     return [
         {
