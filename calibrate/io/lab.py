@@ -98,11 +98,11 @@ class Lab:
         return replace(self, tests=tests, targets=targets, curves=curves)
 
     def pair(self) -> Pair:
-        """The two tests of the diagnosis; `InputError` where the lab has others."""
+        """The two tests of the diagnosis; `InputError` where the lab has others on soil."""
         try:
-            return pair_of(self.tests)
+            return pair_of([test for test in self.tests if test.with_soil])
         except BadValue as bad:
-            raise bad.at(self.file, "tests") from None
+            raise bad.at(self.file, "") from None
 
     def cylinder_of(self, test: str) -> Cylinder:
         """The specimen on which the test of this name is made."""
