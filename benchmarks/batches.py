@@ -20,6 +20,7 @@ from kills import low_lab
 
 from calibrate.io.lab import load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.pair import KINDS
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -52,10 +53,9 @@ def measured(spheres: int, repeats: int) -> dict[str, float]:
 
 
 def _ends(lab: VirtualLab, packing, soil):
-    outcome = lab.run(packing, soil)
-    return 1e3 * outcome.observables["confined"]["depression_depth"], outcome.observables[
-        "unconfined"
-    ]["crushing_force"]
+    observed = lab.run(packing, soil).observables
+    pressed, crushed = (observed[kind] for kind in KINDS)
+    return 1e3 * pressed["depression_depth"], crushed["crushing_force"]
 
 
 def _timed(program, soil, repeats: int):

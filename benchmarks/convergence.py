@@ -27,6 +27,7 @@ import reporting
 from calibrate.core.progress import for_terminal
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.pair import KINDS
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.apparatus.base import Damping
@@ -88,9 +89,9 @@ def _damped(virtual: VirtualLab, factor: float) -> VirtualLab:
     scaled = (factor * rate for rate in (usual.loading, usual.resting, usual.unloaded))
     damping = Damping(*scaled)
     return eqx.tree_at(
-        lambda v: (v.tests["confined"].damping, v.tests["unconfined"].damping),
+        lambda v: [v.tests[kind].damping for kind in KINDS],
         virtual,
-        (damping,) * 2,
+        [damping] * len(KINDS),
     )
 
 
@@ -161,9 +162,9 @@ def _values(runs: list[Run], name: str) -> np.ndarray:
 def depth_before_servo(run: Run) -> float:
     """Displacement (mm) from force_low to two servo widths below force_high, on loading."""
     test = ConfinedCompression()
-    highest = np.maximum.accumulate(run.curves["confined"][:, 1])
+    travel, force = run.curves[test.name].T
     ends = (float(test.force_low), float(test.force_high - 2 * test.servo_width))
-    low, high = np.interp(ends, highest, run.curves["confined"][:, 0])
+    low, high = np.interp(ends, np.maximum.accumulate(force), travel)
     return float(high - low)
 
 

@@ -17,9 +17,9 @@ import reporting
 from calibrate.core.progress import for_terminal
 from calibrate.designs.calibration import Designed, design
 from calibrate.designs.comparison import Ending, Enhanced, SlopePair
-from calibrate.designs.study import OBSERVABLES, ranked
+from calibrate.designs.study import ranked
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.reports.study import SHORT, as_json, sentence
+from calibrate.reports.study import as_json, sentence, short
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
@@ -27,7 +27,7 @@ from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 def markdown(found: Designed, origin: dict) -> str:
     done, compared = found.study, found.comparison
     largest = "; ".join(
-        f"{SHORT[name]}: "
+        f"{short(name)}: "
         + ", ".join(f"{n} ({screen[n].contribution:.0f} %)" for n in ranked(screen)[:4])
         for name, screen in done.screens.items()
     )
@@ -68,7 +68,7 @@ def _slopes(pairs: tuple[SlopePair, ...]) -> str:
         [
             pair.design,
             pair.factor,
-            SHORT[pair.observable],
+            short(pair.observable),
             f"{pair.surface:.3g} ± {pair.surface_se:.2g}",
             f"{pair.gradient:.3g} ± {pair.gradient_se:.2g}",
             "yes" if pair.agree else f"no: {pair.why()}",
@@ -105,7 +105,7 @@ def main() -> None:
     found = design(lab, quick, {}, chosen.seed, work)
     origin = reporting.provenance()
     study = as_json(found.study, found.comparison)
-    content = {**origin, "seed": chosen.seed, "observables": OBSERVABLES, **study}
+    content = {**origin, "seed": chosen.seed, "observables": found.study.observables, **study}
     reporting.write("designs", content, markdown(found, origin))
 
 

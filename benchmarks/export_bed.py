@@ -26,6 +26,7 @@ from calibrate.export import liggghts
 from calibrate.export.source import Found, find
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import with_values
+from calibrate.labtests.confined import ConfinedTest
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
@@ -37,6 +38,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
 import pressed_bed
 
+PRESSED = ConfinedTest.type_name
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "export_bed.png"
 LEVELS = (50.0, 200.0, 400.0)  # N; displacements are compared at these
 WHAT = (*(f"{level:.0f} N" for level in LEVELS), "H")
@@ -82,10 +84,10 @@ def _arguments() -> argparse.Namespace:
 
 
 def _only_pressing(cylinder: Specimen) -> VirtualLab:
-    """The confined test of the preset; crushing is cut to almost nothing."""
+    """The pressing of the preset; crushing is cut to almost nothing."""
     lab = virtual_lab(load_lab(bundled_lab()), PRESETS["quick"])
     short = UnconfinedCompression(stroke=1e-4, rest=1e-3, opening=1e-4)
-    return VirtualLab.of(cylinder, TestSequence((lab.tests["confined"], short)), lab.numerics)
+    return VirtualLab.of(cylinder, TestSequence((lab.tests[PRESSED], short)), lab.numerics)
 
 
 def _both(lab: VirtualLab, run, packing: Packing, changes: dict[str, float], folder: Path):
@@ -93,14 +95,12 @@ def _both(lab: VirtualLab, run, packing: Packing, changes: dict[str, float], fol
     found = find(bundled_lab(), changes, float(packing.mean_diameter()))
     soil = _soil(found)
     outcome = run(lab, packing, soil)
-    valid = np.asarray(outcome.curves["confined"].valid) > 0
-    ours = [
-        np.asarray(part)[valid]
-        for part in (outcome.curves["confined"].displacement, outcome.curves["confined"].force)
-    ]
+    curve = outcome.curves[PRESSED]
+    valid = np.asarray(curve.valid) > 0
+    ours = [np.asarray(part)[valid] for part in (curve.displacement, curve.force)]
     press = pressed_bed.Press(
         mould=float(packing.mould_radius),
-        rate=float(lab.tests["confined"].simulated_rate),
+        rate=float(lab.tests[PRESSED].simulated_rate),
         stroke=float(ours[0].max() - ours[0].min()) * 1.3 + 2e-3,
         step=0.5 * float(lab.time_step(packing, soil)),
     )

@@ -133,10 +133,7 @@ def _curves(runs: list[Run], folder: Path) -> str:
     """Writes the curves as CSV; the lab file's tables that name them."""
     tables = []
     for number, run in enumerate(runs, start=1):
-        for test, curve in (
-            ("confined", run.curves["confined"]),
-            ("unconfined", run.curves["unconfined"]),
-        ):
+        for test, curve in run.curves.items():
             file = f"{test}_{number}.csv"
             _write_curve(folder / file, curve)
             tables.append(
@@ -169,10 +166,10 @@ def _lab_text(lab: Lab, name: str, measured: str) -> str:
         f'[soil]\nname = "hidden parameters, case {name}"\ndensity = [{densities}]\n\n'
         f'[specimen]\ndiameter = "{1e3 * lab.specimen.diameter:g} mm"\n'
         f'height = "{1e3 * lab.specimen.height:g} mm"\n\n'
-        f'[confined]\nrate = "{1e3 * first.rate:g} mm/s"\n'
+        f'[{first.type_name}]\nrate = "{1e3 * first.rate:g} mm/s"\n'
         f'force_low = "{first.force_low:g} N"\n'
         f'force_high = "{first.force_high:g} N"\n\n'
-        f'[unconfined]\nrate = "{1e3 * second.rate:g} mm/s"\n'
+        f'[{second.type_name}]\nrate = "{1e3 * second.rate:g} mm/s"\n'
         f'rest = "{second.rest:g} s"\n\n'
         f"{measured}"
         f"[particles]\npoisson_ratio = {lab.particles.poisson_ratio}\n"

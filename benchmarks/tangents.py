@@ -32,6 +32,7 @@ from jax import Array
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.pair import KINDS
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.core import smooth
@@ -82,9 +83,9 @@ def laboratory(lab, slip: float, unloaded: float) -> VirtualLab:
     numerics = numerics_for(specimen(lab, preset), smoothing=smoothing)
     virtual = virtual_lab(lab, preset, numerics)
     return eqx.tree_at(
-        lambda v: (v.tests["confined"].damping.unloaded, v.tests["unconfined"].damping.unloaded),
+        lambda v: [v.tests[kind].damping.unloaded for kind in KINDS],
         virtual,
-        (jnp.asarray(unloaded), jnp.asarray(unloaded)),
+        [jnp.asarray(unloaded)] * len(KINDS),
     )
 
 

@@ -26,11 +26,12 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.designs.study import OBSERVABLES
 from calibrate.inference.audit import judged, traced
 from calibrate.inference.curve_points import POINTS, CurvePoints
 from calibrate.inference.parameters import FACTORS, Space, space
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.labtests.composite import PLAIN
+from calibrate.labtests.unconfined import UnconfinedTest
 from calibrate.simulation import Campaign, engine_hash
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -40,6 +41,7 @@ from jdem.sensitivity.composite import blended
 from jdem.sensitivity.virtual_power import VirtualPower
 
 NAMES = (*FACTORS, "shear_modulus")
+OBSERVABLES = [o.name for kind in PLAIN.values() for o in kind.observables]
 VARIANTS = {"carried": VirtualPower(carried=True), "dropped": VirtualPower()}
 
 
@@ -130,7 +132,7 @@ def committed(seed: str) -> tuple[Sensitivity, Sensitivity, int]:
 def curve_means(seed: str, found: list[dict]) -> list[dict]:
     """Slopes (N) of the force averaged over the whole crushing curve: audit's and these."""
     content = json.loads(reporting.file_of("audit").read_text(encoding="utf-8"))
-    curves = content["audits"][seed]["curves"]["unconfined"]["slopes"]
+    curves = content["audits"][seed]["curves"][UnconfinedTest.type_name]["slopes"]
     each = np.array([one["result"][-POINTS:].mean(axis=0) for one in found])
     return [
         {

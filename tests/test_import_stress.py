@@ -16,6 +16,7 @@ from support.accidents import spoiled_bytes
 
 import calibrate as package
 from calibrate.core.errors import InputError
+from calibrate.inference.problem import pose
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import read_export
 from calibrate.instrument_import.measured import Units
@@ -73,7 +74,7 @@ def test_converted_curve_keeps_stress_and_strain_beside(calibrate, tmp_path):
     np.testing.assert_allclose(curve["displacement_mm"], 100 * curve["strain"], rtol=1e-6)
     lab = lab_of(tmp_path / "o", "stress_strain.toml")
     assert lab["specimen"] == {"diameter": "50 mm", "height": "100 mm"}
-    (test,) = lab["tests"]
+    _, test = lab["tests"]
     assert (test["name"], test["type"]) == ("unconfined", "unconfined")
     (curve,) = test["curves"]
     assert curve["file"] == name and "points" not in curve
@@ -343,10 +344,46 @@ def test_trumao_consolidation(calibrate, tmp_path):
     assert curve["time_s"][-1] == pytest.approx(60 * 65.72670690061993**2)
     assert curve["stress_kpa"][:2] == pytest.approx([25, 50])
     assert curve["displacement_mm"][1] == pytest.approx(0.2 * 0.6849315068493151)
-    tests = lab_of(tmp_path / "o", "cv.toml")["tests"]
+    document = lab_of(tmp_path / "o", "cv.toml")
+    assert document["parameters"]["shear_modulus"] == "12 MPa"  # ten times the largest stress
+    tests = document["tests"]
     assert [test["protocol"][0]["to"] for test in tests] == ["50 kPa", "200 kPa", "1200 kPa"]
     assert len({test["name"] for test in tests}) == 3
     assert all("specimen" in test for test in tests[1:])
+
+
+def test_of_a_consolidation_the_whole_settlement_is_fitted_and_nothing_of_its_course(
+    calibrate, tmp_path
+):
+    refused = calibrate("convert", TRUMAO / "cv.csv", "--out", "o")[2]
+    assert "drainage of pore water, which the model does not have" in refused
+    assert len(refused.splitlines()) == 1 and "--settlement" in refused
+    settled = ("--settlement", "0.2 mm, 1 %, 0.9 mm")
+    _, out, _ = calibrate("convert", TRUMAO / "cv.csv", *RING, *settled, "--out", "o")
+    assert "a fit compares its end alone: its course in time is drainage of pore water" in out
+    lab = load_lab(tmp_path / "o/cv.toml")
+    assert [len(curve.force_n) for curve in lab.curves] == [2, 2, 2]
+    problem = pose(lab)
+    assert problem.measured == pytest.approx([0.2, 0.2, 0.9])
+
+
+def test_a_crushing_test_of_a_new_specimen_is_pressed_before(calibrate, tmp_path):
+    """Forces of one stress, 204 kPa, whatever the diameter."""
+    calibrate("convert", EXPORTS / "stress_strain.csv", "--diameter", "100 mm",
+              "--height", "200 mm", "--out", "o")  # fmt: skip
+    pressed = lab_of(tmp_path / "o", "stress_strain.toml")["tests"][0]
+    assert (pressed["force_low"], pressed["force_high"]) == ("800 N", "1600 N")
+    (both,) = load_lab(tmp_path / "o/stress_strain.toml").specimens()
+    assert [test.called for test in both.tests] == ["preparation", "unconfined"]
+
+
+def test_few_points_from_contact_on_start_at_contact(tmp_path):
+    rows = [(0, 0), (0.5, 18.4), (1, 41.7), (1.5, 66.2), (2, 85.9), (3, 103.1), (4, 102.2), (6, 70)]
+    lines = [f"{a:.1f};{b:.1f}".replace(".", ",") for a, b in rows]
+    path = written(tmp_path, "\n".join(["Axial strain (%);Stress (kPa)", *lines]))
+    texts = [finding.text for finding in only(path, size=TALL).findings]
+    assert "the record starts at contact" in texts
+    assert not any("starts under a load" in text for text in texts)
 
 
 def test_trumao_strengths(calibrate, tmp_path):
@@ -355,8 +392,9 @@ def test_trumao_strengths(calibrate, tmp_path):
         "convert", TRUMAO / "UCT.csv", "--diameter", "50 mm", "--out", "o"
     )
     assert (status, error) == (0, "")
-    (test,) = lab_of(tmp_path / "o", "uct.toml")["tests"]
-    assert test["type"] == "unconfined"
+    pressed, test = lab_of(tmp_path / "o", "uct.toml")["tests"]
+    assert [each["type"] for each in (pressed, test)] == ["confined", "unconfined"]
+    assert (pressed["name"], pressed["force_high"]) == ("preparation", "400 N")
     assert test["targets"]["crushing_force_n"] == {
         "mean": "142.7 N",
         "scatter": "33.1 N",

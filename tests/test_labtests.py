@@ -234,6 +234,42 @@ def test_tests_without_anything_measured_are_refused(folder):
     assert "nothing measured" in str(refusal(folder, HEAD + '[[tests]]\ntype = "confined"\n'))
 
 
+# ---- the tests of a library of runs -----------------------------------------------------------
+
+PAIR = '[[tests]]\ntype = "confined"\n[tests.targets]\n'
+PAIR += 'depression_depth = { mean = "3 mm", scatter = "0.2 mm", repeats = 4 }\n'
+PAIR += '[[tests]]\ntype = "unconfined"\n'
+UNFIT = {
+    "another type": ("unconfined", "relaxation", "tests[1]", "'relaxation', number 2, is of type"),
+    "one more": ('"unconfined"\n', '"unconfined"\n[[tests]]\ntype = "relaxation"\n',
+                 "tests[2]", "'relaxation' comes after"),
+    "one less": ('[[tests]]\ntype = "unconfined"\n', "", "tests", "no test here is unconfined"),
+    "a name": ('"unconfined"\n', '"unconfined"\nname = "b"\n', "tests[1]", "'b': leave out name"),
+    "a protocol": ('"unconfined"\n', '"unconfined"\nprotocol = [{ step = "load", to = "9 N" }]\n',
+                   "tests[1]", "a protocol of its own"),
+    "a specimen": ('"unconfined"\n',
+                   '"unconfined"\nspecimen = { diameter = "5 cm", height = "8 cm" }\n',
+                   "tests[1]", "a specimen of its own"),
+}  # fmt: skip
+
+
+def test_a_library_of_runs_takes_a_machine_beside_its_pair(folder):
+    machine = '[[tests]]\ntype = "machine"\n'
+    (folder / "lab.toml").write_text(HEAD + machine + PAIR)
+    assert load_lab(folder / "lab.toml").pair().compression.force_high == 400.0
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_what_a_library_does_not_hold_is_named_with_file_and_test(folder, name):
+    old, new, field, words = UNFIT[name]
+    (folder / "lab.toml").write_text(HEAD + PAIR.replace(old, new, 1))
+    with pytest.raises(InputError, match="a library of runs holds confined and then") as caught:
+        load_lab(folder / "lab.toml").pair()
+    assert (caught.value.file, caught.value.field) == (str(folder / "lab.toml"), field)
+    assert words in str(caught.value) and "give a lab file of these two" in caught.value.repair
+    assert len(str(caught.value).splitlines()) == 1
+
+
 PIECES = st.one_of(
     st.text(max_size=6),
     st.sampled_from(["nan", "-1 N", "[", "]]", "{}", "= ", "\n", "1e999 kPa", "[[tests]]", "0 %"]),

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, specimen
+from rich.console import Console
 from two_tests import pressed_lightly
 
 from calibrate.core.errors import CalibrationError, InputError
@@ -18,7 +19,7 @@ from calibrate.designs import designs
 from calibrate.designs.calibration import Designed, design
 from calibrate.designs.comparison import Enhanced, SlopePair, gradient
 from calibrate.designs.optimum import target
-from calibrate.designs.study import Bench, study, surfaces
+from calibrate.designs.study import Bench, stage_titles, study, surfaces
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.labtests.measured import Target
 from calibrate.reports import study as report
@@ -123,10 +124,34 @@ def test_levels_stay_within_the_bounds():
     assert factor.centre == pytest.approx(high)
 
 
-def test_a_lab_without_both_targets_is_refused():
+def test_a_lab_without_any_target_is_refused():
+    with pytest.raises(InputError, match=r"targets.*give one or more of depression_depth_mm"):
+        design(replace(LAB, targets={}), PRESETS["quick"], {}, 0, Formulas())
+
+
+def test_one_target_is_a_goal_of_both_surfaces_and_the_rest_are_responses(tmp_path):
+    """The depth, without a target, has effects, surfaces and slopes all the same."""
     lab = replace(LAB, targets={"crushing_force_n": TARGETS["crushing_force_n"]})
-    with pytest.raises(InputError, match=r"targets\.depression_depth"):
-        design(lab, PRESETS["quick"], {}, 0, Formulas())
+    found = design(lab, PRESETS["quick"], {}, 0, Rough())
+    titles = [experiment.title for experiment in found.study.experiments]
+    assert titles == ["screening", "force", "force, 3 factors", "refinement"]
+    assert set(found.study.screens) == set(TARGETS) and found.study.goals == ("crushing_force_n",)
+    assert abs(found.study.fitted[:, 1].mean() - 185.0) < 8.0
+    report.write(Session(lab, PRESETS["quick"], tmp_path, Silent()), found, None)
+    page = (tmp_path / report.PAGE).read_text(encoding="utf-8")
+    assert "Surface of depression depth" in page and "Force, 3 factors" in page
+    assert (tmp_path / "force, 3 factors.csv").exists()
+    report.show(found, Console(width=100))
+
+
+def test_stages_are_called_after_their_goals():
+    titles = {
+        ("depression_depth_mm", "crushing_force_n"): ("depth", "force"),
+        ("settlement_mm", "settlement_mm"): ("settlement", "settlement, 3 factors"),
+        ("low.crushing_force_n", "tall.crushing_force_n"): ("force, low", "force, tall"),
+    }
+    for goals, called in titles.items():
+        assert stage_titles(*goals) == called
 
 
 def test_everything_is_written(found, tmp_path):

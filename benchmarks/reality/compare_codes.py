@@ -28,6 +28,7 @@ from support.reality.soil import TENSILE_EXPONENT, Soil
 from support.reality.specimen import CRUSHING, LOADING, SPHERES
 
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.labtests.pair import KINDS
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -58,10 +59,8 @@ def _recorded(outcome) -> tuple[Record, Record]:
         raise RuntimeError("a run failed")
     quiet = Instrument(noise_force=0, noise_displacement=0)
     tests = []
-    for curve, speed in (
-        (outcome.curves["confined"], CONFINED_SPEED),
-        (outcome.curves["unconfined"], UNCONFINED_SPEED),
-    ):
+    for kind, speed in zip(KINDS, (CONFINED_SPEED, UNCONFINED_SPEED), strict=True):
+        curve = outcome.curves[kind]
         rows = np.asarray(curve.valid) > 0
         way, force = np.asarray(curve.displacement)[rows], np.asarray(curve.force)[rows]
         tests.append(record(way, force, speed, quiet, 0.0, np.random.default_rng(0)))
@@ -95,7 +94,7 @@ def plot(sets: dict[str, list[tuple[Record, Record]]], path: Path) -> None:
             for axis, test in zip(axes, pair, strict=True):
                 label = name if number == 0 else ""
                 axis.plot(test.displacement, test.force, label=label, **style)
-    for axis, name in zip(axes, ("confined", "unconfined"), strict=True):
+    for axis, name in zip(axes, KINDS, strict=True):
         axis.set(title=name, xlabel="displacement (mm)", ylabel="force (N)")
     axes[1].legend()
     figure.savefig(path, dpi=80)

@@ -20,10 +20,13 @@ from support.reality.specimen import CRUSHING, DENSITY, LOADING, MOULD_RADIUS
 
 from calibrate.io.lab import Lab, load_lab
 from calibrate.labtests.measured import Curve
+from calibrate.labtests.pair import KINDS
+
+PRESSED, CRUSHED = KINDS
 
 
 def depth(curve: Curve) -> float:
-    """H of one confined curve, mm."""
+    """H of one curve of pressing, mm."""
     rise = slice(0, int(np.argmax(curve.displacement_mm)) + 1)
     force = np.maximum.accumulate(curve.force_n[rise])
     low, high = np.interp([200.0, 395.0], force, curve.displacement_mm[rise])
@@ -32,8 +35,8 @@ def depth(curve: Curve) -> float:
 
 def of_case(lab: Lab) -> dict[str, float]:
     """H and F of one case, mean over specimens and coefficient of variation."""
-    depths = [depth(c) for c in lab.curves if c.test == "confined"]
-    forces = [float(c.force_n.max()) for c in lab.curves if c.test == "unconfined"]
+    depths = [depth(c) for c in lab.curves if c.test == PRESSED]
+    forces = [float(c.force_n.max()) for c in lab.curves if c.test == CRUSHED]
     row = {}
     for name, values in (("depth_mm", depths), ("crushing_n", forces)):
         row[name] = float(np.mean(values))
@@ -52,9 +55,9 @@ def plot(labs: list[Lab], path: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
     for lab in labs:
         for curve in lab.curves:
-            axis = axes[int(curve.test == "unconfined")]
+            axis = axes[KINDS.index(curve.test)]
             axis.plot(curve.displacement_mm, curve.force_n, "k", lw=0.3, alpha=0.5)
-    for axis, name in zip(axes, ("confined", "unconfined"), strict=True):
+    for axis, name in zip(axes, KINDS, strict=True):
         axis.set(title=name, xlabel="displacement (mm)", ylabel="force (N)")
     figure.savefig(path, dpi=80)
 
@@ -74,12 +77,12 @@ def main() -> None:
         "cases": len(labs),
         "height_m": height,
         "faster_than_laboratory": {
-            "confined": LOADING / CONFINED_SPEED, "unconfined": CRUSHING / UNCONFINED_SPEED
+            PRESSED: LOADING / CONFINED_SPEED, CRUSHED: CRUSHING / UNCONFINED_SPEED
         },
         "inertial_number": {
-            "confined at 200 N": inertial_number(LOADING, height, 200.0),
-            "confined at 400 N": inertial_number(LOADING, height, 400.0),
-            "unconfined at the median peak": inertial_number(CRUSHING, height, force),
+            f"{PRESSED} at 200 N": inertial_number(LOADING, height, 200.0),
+            f"{PRESSED} at 400 N": inertial_number(LOADING, height, 400.0),
+            f"{CRUSHED} at the median peak": inertial_number(CRUSHING, height, force),
         },
         "quantiles": middle,
     }  # fmt: skip

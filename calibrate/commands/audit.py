@@ -45,7 +45,7 @@ def audit_command(
 ) -> None:
     """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
     from calibrate.core.files import check_writable
-    from calibrate.inference.audit import audit
+    from calibrate.inference.audit import audit, traces
     from calibrate.inference.parameters import FACTORS, space
     from calibrate.io.soil import base_soil, with_values
     from calibrate.reports.results import write_audit
@@ -59,7 +59,8 @@ def audit_command(
     base = with_values(base_soil(session.lab), values)
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
-    found = audit(audited, session.campaign_of_one(out, None), seeds, names)
+    campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
+    found = audit(audited, campaign(out, None), seeds, names)
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     write_audit(session, found, settings, json)
 

@@ -54,6 +54,7 @@ def diagnose_command(
     check_writable(json)
     source = library or bundled_library()
     session = Session.open(lab, "quick", out)
+    session.lab.pair()  # refuses other tests than those of a library
     simulated = load(source)
     say = for_terminal().say
     say(f"library of {len(simulated.values)} runs: preparing its emulator")

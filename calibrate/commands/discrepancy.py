@@ -31,7 +31,10 @@ def discrepancy_command(
     if len(labs) < fewest:
         problem, repair = f"{len(labs)} lab files are too few", f"give {fewest} or more"
         raise InputError(COMMAND_LINE, "LAB.toml", problem, repair)
+    references = [load_lab(path) for path in labs]
+    for reference in references:
+        reference.pair()  # refuses other tests than those of a library
     emulated = EmulatedLibrary.of(store.load(library or store.bundled_library()))
-    found = model_discrepancy.estimate([load_lab(path) for path in labs], emulated, seed)
+    found = model_discrepancy.estimate(references, emulated, seed)
     model_discrepancy.save(found, out, f"{len(labs)} reference labs")
     print(f"model discrepancy of {len(labs)} reference labs in {out}")

@@ -39,7 +39,7 @@ def doe_command(
     from calibrate.simulation.session import Session
 
     check_writable(json)
-    session = Session.open(lab, preset, out, dask)
+    session = Session.open(lab, preset, out, dask).on_soil()
     values = parse_changes(changes or [])
     work = session.campaign(out, None)
     done = design(session.lab, session.preset, values, seed, work)

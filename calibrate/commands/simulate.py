@@ -1,4 +1,4 @@
-"""`calibrate simulate`: both virtual tests on several packings."""
+"""`calibrate simulate`: a lab's virtual tests on several packings."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def simulate_command(
     dask: Dask = None,
     json: Json = None,
 ) -> None:
-    """Run both virtual tests on several packings: curves, observables, scatter."""
+    """Run the lab's virtual tests on several packings: curves, observables, scatter."""
     from calibrate.core.files import check_writable
     from calibrate.reports.results import write_simulation
     from calibrate.simulation import specimens

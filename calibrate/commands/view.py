@@ -1,4 +1,4 @@
-"""`calibrate view`: one specimen through both tests, as pictures and as files for ParaView."""
+"""`calibrate view`: one specimen through its tests, as pictures and as files for ParaView."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,6 +1,6 @@
 """Calibration by designed experiments: `calibrate doe`, from a lab file to a comparison.
 
-lab file -> packings -> screening -> depth -> force -> refinement -> fresh packings
+lab file -> packings -> screening -> surfaces -> refinement -> fresh packings
                     \\-> gradients at the same centres, gradient fit -> comparison
 """
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from calibrate.core.errors import InputError
 from calibrate.designs.comparison import Comparison, compare
-from calibrate.designs.study import OBSERVABLES, Bench, Study, study
+from calibrate.designs.study import Bench, Study, study
 from calibrate.inference.calibration import CANDIDATES
 from calibrate.inference.parameters import space
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.composite import names_of
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import Seeds
@@ -35,6 +36,7 @@ def design(
 
     Verified on all packings from which the fit takes its scatter and that no design has seen.
     """
+    lab = lab.on_soil()
     _check_targets(lab)
     seeds = Seeds.of(seed, preset.packings)
     fresh = tuple(number for number in seeds.scatter if number not in seeds.fitted)
@@ -47,9 +49,8 @@ def design(
 
 
 def _check_targets(lab: Lab) -> None:
-    for name in OBSERVABLES:
-        if name not in lab.targets:
-            field = "targets." + name.rpartition("_")[0]
-            raise InputError(
-                lab.file, field, "missing: designs are calibrated to both targets", "add it"
-            )
+    """Refuses a lab without any scalar target: curves alone are no response of a surface."""
+    if not lab.targets:
+        known = ", ".join(name for name, _ in names_of(lab.tests).values())
+        problem = "no scalar target, and designs are calibrated to targets, not to curves"
+        raise InputError(lab.file, "targets", problem, f"give one or more of {known}, or fit")

@@ -19,8 +19,6 @@ from scipy import stats
 from calibrate.core.errors import BadValue
 from calibrate.designs.gradients import fit_with_gradients
 from calibrate.designs.study import (
-    FORCE,
-    OBSERVABLES,
     SIGNIFICANT,
     Bench,
     Experiment,
@@ -82,7 +80,7 @@ class SlopePair:
 
 @dataclass(frozen=True, eq=False)
 class Ending:
-    """Where a method ended: parameters, both observables (packings, 2), what it cost."""
+    """Where a method ended: parameters, all observables (packings, observables), what it cost."""
 
     method: str
     values: dict[str, float]
@@ -121,23 +119,23 @@ def compare(lab: Lab, bench: Bench, done: Study, fresh: Sequence[int], scatter) 
     `scatter` are the packings from which the fit takes one packing's scatter.
     """
     at_base = gradient(bench, bench.soil({}), "gradient at the base soil")
-    held = done.force.experiment.held
-    at_force = gradient(bench, bench.soil(held), "gradient at the centre of the force design")
+    held = done.second.experiment.held
+    at_second = gradient(bench, bench.soil(held), "gradient at the centre of the second design")
     slopes = [
         *_screened(bench, done, at_base),
-        *_surfaced(bench, done.depth, at_base),
-        *_surfaced(bench, done.force, at_force),
+        *_surfaced(bench, done.first, at_base),
+        *_surfaced(bench, done.second, at_second),
     ]
     return Comparison(
         slopes=tuple(slopes),
         endings=(_designed(bench, done), fitted(lab, bench, done, fresh, scatter)),
-        enhanced=tuple(enhanced(bench, done.force.experiment, at_force)),
+        enhanced=tuple(enhanced(bench, done.second.experiment, done.goals[-1], at_second)),
         gradient_runs=strategy(bench.space).runs(len(bench.space.names), len(bench.seeds)),
     )
 
 
 def gradient(bench: Bench, soil: SoilParameters, what: str) -> Sensitivity:
-    """Slopes (2 + curves, p) of the observables at a soil, on the packings of the designs."""
+    """Slopes (observables + curves, p) at a soil, on the packings of the designs."""
     there = Space(bench.space.names, bench.space.ranges, soil)
     points = CurvePoints.of(bench.work)
     response = simulated_response(there, bench.work, bench.seeds, points)(what)
@@ -152,7 +150,7 @@ def strategy(space: Space) -> Ensemble:
 
 def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
     pairs, freedom = [], _freedom(bench)
-    for m, observable in enumerate(OBSERVABLES):
+    for m, observable in enumerate(bench.observables):
         for p, factor in enumerate(done.screening.design.factors):
             effect = done.screens[observable][factor.name]
             span = 2 * factor.half_range
@@ -175,7 +173,7 @@ def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
 
 def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
     pairs, freedom = [], _freedom(bench)
-    for m, observable in enumerate(OBSERVABLES):
+    for m, observable in enumerate(bench.observables):
         surface = stage.whole[observable]
         slopes = surface.slopes(np.zeros(surface.X.shape[1]))
         for j, factor in enumerate(stage.experiment.design.factors):
@@ -238,32 +236,34 @@ def fitted(
     return Ending(
         method="gradient fit",
         values=dict(zip(free, walk.best.values.tolist(), strict=True)),
-        fitted=_pairs(bench, soil, bench.seeds),
-        fresh=_pairs(bench, soil, fresh),
+        fitted=_ended(bench, soil, bench.seeds),
+        fresh=_ended(bench, soil, fresh),
         simulations=round(reached["forward_runs"] * len(bench.seeds)),
         stopped=walk.stopped,
     )
 
 
-def _pairs(bench: Bench, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
-    return verified(bench.work, soil, seeds, "the gradient fit's end")
+def _ended(bench: Bench, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
+    return verified(bench, soil, seeds, "the gradient fit's end")
 
 
-def enhanced(bench: Bench, experiment: Experiment, found: Sensitivity) -> list[Enhanced]:
-    """Crushing-force surfaces from fewer points, with and without the gradient at the centre.
+def enhanced(
+    bench: Bench, experiment: Experiment, observable: str, found: Sensitivity
+) -> list[Enhanced]:
+    """Surfaces of one response from fewer points, with and without the gradient at the centre.
 
     Random subsets that hold the centre; weights from the replicates' scatter and the
     gradient's standard errors.
     """
-    X, y = experiment.design.coded, experiment.means(FORCE)
+    X, y = experiment.design.coded, experiment.means(observable)
     factors = experiment.design.factors
     columns = [bench.space.names.index(factor.name) for factor in factors]
     half = np.array([factor.half_range for factor in factors])
-    m = OBSERVABLES.index(FORCE)
+    m = bench.observables.index(observable)
     slope, error = (
         np.asarray(part)[m, columns] * half for part in (found.slopes, found.standard_error)
     )
-    sd = _value_sd(experiment), error.tolist()
+    sd = _value_sd(experiment.of(observable)), error.tolist()
     rng = np.random.default_rng(0)
     centre = int(np.flatnonzero(experiment.design.centre)[0])
     return [
@@ -271,9 +271,9 @@ def enhanced(bench: Bench, experiment: Experiment, found: Sensitivity) -> list[E
     ]
 
 
-def _value_sd(experiment: Experiment) -> float:
-    """Standard error of a point's mean over packings, levels of the packings apart."""
-    values = experiment.responses[:, :, OBSERVABLES.index(FORCE)]
+def _value_sd(values: np.ndarray) -> float:
+    """Standard error of a point's mean over packings, of values (points, packings), levels of the
+    packings apart."""
     rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
     df = (values.shape[0] - 1) * (values.shape[1] - 1)
     return float(np.sqrt(np.sum(rest**2) / df / values.shape[1]))

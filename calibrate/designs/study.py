@@ -1,23 +1,26 @@
-"""The paper's sequence of designed experiments, on our simulator.
+"""The paper's sequence of designed experiments, on our simulator and any lab's observables.
 
-    screening     Plackett-Burman, all factors       which factors matter to depth and to force
-    depth         central composite, two factors     quadratic surface, optimum
-    force         Box-Behnken, three factors         quadratic surfaces, optimum of both responses
+    screening     Plackett-Burman, all factors       which factors matter to each response
+    depth         central composite, two factors     quadratic surface, optimum of the first goal
+    force         Box-Behnken, three factors         quadratic surfaces, optimum of all goals
     refinement    one factor at seven levels         the optimum moved along that factor
     verification  the optimum on fresh packings
 
 after Chen et al. 2023, Sustainability 15, 15079, whose factors these are, and the shear modulus
-of the particles, which the paper does not give.  Every point is run on the same packings.  They
+of the particles, which the paper does not give.  Responses are all observables that the tests
+give; goals are those with a target, and the two surfaces are called after the first and the last
+of them, in the paper depth and force.  Every point is run on the same packings.  They
 are the replicates: what differs between packings at one point, beyond a packing's own level, is
 the pure error.  That level (one number for each packing and response) is taken out first; the
 degrees of freedom that it uses, one less than there are packings, are not subtracted.
 
 Rule of selection: factors are ranked by their contribution to a response.  The first two that
-matter to depth enter the central composite design, the first three that matter to force the
-Box-Behnken design, whether or not their p is below 0.05; the report says which are not.
+matter to the first goal enter the central composite design, the first three that matter to the
+last goal the Box-Behnken design, whether or not their p is below 0.05; the report says which are
+not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,17 +34,18 @@ from calibrate.designs.screening import Screening, screen
 from calibrate.designs.selection import select_backward
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import cubic, quadratic
+from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, probing_steps
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.io.soil import with_values
+from calibrate.labtests.composite import described
 from calibrate.labtests.measured import Target
 from calibrate.simulation import Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.materials.soil import SoilParameters
 
-DEPTH, FORCE = OBSERVABLES = ("depression_depth_mm", "crushing_force_n")
 SCREENED, SURFACED = 2.0, 1.5  # half-ranges of designs, in probing steps
-DEPTH_FACTORS, FORCE_FACTORS = 2, 3
+FEW_FACTORS, MORE_FACTORS = 2, 3  # of the first and of the second surface
 LEVELS = 7  # of the refinement
 SIGNIFICANT = 0.05
 TOLERATED = 3.0  # scatters of a repeat off the target at which nothing is desirable
@@ -49,7 +53,7 @@ TOLERATED = 3.0  # scatters of a repeat off the target at which nothing is desir
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A design that was run: responses (points, packings, 2), in mm and N.
+    """A design that was run: responses (points, packings, observables), in mm and N.
 
     `held` are the natural values of parameters that differ from the base soil's and do not vary.
     """
@@ -58,6 +62,7 @@ class Experiment:
     design: Design
     responses: np.ndarray
     held: dict[str, float]
+    observables: tuple[str, ...]
 
     @property
     def packings(self) -> int:
@@ -74,13 +79,17 @@ class Experiment:
     def replicated(self) -> Design:
         return self.design.replicated(self.packings)
 
+    def of(self, observable: str) -> np.ndarray:
+        """One response (points, packings)."""
+        return self.responses[:, :, self.observables.index(observable)]
+
     def means(self, observable: str) -> np.ndarray:
         """Means (points,) over the packings."""
-        return self.responses[:, :, OBSERVABLES.index(observable)].mean(axis=1)
+        return self.of(observable).mean(axis=1)
 
     def blocked(self, observable: str) -> np.ndarray:
         """Responses (packings x points,) with each packing's level moved to the common one."""
-        values = self.responses[:, :, OBSERVABLES.index(observable)]
+        values = self.of(observable)
         return (values - values.mean(axis=0) + values.mean()).T.ravel()
 
 
@@ -91,6 +100,11 @@ class Bench:
     space: Space
     work: AbstractCampaign
     seeds: Sequence[int]
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """The responses: all observables of the tests, by their names in results."""
+        return CurvePoints.of(self.work).observables
 
     def factors(self, names: Sequence[str], reach: float, held: dict[str, float]) -> tuple:
         """Factors on logarithmic scales around their present values.
@@ -117,8 +131,8 @@ class Bench:
             for run in row:
                 if run.failure:
                     raise CalibrationError(f"{title}, point {number + 1}: {run.failure}")
-        responses = np.array([[_observed(run) for run in row] for row in runs])
-        return Experiment(title, design, responses, dict(held))
+        responses = np.array([[_observed(run, self.observables) for run in row] for row in runs])
+        return Experiment(title, design, responses, dict(held), self.observables)
 
     def soil(self, values: dict[str, float]) -> SoilParameters:
         """The base soil with these natural values."""
@@ -129,8 +143,8 @@ _STAR = 1.5  # star points of two factors lie at 1.41
 _LEAST = 0.02  # half-range of a factor that starts at its bound
 
 
-def _observed(run: Run) -> list[float]:
-    return [run.observables[name] for name in OBSERVABLES]
+def _observed(run: Run, names: Sequence[str]) -> list[float]:
+    return [run.observables[name] for name in names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,17 +175,27 @@ class Study:
 
     screening: Experiment
     screens: dict[str, Screening]
-    depth: Surfaces
-    force: Surfaces
+    first: Surfaces
+    second: Surfaces
     refinement: Surfaces
+    goals: tuple[str, ...]  #: observables with a target
     values: dict[str, float]
-    fitted: np.ndarray  #: (packings, 2) at `values`
-    fresh: np.ndarray  #: (fresh packings, 2)
+    fitted: np.ndarray  #: (packings, observables) at `values`
+    fresh: np.ndarray  #: (fresh packings, observables)
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """The responses, in the order of their numbers."""
+        return self.screening.observables
+
+    @property
+    def stages(self) -> tuple[Surfaces, ...]:
+        """The surfaces in the order in which they were fitted."""
+        return (self.first, self.second, self.refinement)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        stages = (self.depth, self.force, self.refinement)
-        return (self.screening, *(stage.experiment for stage in stages))
+        return (self.screening, *(stage.experiment for stage in self.stages))
 
     @property
     def simulations(self) -> int:
@@ -179,27 +203,29 @@ class Study:
         return sum(experiment.simulations for experiment in self.experiments)
 
 
-def study(bench: Bench, targets: dict[str, Target], fresh: Sequence[int]) -> Study:
-    """Runs the sequence towards both targets; resumes from what the campaign holds."""
-    goals = {name: _goal(targets[name]) for name in OBSERVABLES}
+def study(bench: Bench, targets: Mapping[str, Target], fresh: Sequence[int]) -> Study:
+    """Runs the sequence towards all targets, at least one; resumes from what the campaign holds."""
+    goals = {name: _goal(targets[name]) for name in bench.observables if name in targets}
+    first, *_, last = [next(iter(goals)), *goals]
     factors = bench.factors(bench.space.names, SCREENED, {})
     screening = bench.run("screening", designs.plackett_burman(factors, centre=1), {})
     screens = {
-        name: screen(screening.replicated(), screening.blocked(name)) for name in OBSERVABLES
+        name: screen(screening.replicated(), screening.blocked(name)) for name in bench.observables
     }
-    by_depth, by_force = (ranked(screens[name]) for name in OBSERVABLES)
+    by_first, by_last = (ranked(screens[name]) for name in (first, last))
+    called = stage_titles(first, last)
 
-    chosen = bench.factors(by_depth[:DEPTH_FACTORS], SURFACED, {})
+    chosen = bench.factors(by_first[:FEW_FACTORS], SURFACED, {})
     composite = designs.central_composite(chosen, centre=1)
-    depth = surfaces(bench.run("depth", composite, {}), {DEPTH: goals[DEPTH]})
-    values = depth.best()
+    few = surfaces(bench.run(called[0], composite, {}), {first: goals[first]})
+    values = few.best()
 
-    chosen = bench.factors(by_force[:FORCE_FACTORS], SURFACED, values)
+    chosen = bench.factors(by_last[:MORE_FACTORS], SURFACED, values)
     behnken = designs.box_behnken(chosen, centre=1)
-    force = surfaces(bench.run("force", behnken, _others(values, chosen)), goals)
-    values |= force.best()
+    more = surfaces(bench.run(called[1], behnken, _others(values, chosen)), goals)
+    values |= more.best()
 
-    rest = [name for name in by_depth if name not in by_force[:FORCE_FACTORS]]
+    rest = [name for name in by_first if name not in by_last[:MORE_FACTORS]]
     refined = bench.factors(rest[:1], SURFACED, values)
     sweep = designs.sweep(refined[0], LEVELS)
     refinement = surfaces(bench.run("refinement", sweep, _others(values, refined)), goals, cubic)
@@ -207,13 +233,28 @@ def study(bench: Bench, targets: dict[str, Target], fresh: Sequence[int]) -> Stu
     return Study(
         screening=screening,
         screens=screens,
-        depth=depth,
-        force=force,
+        first=few,
+        second=more,
         refinement=refinement,
+        goals=tuple(goals),
         values=values,
-        fitted=verified(bench.work, bench.soil(values), bench.seeds, "optimum"),
-        fresh=verified(bench.work, bench.soil(values), fresh, "optimum on fresh packings"),
+        fitted=verified(bench, bench.soil(values), bench.seeds, "optimum"),
+        fresh=verified(bench, bench.soil(values), fresh, "optimum on fresh packings"),
     )
+
+
+def stage_titles(first: str, last: str) -> tuple[str, str]:
+    """What the two surfaces are called: after their goals, apart where these are one."""
+    one, other = _title(first), _title(last)
+    return one, other if other != one else f"{one}, {MORE_FACTORS} factors"
+
+
+def _title(name: str) -> str:
+    """The last word of a label of two, depth and force in the paper; else the whole label."""
+    test, _, plain = name.rpartition(".")
+    words = described(plain).label.split()
+    title = words[-1] if len(words) == 2 else " ".join(words)
+    return f"{title}, {test}" if test else title
 
 
 def ranked(found: Screening) -> list[str]:
@@ -222,7 +263,7 @@ def ranked(found: Screening) -> list[str]:
 
 
 def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) -> Surfaces:
-    """Surfaces of both responses over the design, and the optimum of those that have a goal.
+    """Surfaces of all responses over the design, and the optimum of those that have a goal.
 
     The optimum is looked for within the points of the design (their largest radius).
     """
@@ -230,7 +271,7 @@ def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) ->
     polynomial = terms(len(design.factors))
     whole = {
         name: fit_surface(points, experiment.blocked(name), polynomial, design.names)
-        for name in OBSERVABLES
+        for name in experiment.observables
     }
     reduced = {name: select_backward(surface)[0] for name, surface in whole.items()}
     edge = float(np.abs(design.coded).max())
@@ -244,12 +285,11 @@ def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) ->
     return Surfaces(experiment, whole, reduced, best)
 
 
-def verified(
-    work: AbstractCampaign, soil: SoilParameters, seeds: Sequence[int], what: str
-) -> np.ndarray:
-    """Both observables (packings, 2) of a soil; NaN where a run failed."""
-    runs = work.runs([soil], seeds, what)[0]
-    return np.array([[np.nan, np.nan] if run.failure else _observed(run) for run in runs])
+def verified(bench: Bench, soil: SoilParameters, seeds: Sequence[int], what: str) -> np.ndarray:
+    """All observables (packings, observables) of a soil; NaN where a run failed."""
+    runs, names = bench.work.runs([soil], seeds, what)[0], bench.observables
+    unknown = [np.nan] * len(names)
+    return np.array([unknown if run.failure else _observed(run, names) for run in runs])
 
 
 def _goal(measured: Target) -> Goal:

@@ -9,12 +9,8 @@ from calibrate.designs.comparison import Ending, SlopePair
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, above, pretty
 from calibrate.records.base import Target
 
-LABELS = {
-    "depression_depth_mm": "depression depth (mm)",
-    "crushing_force_n": "crushing force (N)",
-}
 NAMED = 0.15  # of the largest slope: smaller ones lie too close together to be named
-MARKERS = {"screening": "s", "depth": "D", "force": "o"}
+MARKERS = "sDo"  # of designs, in the order in which they appear
 
 
 def slopes(axis: Axes, pairs: Sequence[SlopePair], label: str) -> None:
@@ -22,7 +18,9 @@ def slopes(axis: Axes, pairs: Sequence[SlopePair], label: str) -> None:
 
     Filled: matters at 5 %.  Where the joint intervals disagree a point is orange and crossed.
     """
-    drawn, named = set(), set()
+    named: set[str] = set()
+    order = list(dict.fromkeys(pair.design for pair in pairs))
+    drawn: set[str] = set()
     largest = max(abs(pair.gradient) for pair in pairs)
     for pair in pairs:
         axis.errorbar(
@@ -30,7 +28,7 @@ def slopes(axis: Axes, pairs: Sequence[SlopePair], label: str) -> None:
             pair.surface,
             xerr=1.96 * pair.gradient_se,
             yerr=1.96 * pair.surface_se,
-            fmt=MARKERS.get(pair.design, "o"),
+            fmt=MARKERS[order.index(pair.design) % len(MARKERS)],
             color=DARK if pair.agree else MIDDLE,
             mfc=None if pair.matters else "white",
             lw=0.8,

@@ -14,6 +14,7 @@ wrong one.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -111,7 +112,14 @@ def strategies(space: Space) -> dict[str, AbstractStrategy]:
     }
 
 
-def audit(space: Space, work: Campaign, seeds: Sequence[int], names: Sequence[str]) -> Audit:
+def traces(names: Sequence[str]) -> bool:
+    """Whether one of the strategies differentiates the run itself, which takes one `Campaign`."""
+    return any(name not in SIMULATED for name in names)
+
+
+def audit(
+    space: Space, work: AbstractCampaign, seeds: Sequence[int], names: Sequence[str]
+) -> Audit:
     """Reference and estimates at the space's base soil, on the packings `seeds`."""
     point, count = jnp.log(jnp.asarray(space.start())), len(seeds)
     points = CurvePoints.of(work)
@@ -127,7 +135,7 @@ def audit(space: Space, work: Campaign, seeds: Sequence[int], names: Sequence[st
     for name in BLENDS.values():
         if name in needed:
             work.progress.say(f"{name}: one pass with all tangents on every packing")
-            estimates[name] = traced_slopes(name, space, work, seeds, points)
+            estimates[name] = traced_slopes(name, space, cast(Campaign, work), seeds, points)
     for name, precise in BLENDS.items():
         if name in names:
             rows = len(estimates[precise].slopes)

@@ -356,6 +356,7 @@ def packing_scatter(
     finished = runs(seeds)
     failures = [run.failure for run in finished if run.failure]
     if len(failures) > len(finished) // 2:
-        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}")
+        repair = "start from another, by [parameters] of the lab file or --set"
+        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}; {repair}")
     features = problem.simulated([run for run in finished if not run.failure])
     return shrunk_covariance(features / features.mean(axis=0))

@@ -61,9 +61,13 @@ Row = tuple[AbstractFeature, float, float, int]  # feature, mean, variance of a 
 
 
 def pose(lab: Lab) -> Problem:
-    """The problem that a lab file states: its targets and its curves."""
-    targets = [_target(lab, name) for name in lab.targets]
-    rows = targets + [row for test in lab.tests for row in _of_curves(lab, test)]
+    """The problem that a lab file states: its targets and its curves, of tests with soil.
+
+    What a machine does without soil has no slope in any parameter, and no packing scatters it.
+    """
+    lab = lab.on_soil()
+    rows = [_target(lab, name) for name in lab.targets]
+    rows += [row for test in lab.tests for row in _of_curves(lab, test)]
     return Problem(
         features=tuple(row[0] for row in rows),
         measured=np.array([row[1] for row in rows]),

@@ -11,6 +11,11 @@ from calibrate.instrument_import.convert import Export, file_stem
 from calibrate.instrument_import.specimens import DIAMETER, HEIGHT, Specimen
 from calibrate.instrument_import.strengths import Strengths
 from calibrate.labtests.features import SEATING
+from jdem.materials.soil import SoilParameters
+
+FORCE_LOW, FORCE_HIGH = 200.0, 400.0  # N; of the depression depth, as in the bundled soil
+STIFFNESS = 10.0  # shear modulus of particles over the largest stress that a bed has to bear
+STIFFEST = 5e7  # Pa; half of what a fit may reach
 
 
 def curve_files(export: Export) -> dict[str, Specimen]:
@@ -73,6 +78,20 @@ def add_specimen(document: TOMLDocument, export: Export) -> None:
             item.comment("mean: the specimens differ")
         table[name] = item
     document["specimen"] = table
+
+
+def add_start(document: TOMLDocument, export: Export) -> None:
+    """[parameters]: a shear modulus to start from, where the usual one would not bear the load."""
+    areas = [np.pi / 4 * (s.diameter or DIAMETER) ** 2 for s in fitted(export)]
+    stresses = [s.force_n.max() / area for s, area in zip(fitted(export), areas, strict=True)]
+    wanted = min(STIFFNESS * max(stresses, default=0.0), STIFFEST)
+    if wanted > float(SoilParameters().shear_modulus):
+        table = tomlkit.table()
+        table["shear_modulus"] = f"{1e-6 * wanted:.3g} MPa"
+        table["shear_modulus"].comment(
+            f"ASSUMED: a start that bears {1e-3 * max(stresses):.4g} kPa"
+        )  # pyright: ignore[reportAttributeAccessIssue]
+        document["parameters"] = table
 
 
 def _sized(export: Export) -> list[Specimen | Strengths]:

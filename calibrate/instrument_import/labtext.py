@@ -12,6 +12,8 @@ from tomlkit import TOMLDocument
 from calibrate.instrument_import import testtext
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.labparts import (
+    FORCE_HIGH,
+    FORCE_LOW,
     add_head,
     add_soil,
     add_specimen,
@@ -26,7 +28,6 @@ from calibrate.instrument_import.strengths import Strengths
 from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS
 from calibrate.labtests.features import displacement_up
 
-FORCE_LOW, FORCE_HIGH = 200.0, 400.0  # N; of the depression depth, as in the bundled soil
 STRENGTHS_FILE = "strengths.csv"
 REACHED = 0.98  # of force_high is what `calibrate fit` asks of a curve
 

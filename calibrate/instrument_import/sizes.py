@@ -19,6 +19,7 @@ from calibrate.instrument_import.vocabulary import STRESS as STRESSES
 from calibrate.instrument_import.vocabulary import VOID_RATIO as VOID_RATIOS
 
 FIRST = "first"  # e0 is the void ratio of a specimen's first load step
+DRAINAGE = "its course in time is drainage of pore water, which the model does not have"
 ASSUMPTION = "engineering strain, and stress on the initial area, are assumed"
 _OPTIONS = {
     "diameter": '--diameter "50 mm"',
@@ -98,6 +99,8 @@ def converted(load: Column, travel: Column, stated: Stated, size: Size, place: i
         known = stated.quantities
         sizes = (known.get("diameter"), known.get("height"), None)
         return Converted(load.values, travel.values, *sizes, ())
+    if travel.kind == CONSOLIDATION and size.settlements is None:
+        raise _only_drainage(travel)
     if not len(load.values):
         problem = f"{load.words} and {travel.words} hold no point in common"
         raise BadValue(problem, "export the whole record")
@@ -191,7 +194,7 @@ def _displacement(
     if travel.kind == CONSOLIDATION:
         whole = _settlement(travel, height, size, place)
         text = f"displacement is {travel.words} times the step's settlement, {1e3 * whole:.4g} mm"
-        return 1e3 * whole * travel.values, text
+        return 1e3 * whole * travel.values, f"{text}; a fit compares its end alone: {DRAINAGE}"
     if void_ratio is None:
         text = f"displacement is the strain of {travel.words} times {tall}"
         return 1e3 * height * travel.values, text
@@ -221,10 +224,15 @@ def _check_strain(travel: Column, strain: np.ndarray) -> None:
 def _settlement(travel: Column, height: float, size: Size, place: int) -> float:
     """The settlement (m) at the end of the step, given as a length or in per cent of height."""
     if size.settlements is None:
-        problem = f"{travel.words} is a degree of consolidation, which has no size"
-        repair = "give the whole settlement of each step in file order, such as"
-        raise BadValue(problem, f'{repair} --settlement "0.2 mm, 0.5 mm" or "1 %, 2.5 %"')
+        raise _only_drainage(travel)
     return settlement(_of_specimen(size.settlements, place), height)
+
+
+def _only_drainage(travel: Column) -> BadValue:
+    """Why a degree of consolidation alone says nothing that a fit could use."""
+    problem = f"{travel.words} is a degree of consolidation, which has no size, and {DRAINAGE}"
+    repair = "to fit the whole settlement of each step alone, give it in file order, such as"
+    return BadValue(problem, f'{repair} --settlement "0.2 mm, 0.5 mm" or "1 %, 2.5 %"')
 
 
 def settlement(text: str, height: float) -> float:

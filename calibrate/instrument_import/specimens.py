@@ -169,7 +169,7 @@ def _tell_start(recording: Recording, start: signals.Start, findings: list[Findi
     """What was found about contact and the zero of force."""
     peak = float(recording.force_n.max())
     travel = recording.displacement_mm
-    first = float(np.median(recording.force_n[:5]))
+    first = float(min(np.median(recording.force_n[:5]), recording.force_n[0]))
     ran = travel[start.row] - travel[0]
     if first > 0.02 * peak and not start.approach:
         text = f"the record starts under a load of {first:.3g} N: the first contact is missing"

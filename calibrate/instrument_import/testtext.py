@@ -9,17 +9,21 @@ from tomlkit.items import InlineTable, Table
 
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.labparts import (
+    FORCE_HIGH,
+    FORCE_LOW,
     add_head,
     add_soil,
     add_specimen,
+    add_start,
     column,
     curve_files,
     fitted,
     usable,
 )
-from calibrate.instrument_import.specimens import Specimen
+from calibrate.instrument_import.specimens import DIAMETER, Specimen
 from calibrate.instrument_import.steps import turning_rows
 from calibrate.instrument_import.strengths import Strengths
+from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS
 from calibrate.labtests.base import clean_name
 
 Course = tuple[str, ...]  # the loads at which the direction of loading turns: "1200 kPa"
@@ -36,10 +40,16 @@ def lab_text(export: Export) -> str:
     groups = _groups(export)
     for place, ((test, course), specimens) in enumerate(groups.items()):
         name = test if len(groups) == 1 else clean_name(f"{test} {specimens[0].label}")
-        tests.append(_test(export, name, test, course, specimens, place > 0))
+        own = _specimen(specimens, export) if place else None
+        if test == SOFTENS:
+            tests.append(_preparation(name, specimens[0].diameter, own))
+            own = None
+        tests.append(_test(export, name, test, course, specimens, own))
     if export.strengths:
+        tests.append(_preparation(export.strengths.test, export.strengths.diameter, None))
         tests.append(_crushing(export.strengths))
     document["tests"] = tests
+    add_start(document, export)
     return tomlkit.dumps(document)
 
 
@@ -63,14 +73,19 @@ def course_of(specimen: Specimen) -> Course:
 
 
 def _test(
-    export: Export, name: str, test: str, course: Course, specimens: list[Specimen], fresh: bool
+    export: Export,
+    name: str,
+    test: str,
+    course: Course,
+    specimens: list[Specimen],
+    own: InlineTable | None,
 ) -> Table:
-    """One [[tests]] table; `fresh` gives it specimens of its own."""
+    """One [[tests]] table; `own` is the specimen that it is made on, if a new one."""
     table = tomlkit.table()
     table["name"] = name
     table["type"] = test
-    if fresh:
-        table["specimen"] = _specimen(specimens, export)
+    if own is not None:
+        table["specimen"] = own
     if course:
         _add_protocol(table, course, specimens)
     else:
@@ -86,6 +101,21 @@ def _test(
             table.add(tomlkit.comment(f"{file} is not listed: {why}"))
     if curves:
         table["curves"] = curves
+    return table
+
+
+def _preparation(test: str, diameter: float | None, own: InlineTable | None) -> Table:
+    """The pressing in the mould before a crushing test; `own` as in `_test`."""
+    share = ((diameter or DIAMETER) / DIAMETER) ** 2
+    table = tomlkit.table()
+    table["name"] = "preparation" if test == SOFTENS else clean_name(f"preparation {test}")
+    table["type"] = STIFFENS
+    text = "ASSUMED: how hard the specimen was pressed before; a bed never pressed has no strength"
+    table.add(tomlkit.comment(text))
+    if own is not None:
+        table["specimen"] = own
+    table["force_low"] = f"{FORCE_LOW * share:.4g} N"
+    table["force_high"] = f"{FORCE_HIGH * share:.4g} N"
     return table
 
 

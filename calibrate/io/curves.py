@@ -89,10 +89,16 @@ class Table:
 def read_curve(
     table: CurveTable, test: str, cylinder: Cylinder, lab_path: Path, field: str
 ) -> Curve:
-    """One measured curve; `field` is where the lab file names it."""
+    """One measured curve; `field` is where the lab file names it.
+
+    Of load steps the last reading under each load counts: what happens in between is time.
+    """
     rows = _opened(table, lab_path, f"{field}.file", "curve")
     rows = rows.where(table.where, FEWEST_STEPS if table.points else FEWEST_POINTS)
     displacement, force = _displacement(table, rows, cylinder), _force(table, rows, cylinder)
+    if table.points:
+        ends = np.append(force[1:] != force[:-1], True)
+        displacement, force = displacement[ends], force[ends]
     for values in (displacement, force):
         values.flags.writeable = False
     return Curve(test, displacement, force, table.file, table.points)

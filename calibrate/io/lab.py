@@ -5,7 +5,7 @@ N.  Curve files are CSV and must lie in the folder of the lab file or below it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ class Lab:
     def specimens(self) -> list["TestedSpecimen"]:
         """The specimens in order, each with the tests that are made on it."""
         found: list[TestedSpecimen] = []
-        for test in self.tests:
+        for test in (each for each in self.tests if each.with_soil):
             if test.specimen is not None or not found:
                 own = test.specimen.cylinder() if test.specimen else self.specimen
                 found.append(TestedSpecimen(own, (test,)))
@@ -78,12 +78,32 @@ class Lab:
                 found[-1] = TestedSpecimen(found[-1].cylinder, (*found[-1].tests, test))
         return found
 
+    def without_soil(self) -> tuple[AbstractLabTest, ...]:
+        """The tests that are made on no specimen."""
+        return tuple(test for test in self.tests if not test.with_soil)
+
+    def on_soil(self) -> "Lab":
+        """The tests with soil alone, and what was measured in them; `InputError` without any."""
+        if not self.without_soil():
+            return self
+        kept = [test.called for test in self.tests if test.with_soil]
+        called = names_of(self.tests)
+        names = [name for (test, _), (name, _) in called.items() if test in kept]
+        targets = {name: target for name, target in self.targets.items() if name in names}
+        curves = tuple(curve for curve in self.curves if curve.test in kept)
+        if not (targets or curves):
+            problem = "nothing is measured on soil, only on the machine without it"
+            repair = "add a test of soil with a target or a curve"
+            raise InputError(self.file, "tests", problem, repair)
+        tests = tuple(test for test in self.tests if test.with_soil)
+        return replace(self, tests=tests, targets=targets, curves=curves)
+
     def pair(self) -> Pair:
-        """The two tests of the diagnosis; `InputError` where the lab has others."""
+        """The two tests of the diagnosis; `InputError` where the lab has others on soil."""
         try:
-            return pair_of(self.tests)
+            return pair_of([test for test in self.tests if test.with_soil])
         except BadValue as bad:
-            raise bad.at(self.file, "tests") from None
+            raise bad.at(self.file, "") from None
 
     def cylinder_of(self, test: str) -> Cylinder:
         """The specimen on which the test of this name is made."""

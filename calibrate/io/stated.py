@@ -1,7 +1,7 @@
 """The tests that a lab file states, with where each of their targets and curves stands in it.
 
-[[tests]]                              a list, each test with its targets and curves
-[confined] [targets] [[curves]] ...    plain tests in tables of their own names
+[[tests]]                          a list, each test with its targets and curves
+[NAME] [targets] [[curves]] ...    plain tests, each in a table called after its type
 """
 
 from dataclasses import dataclass

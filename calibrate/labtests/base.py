@@ -36,7 +36,7 @@ class Observable:
 
     `name` in results ends in its unit; `source` is its name in the apparatus and `scale` takes it
     from SI; an audit passes slopes `within` this share of the reference; `drawn`: a figure of the
-    curve shows it as a force.
+    curve shows it as a force; `symbol` stands for it in narrow tables.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Observable:
     scale: float
     within: float
     drawn: bool = False
+    symbol: str = ""
 
     @property
     def short(self) -> str:
@@ -88,7 +89,8 @@ class AbstractLabTest(AbstractTable):
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives; plain:
     its table may stand alone, called like the type, in a lab file without [[tests]]; words: what
-    machines call the test, in lower case without accents; shape: of a curve that says so itself.
+    machines call the test, in lower case without accents; shape: of a curve that says so itself;
+    with_soil: without it, the test takes no specimen, and no fit compares it.
     """
 
     type_name: ClassVar[str]
@@ -97,6 +99,7 @@ class AbstractLabTest(AbstractTable):
     plain: ClassVar[bool] = False
     words: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
+    with_soil: ClassVar[bool] = True
 
     type: Text | None = None
     name: Annotated[str, AfterValidator(_test_name)] | None = None

@@ -1,9 +1,11 @@
 """All types of laboratory tests, and what several tests of one lab are called in results."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.unconfined import UnconfinedTest
@@ -15,6 +17,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         UnconfinedTest,
         OedometerTest,
         RelaxationTest,
+        MachineTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
@@ -49,8 +52,10 @@ def described(name: str) -> Observable:
     known = BY_NAME.get(plain)
     if known is None:
         return Observable(name, name.replace("_", " "), "", plain, 1.0, within=0.25)
-    label = f"{known.label}, {test}" if test else known.label
-    return Observable(name, label, known.unit, known.source, known.scale, known.within, known.drawn)
+    if not test:
+        return known
+    symbol = f"{known.symbol or known.label}, {test}"
+    return replace(known, name=name, label=f"{known.label}, {test}", symbol=symbol)
 
 
 def label(name: str) -> str:

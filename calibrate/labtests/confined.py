@@ -22,7 +22,13 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.observables import DepressionDepth
 
 DEPTH = Observable(
-    "depression_depth_mm", "depression depth", "mm", "depression_depth", 1e3, within=0.15
+    "depression_depth_mm",
+    "depression depth",
+    "mm",
+    "depression_depth",
+    1e3,
+    within=0.15,
+    symbol="H",
 )
 LOADING = (0.125, 0.25, 0.5, 0.75, 1.0)  # of force_high, displacement read on loading
 UNLOADING = (0.5, 0.1)  # of force_high, displacement read on unloading

@@ -12,7 +12,9 @@ from calibrate.labtests.measured import Cylinder
 from jdem.apparatus.base import AbstractApparatus
 from jdem.observables import LargestDisplacement
 
-SETTLEMENT = Observable("settlement_mm", "settlement", "mm", "settlement", 1e3, within=0.15)
+SETTLEMENT = Observable(
+    "settlement_mm", "settlement", "mm", "settlement", 1e3, within=0.15, symbol="s"
+)
 
 
 class OedometerTest(AbstractLabTest):

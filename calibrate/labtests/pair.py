@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from calibrate.core.errors import BadValue
+from calibrate.core.errors import BadValue, shown
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.unconfined import UnconfinedTest
@@ -29,9 +29,32 @@ class Pair:
 
 
 def pair_of(tests: Sequence[AbstractLabTest]) -> Pair:
-    """Both tests of a lab; `BadValue` where it has others, or they follow their own protocols."""
-    called = tuple(test.called for test in tests)
-    if called != KINDS or any(test.protocol for test in tests) or tests[1].specimen is not None:
-        problem = f"the diagnosis knows {KINDS[0]} and then {KINDS[1]} compression of one specimen"
-        raise BadValue(problem, "give these two tests without protocols, in a file of their own")
+    """Both tests of a lab; `BadValue` names the first that a library of runs does not hold."""
+    for place, test in enumerate(tests):
+        misfit = _misfit(test, place)
+        if misfit:
+            problem = f"a library of runs holds {HELD}, but {misfit}"
+            raise BadValue(problem, REPAIR, f"tests[{place}]")
+    if len(tests) < len(KINDS):
+        problem = f"a library of runs holds {HELD}, but no test here is {KINDS[len(tests)]}"
+        raise BadValue(problem, REPAIR, "tests")
     return Pair(cast(ConfinedTest, tests[0]), cast(UnconfinedTest, tests[1]))
+
+
+HELD = f"{KINDS[0]} and then {KINDS[1]} compression of one specimen"
+REPAIR = "give a lab file of these two alone, the rest is for simulate, fit, audit and doe"
+
+
+def _misfit(test: AbstractLabTest, place: int) -> str:
+    """Why a library does not hold the test at this place of a lab; "" if it does."""
+    if place >= len(KINDS):
+        return f"test {shown(test.called)} comes after them"
+    if test.type_name != KINDS[place]:
+        return f"test {shown(test.called)}, number {place + 1}, is of type {test.type_name}"
+    if test.protocol:
+        return f"test {shown(test.called)} follows a protocol of its own"
+    if place and test.specimen is not None:
+        return f"test {shown(test.called)} is made on a specimen of its own"
+    if test.called != test.type_name:
+        return f"the test of type {test.type_name} is called {shown(test.called)}: leave out name"
+    return ""

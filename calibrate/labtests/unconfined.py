@@ -14,7 +14,14 @@ from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.observables import CrushingForce
 
 FORCE = Observable(
-    "crushing_force_n", "crushing force", "N", "crushing_force", 1.0, within=0.25, drawn=True
+    "crushing_force_n",
+    "crushing force",
+    "N",
+    "crushing_force",
+    1.0,
+    within=0.25,
+    drawn=True,
+    symbol="F",
 )
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
 STRAIN = 0.15  # to which a specimen is crushed

@@ -4,6 +4,9 @@ Effects and surfaces are fitted again from the designs and their responses, whic
 simulation.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from pydantic import model_validator as check
 
@@ -11,10 +14,14 @@ from calibrate.designs.comparison import Comparison, Ending, Enhanced, SlopePair
 from calibrate.designs.design import Design
 from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Screening, screen
-from calibrate.designs.study import DEPTH, OBSERVABLES, Experiment
+from calibrate.designs.study import Experiment
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import parse
 from calibrate.records.base import Measured, Number, Observable, Origin, Parameter, Record
+
+SCREENING = "screening"
+METHODS = 2  # that are compared: designs and gradients
+STAGES = 3  # two surfaces and the refinement
 
 
 class FactorRecord(Record):
@@ -39,11 +46,9 @@ class DesignRecord(Record):
 
     @check(mode="after")
     def _every_point_has_responses(self) -> "DesignRecord":
-        if set(self.responses) != set(OBSERVABLES):
-            raise ValueError("the responses of an observable are missing")
-        shapes = {np.array(self.responses[name]).shape for name in OBSERVABLES}
-        rows, packings = len(self.coded), {len(row) for row in self.responses[DEPTH]}
-        if len(packings) != 1 or shapes != {(rows, *packings)}:
+        shapes = {(len(rows), *map(len, rows)) for rows in self.responses.values()}
+        packings = next((shape[1:2] for shape in shapes), ())
+        if not packings or shapes != {(len(self.coded), *(packings * len(self.coded)))}:
             raise ValueError("responses are not one row a point and one number a packing")
         return self
 
@@ -51,8 +56,8 @@ class DesignRecord(Record):
         """The experiment; `ValueError` where shapes do not agree."""
         factors = tuple(Factor(**dict(factor)) for factor in self.factors)
         design = Design(factors, np.array(self.coded), self.kind, np.array(self.dummies))
-        columns = [np.array(self.responses[name]) for name in OBSERVABLES]
-        return Experiment(title, design, np.stack(columns, axis=-1), dict(self.held))
+        columns = np.stack([np.array(rows) for rows in self.responses.values()], axis=-1)
+        return Experiment(title, design, columns, dict(self.held), tuple(self.responses))
 
 
 class SurfaceRecord(Record):
@@ -67,12 +72,6 @@ class StageRecord(Record):
     optimum: dict[Parameter, Number]
     desirability: Number
     surfaces: dict[Observable, SurfaceRecord]
-
-    @check(mode="after")
-    def _both_surfaces(self) -> "StageRecord":
-        if set(self.surfaces) != set(OBSERVABLES):
-            raise ValueError("the surface of an observable is missing")
-        return self
 
 
 class SlopeRecord(Record):
@@ -91,23 +90,36 @@ class SlopeRecord(Record):
 
 
 class EndingRecord(Record):
-    """Where a method ended, packing by packing."""
+    """Where a method ended; `fitted` and `fresh` hold each observable packing by packing."""
 
     method: str
     values: dict[Parameter, Number]
     simulations: int
     stopped: str
-    fitted_depression_depth_mm: list[Number]
-    fitted_crushing_force_n: list[Number]
-    fresh_depression_depth_mm: list[Number]
-    fresh_crushing_force_n: list[Number]
+    fitted: dict[Observable, list[Number]]
+    fresh: dict[Observable, list[Number]]
 
-    def ending(self) -> Ending:
+    @check(mode="before")
+    @classmethod
+    def _observables_stand_beside(cls, data: Any) -> Any:
+        """In the file observables are entries of their own: fitted_crushing_force_n."""
+        if not isinstance(data, dict):
+            return data
+        return {**data, **{where: _behind(f"{where}_", data) for where in ("fitted", "fresh")}}
+
+    def ending(self, observables: Sequence[Observable]) -> Ending:
+        if any(set(group) != set(observables) for group in (self.fitted, self.fresh)):
+            raise ValueError(f"where {self.method} ended, an observable is missing")
         fitted, fresh = (
-            np.column_stack([getattr(self, f"{where}_{name}") for name in OBSERVABLES])
-            for where in ("fitted", "fresh")
+            np.column_stack([group[name] for name in observables])
+            for group in (self.fitted, self.fresh)
         )
         return Ending(self.method, dict(self.values), fitted, fresh, self.simulations, self.stopped)
+
+
+def _behind(begin: str, data: dict) -> dict:
+    """The entries whose names begin so, by what follows."""
+    return {name[len(begin) :]: value for name, value in data.items() if name.startswith(begin)}
 
 
 class EnhancedRecord(Record):
@@ -122,26 +134,19 @@ class ComparisonRecord(Record):
     """Designs and gradients side by side."""
 
     slopes: list[SlopeRecord]
-    endings: tuple[EndingRecord, EndingRecord]
+    endings: list[EndingRecord]
     enhanced: list[EnhancedRecord]
     gradient_runs: Number
 
-    def comparison(self) -> Comparison:
+    def comparison(self, observables: Sequence[Observable]) -> Comparison:
+        if {row.observable for row in self.slopes} - set(observables):
+            raise ValueError("there are slopes of an observable that has no responses")
         return Comparison(
             tuple(SlopePair(**dict(row)) for row in self.slopes),
-            tuple(ending.ending() for ending in self.endings),
+            tuple(ending.ending(observables) for ending in self.endings),
             tuple(Enhanced(**dict(row)) for row in self.enhanced),
             self.gradient_runs,
         )
-
-
-class DesignsRecord(Record):
-    """The designs in the order in which they were run."""
-
-    screening: DesignRecord
-    depth: DesignRecord
-    force: DesignRecord
-    refinement: DesignRecord
 
 
 class StudyRecord(Origin):
@@ -151,38 +156,64 @@ class StudyRecord(Origin):
     fresh_seeds: list[int]
     measured: Measured
     optimum: dict[Parameter, Number]
-    depth: StageRecord
-    force: StageRecord
-    refinement: StageRecord
     comparison: ComparisonRecord
-    designs: DesignsRecord
+    designs: dict[str, DesignRecord]
+    stages: dict[str, StageRecord]
+
+    @check(mode="before")
+    @classmethod
+    def _stages_stand_beside(cls, data: Any) -> Any:
+        """In the file stages are entries of their own, called as their designs."""
+        if not isinstance(data, dict) or not isinstance(data.get("designs"), dict):
+            return data
+        named = [title for title in data["designs"] if title != SCREENING]
+        return {**data, "stages": {title: data[title] for title in named if title in data}}
 
     @check(mode="after")
     def _complete(self) -> "StudyRecord":
-        if set(self.measured.targets) != set(OBSERVABLES):
-            raise ValueError("measured.targets lacks an observable")
+        if len(self.stages) != STAGES or set(self.designs) != {SCREENING, *self.stages}:
+            raise ValueError("it has not a screening, two surfaces and a refinement")
+        if len({tuple(design.responses) for design in self.designs.values()}) != 1:
+            raise ValueError("the designs have responses of different observables")
+        if not self.goals:
+            raise ValueError("no observable has a target")
         names = set(self.optimum)
-        if not self.comparison.slopes:
-            raise ValueError("the comparison has no slopes")
+        if not self.comparison.slopes or len(self.comparison.endings) != METHODS:
+            raise ValueError("the comparison has no slopes, or not two endings")
         if any(names != set(ending.values) for ending in self.comparison.endings):
             raise ValueError("the methods ended with values of different parameters")
         self.screens()
-        for title in ("depth", "force", "refinement"):
+        for title in self.stages:
             self.surfaces(title)
-        self.comparison.comparison()
+        self.compared()
         return self
 
+    @property
+    def observables(self) -> tuple[Observable, ...]:
+        """The responses, in the order of their numbers."""
+        return tuple(self.designs[SCREENING].responses)
+
+    @property
+    def goals(self) -> tuple[Observable, ...]:
+        """Those that have a target."""
+        return tuple(name for name in self.observables if name in self.measured.targets)
+
+    def compared(self) -> Comparison:
+        return self.comparison.comparison(self.observables)
+
     def experiment(self, title: str) -> Experiment:
-        return getattr(self.designs, title).experiment(title)
+        return self.designs[title].experiment(title)
 
     def screens(self) -> dict[str, Screening]:
         """Effects of the screening on each observable."""
-        found = self.experiment("screening")
-        return {name: screen(found.replicated(), found.blocked(name)) for name in OBSERVABLES}
+        found = self.experiment(SCREENING)
+        return {name: screen(found.replicated(), found.blocked(name)) for name in self.observables}
 
     def surfaces(self, title: str) -> dict[str, Surface]:
         """The whole surface of each observable over a design."""
-        found, stage = self.experiment(title), getattr(self, title)
+        found, stage = self.experiment(title), self.stages[title]
+        if set(stage.surfaces) != set(self.observables):
+            raise ValueError("the surface of an observable is missing")
         names = found.design.names
         return {
             name: fit_surface(
@@ -191,5 +222,5 @@ class StudyRecord(Origin):
                 parse(" + ".join(stage.surfaces[name].terms), names),
                 names,
             )
-            for name in OBSERVABLES
+            for name in self.observables
         }

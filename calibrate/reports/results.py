@@ -33,13 +33,7 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
     console.print(_observables_table(session.lab, {"simulated": result}))
     for failure in result["failures"]:
         console.print(f"failed: {failure}", markup=False)
-    speed = result["particle_steps_per_s"] / 1e6
-    inertial = result["quality"]["inertial_number"]
-    console.print(
-        f"{_resolution(result)}, inertial number {inertial:.1e}, {speed:.2f} M particle-steps/s "
-        f"per run; curves and figure in {session.out}",
-        highlight=False,
-    )
+    console.print(f"{_course(result)}; curves and figure in {session.out}", highlight=False)
     _warn_if_coarse(console, result)
 
 
@@ -132,6 +126,16 @@ def _write_history(path: Path, history: list[dict]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_text(path, text.getvalue())
+
+
+def _course(result: dict) -> str:
+    """How the runs went: their resolution, how quasi-static and how fast they were."""
+    if not result["quality"]["spheres"]:
+        return "no test has soil in it"
+    speed = result["particle_steps_per_s"] / 1e6
+    inertial = result["quality"]["inertial_number"]
+    each = f"{speed:.2f} M particle-steps/s per run"
+    return f"{_resolution(result)}, inertial number {inertial:.1e}, {each}"
 
 
 def _resolution(result: dict) -> str:

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
@@ -11,7 +12,8 @@ from calibrate.core.files import write_json, write_text
 from calibrate.designs.anova import anova
 from calibrate.designs.calibration import Designed
 from calibrate.designs.comparison import Comparison, Ending
-from calibrate.designs.study import OBSERVABLES, Experiment, Study, Surfaces
+from calibrate.designs.study import Experiment, Study, Surfaces
+from calibrate.labtests.composite import described
 from calibrate.records.base import record
 from calibrate.records.study import StudyRecord
 from calibrate.reports import study_page
@@ -21,7 +23,6 @@ from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import measured_json
 
 PAGE = "study.html"
-SHORT = {"depression_depth_mm": "H", "crushing_force_n": "F"}
 
 
 def write(session: Session, found: Designed, path: Path | None) -> None:
@@ -51,13 +52,13 @@ def as_json(done: Study, compared: Comparison) -> dict:
                         for name, found in done.screens.items()},
         },
         **{stage.experiment.title: _stage_json(stage)
-           for stage in (done.depth, done.force, done.refinement)},
+           for stage in done.stages},
         "optimum": done.values,
         "simulations": done.simulations,
         "comparison": {
             "slopes": [{**asdict(pair), "agree": pair.agree, "reach": pair.reach, "why": pair.why()}
                        for pair in compared.slopes],
-            "endings": [_ending_json(ending) for ending in compared.endings],
+            "endings": [_ending_json(ending, done) for ending in compared.endings],
             "enhanced": [asdict(row) for row in compared.enhanced],
             "gradient_runs": compared.gradient_runs,
         },
@@ -70,7 +71,7 @@ def as_json(done: Study, compared: Comparison) -> dict:
                 "held": experiment.held,
                 "responses": {
                     name: experiment.responses[:, :, m].tolist()
-                    for m, name in enumerate(OBSERVABLES)
+                    for m, name in enumerate(done.observables)
                 },
             }
             for experiment in done.experiments
@@ -93,7 +94,7 @@ def _stage_json(stage: Surfaces) -> dict:
     }
 
 
-def _ending_json(ending: Ending) -> dict:
+def _ending_json(ending: Ending, done: Study) -> dict:
     return {
         "method": ending.method,
         "values": ending.values,
@@ -101,7 +102,7 @@ def _ending_json(ending: Ending) -> dict:
         "stopped": ending.stopped,
         **{f"{where}_{name}": values[:, m].tolist()
            for where, values in (("fitted", ending.fitted), ("fresh", ending.fresh))
-           for m, name in enumerate(OBSERVABLES)},
+           for m, name in enumerate(done.observables)},
     }  # fmt: skip
 
 
@@ -109,7 +110,7 @@ def _write_sheet(experiment: Experiment, path: Path) -> None:
     """Natural values and every packing's responses, one row a point."""
     packings = range(1, experiment.packings + 1)
     header = [*experiment.design.names]
-    header += [f"{name} packing {k}" for name in OBSERVABLES for k in packings]
+    header += [f"{name} packing {k}" for name in experiment.observables for k in packings]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
@@ -122,13 +123,16 @@ def show(found: Designed, console: Console) -> None:
     """Endings and slopes as tables on the terminal."""
     compared = found.comparison
     table = _plain("where each method ended (mean ± one packing)")
-    for column in ("", "runs", "H fitted (mm)", "H fresh", "F fitted (N)", "F fresh"):
+    goals = [(found.study.observables.index(name), described(name)) for name in found.study.goals]
+    columns = [(f"{short(o.name)} fitted ({o.unit})", f"{short(o.name)} fresh") for _, o in goals]
+    for column in ("", "runs", *chain.from_iterable(columns)):
         table.add_column(column, no_wrap=True)
     for ending in compared.endings:
-        cells = [cell(values, m) for m in (0, 1) for values in (ending.fitted, ending.fresh)]
+        cells = [cell(values, m) for m, _ in goals for values in (ending.fitted, ending.fresh)]
         table.add_row(ending.method, str(ending.simulations), *cells)
     console.print(table)
-    table = _plain("slopes per ln p of factors that matter (H in mm, F in N)")
+    units = ", ".join(f"{short(n)} in {described(n).unit}" for n in found.study.observables)
+    table = _plain(f"slopes per ln p of factors that matter ({units})")
     for column in ("design", "factor", "of", "surface", "gradient", "intervals"):
         table.add_column(column, no_wrap=True)
     for pair in compared.slopes:
@@ -136,9 +140,15 @@ def show(found: Designed, console: Console) -> None:
             cells = [f"{pair.surface:.3g} ± {number(pair.surface_se, 1)}"]
             cells += [f"{pair.gradient:.3g} ± {number(pair.gradient_se, 1)}"]
             word = "agree" if pair.agree else "DISAGREE"
-            table.add_row(pair.design, pair.factor, SHORT[pair.observable], *cells, word)
+            table.add_row(pair.design, pair.factor, short(pair.observable), *cells, word)
     console.print(table)
     console.print(sentence(compared), highlight=False)
+
+
+def short(name: str) -> str:
+    """An observable's symbol: H of a depression depth; its label where it has none."""
+    known = described(name)
+    return known.symbol or known.label
 
 
 def _plain(title: str) -> Table:

@@ -10,16 +10,17 @@ from calibrate.designs.anova import Anova, anova
 from calibrate.designs.comparison import Comparison, Ending
 from calibrate.designs.diagnostics import box_cox, diagnose, without_profile
 from calibrate.designs.screening import Screening
-from calibrate.designs.study import OBSERVABLES, SIGNIFICANT
+from calibrate.designs.study import SIGNIFICANT
 from calibrate.designs.surface import Surface
 from calibrate.figures import doe as drawing
 from calibrate.figures import study as panels
 from calibrate.figures.style import panel_svg
+from calibrate.labtests.composite import described
+from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, read
 from calibrate.records.study import StudyRecord
 from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
 
-LABELS = panels.LABELS
 RELIEF = (4.6, 4.2)  # inches
 
 
@@ -40,23 +41,25 @@ def page(path: Path) -> Page:
 
 def of(found: StudyRecord) -> Page:
     """The report of a study."""
-    compared = found.comparison.comparison()
+    compared = found.compared()
     summary = sentence(compared)
     html = render(
         "study.html",
         found=found,
         compared=compared,
         sentence=summary,
-        labels=LABELS,
+        labels={name: label_of(name) for name in found.observables},
+        enhanced_of=described(found.goals[-1]),
+        last=list(found.stages)[1],
         significant=SIGNIFICANT,
         reached=_reached(found, compared),
         values=_values(found, compared),
         enhanced=_enhanced(compared),
-        slopes=[_slopes(compared, name) for name in OBSERVABLES],
-        endings=[_endings(found, compared, name) for name in OBSERVABLES],
+        slopes=[_slopes(compared, name) for name in found.observables],
+        endings=[_endings(found, compared, name) for name in found.goals],
         stages=[
             _screening(found),
-            *(_surfaces(found, t) for t in ("depth", "force", "refinement")),
+            *(_surfaces(found, title) for title in found.stages),
         ],
         settings={
             "packings": ", ".join(map(str, found.seeds)),
@@ -90,18 +93,21 @@ def cell(values: np.ndarray, m: int) -> str:
 
 def _reached(found: StudyRecord, compared: Comparison) -> Table:
     columns = ["method", "simulations"]
-    for name in OBSERVABLES:
-        columns += [f"{LABELS[name]}, fitted packings", f"{LABELS[name]}, fresh"]
+    for name in found.observables:
+        columns += [f"{label_of(name)}, fitted packings", f"{label_of(name)}, fresh"]
     rows = [["measured", ""]]
-    for name in OBSERVABLES:
-        target = found.measured.targets[name]
-        rows[0] += [f"{number(target.mean, 4)} ± {number(target.scatter, 2)}", ""]
+    for name in found.observables:
+        target = found.measured.targets.get(name)
+        given = f"{number(target.mean, 4)} ± {number(target.scatter, 2)}" if target else "–"
+        rows[0] += [given, ""]
     rows += [_ending(ending) for ending in compared.endings]
     return Table(columns, rows)
 
 
 def _ending(ending: Ending) -> list[str]:
-    cells = [cell(v, m) for m in range(len(OBSERVABLES)) for v in (ending.fitted, ending.fresh)]
+    cells = [
+        cell(v, m) for m in range(ending.fitted.shape[1]) for v in (ending.fitted, ending.fresh)
+    ]
     return [ending.method, str(ending.simulations), *cells]
 
 
@@ -132,7 +138,7 @@ def _slopes(compared: Comparison, observable: Observable) -> Picture:
     pairs = [pair for pair in compared.slopes if pair.observable == observable]
     judged = [pair for pair in pairs if pair.matters]
     agreeing = sum(pair.agree for pair in judged)
-    label = LABELS[observable]
+    label = label_of(observable)
     return Picture(
         panel_svg(lambda axis: panels.slopes(axis, pairs, label)),
         f"Slopes of {label} by surface against gradient: {agreeing} of {len(judged)} that matter "
@@ -143,7 +149,7 @@ def _slopes(compared: Comparison, observable: Observable) -> Picture:
 
 
 def _endings(found: StudyRecord, compared: Comparison, observable: Observable) -> Picture:
-    column, label = OBSERVABLES.index(observable), LABELS[observable]
+    column, label = found.observables.index(observable), label_of(observable)
     target = found.measured.targets[observable]
     ends = "; ".join(
         f"{e.method}: {cell(e.fitted, column)} fitted, {cell(e.fresh, column)} fresh"
@@ -159,10 +165,10 @@ def _endings(found: StudyRecord, compared: Comparison, observable: Observable) -
 def _screening(found: StudyRecord) -> Stage:
     screens = found.screens()
     pictures = {
-        f"Effects on {LABELS[name]}": _effects(s, LABELS[name]) for name, s in screens.items()
+        f"Effects on {label_of(name)}": _effects(s, label_of(name)) for name, s in screens.items()
     }
     ranked = {name: _ranked(screened) for name, screened in screens.items()}
-    listed = "; ".join(f"{LABELS[name]}: {text}" for name, text in ranked.items())
+    listed = "; ".join(f"{label_of(name)}: {text}" for name, text in ranked.items())
     return Stage("screening", f"Largest contributions. {listed}.", {}, pictures)
 
 
@@ -190,19 +196,19 @@ def _effects(found: Screening, label: str) -> list[Picture]:
 
 
 def _surfaces(found: StudyRecord, title: str) -> Stage:
-    stage, experiment = getattr(found, title), found.experiment(title)
+    stage, experiment = found.stages[title], found.experiment(title)
     whole = found.surfaces(title)
     pictures: dict[str, list[Picture]] = {}
     for name, surface in whole.items():
         if len(experiment.design.factors) > 1:
-            pictures[f"Surface of {LABELS[name]}"] = _surface(surface, experiment, LABELS[name])
-        pictures[f"Residuals of {LABELS[name]}"] = _residuals(surface, LABELS[name])
+            pictures[f"Surface of {label_of(name)}"] = _surface(surface, experiment, label_of(name))
+        pictures[f"Residuals of {label_of(name)}"] = _residuals(surface, label_of(name))
     best = ", ".join(f"{words(name)} {quantity(name, v)}" for name, v in stage.optimum.items())
     text = (
         f"{experiment.design.kind}, {len(experiment.design)} points on {experiment.packings} "
         f"packings. Optimum: {best} (desirability {stage.desirability:.2f})."
     )
-    return Stage(title, text, {LABELS[n]: anova(s) for n, s in whole.items()}, pictures)
+    return Stage(title, text, {label_of(n): anova(s) for n, s in whole.items()}, pictures)
 
 
 def _surface(surface: Surface, experiment, label: str) -> list[Picture]:

@@ -1,7 +1,7 @@
 """Tests on several specimens as one: every specimen is a campaign, and their runs are joined.
 
 A soil that is tested on two specimens, one for each test, is simulated on two packings of the same
-seed; what both give is one run.
+seed; what both give is one run, and what the machine gives without soil joins it.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,9 @@ import numpy as np
 
 from calibrate.core.progress import AbstractProgress
 from calibrate.labtests.composite import names
+from calibrate.simulation.bare import BareCampaign
 from calibrate.simulation.campaign import Campaign
-from calibrate.simulation.run import Run, names_in
+from calibrate.simulation.run import Run
 from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
 
@@ -57,17 +58,23 @@ class AbstractCampaign(Protocol):
 
 @dataclass(frozen=True)
 class JointCampaign:
-    """Campaigns of several specimens (at least one) in one folder."""
+    """Campaigns of specimens, and of the machine without soil: at least one, in one folder."""
 
     parts: tuple[Campaign, ...]
+    bare: BareCampaign | None = None
+
+    @property
+    def all(self) -> tuple[AbstractCampaign, ...]:
+        """Those of the specimens, then that without soil."""
+        return (*self.parts, *((self.bare,) if self.bare else ()))
 
     @property
     def folder(self) -> Path:
-        return self.parts[0].folder
+        return self.all[0].folder
 
     @property
     def progress(self) -> AbstractProgress:
-        return self.parts[0].progress
+        return self.all[0].progress
 
     @property
     def simulated(self) -> int:
@@ -75,7 +82,7 @@ class JointCampaign:
 
     @property
     def apparatus(self) -> tuple[AbstractApparatus, ...]:
-        return tuple(test for part in self.parts for test in part.apparatus)
+        return tuple(test for part in self.all for test in part.apparatus)
 
     def runs(
         self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
@@ -87,9 +94,9 @@ class JointCampaign:
     ) -> list[list[Run]]:
         """A specimen whose runs fail does not keep the others from being simulated."""
         rows = []
-        for number, part in enumerate(self.parts, 1):
+        for number, part in enumerate(self.all, 1):
             which = f"{what}, specimen {number} of {len(self.parts)}"
-            rows.append(part.each(soils, seeds, which))
+            rows.append(part.each(soils, seeds, which if len(self.parts) > 1 else what))
         return [
             [self._joined(together) for together in zip(*row, strict=True)]
             for row in zip(*rows, strict=True)
@@ -97,14 +104,19 @@ class JointCampaign:
 
     def _joined(self, together: Sequence[Run]) -> Run:
         """The runs of one soil on all specimens as one."""
-        called = names((t.name, source) for t in self.apparatus for source in t.observables)
+        called = _called(self.apparatus)
         observables, curves = {}, {}
-        for part, run in zip(self.parts, together, strict=True):
-            for which, (name, _) in names_in(part.lab).items():
+        for part, run in zip(self.all, together, strict=True):
+            for which, (name, _) in _called(part.apparatus).items():
                 observables[called[which][0]] = run.observables[name]
             curves |= run.curves
         failures = [run.failure for run in together if run.failure]
         return Run(observables, curves, _worst(together), "; ".join(failures))
+
+
+def _called(tests: Sequence[AbstractApparatus]) -> dict[tuple[str, str], tuple[str, float]]:
+    """What the observables of these tests are called in results."""
+    return names((test.name, source) for test in tests for source in test.observables)
 
 
 def _worst(together: Sequence[Run]) -> dict[str, float]:

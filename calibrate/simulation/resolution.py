@@ -19,6 +19,7 @@ from calibrate.labtests.base import Pace
 from calibrate.labtests.measured import Cylinder
 from jdem.engine.bed import Numerics
 from jdem.engine.step import GRAVITY
+from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.packing.specimen import Specimen
 
@@ -49,6 +50,9 @@ PRESETS = {
 }
 
 
+STILL = Pace(in_mould=0.0, free=0.0, sample_time=0.0)  # of a machine that presses nothing
+
+
 def specimen(lab: Lab, preset: Preset, number: int = 0) -> Specimen:
     """A lab's cylinder of soil filled with the preset's number of spheres; `number` counts the
     lab's specimens."""
@@ -65,6 +69,12 @@ def virtual_lab(
     pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
     apparatus = tuple(test.apparatus(tested.cylinder, pace) for test in tested.tests)
     return VirtualLab.of(filled, TestSequence(apparatus), numerics)
+
+
+def bare_machine(lab: Lab) -> BareMachine | None:
+    """The machine with the lab's tests without soil; None where it has none."""
+    tests = tuple(test.apparatus(lab.specimen, STILL) for test in lab.without_soil())
+    return BareMachine(TestSequence(tests)) if tests else None
 
 
 def _filled(lab: Lab, cylinder: Cylinder, preset: Preset) -> Specimen:

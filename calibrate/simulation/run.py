@@ -12,7 +12,7 @@ import numpy as np
 from calibrate.labtests.composite import names
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.observables import inertial_number
+from jdem.observables import Curve, inertial_number
 from jdem.packing.specimen import Packing
 
 UNSTABLE = 0.5  # of the platen's work; sound runs have integration errors of some 0.002 of it
@@ -78,7 +78,7 @@ def summary(
     }
     return Run(
         observables=_observables(lab, outcome),
-        curves={name: _points(curve) for name, curve in outcome.curves.items()},
+        curves={name: points_of(curve) for name, curve in outcome.curves.items()},
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
     )
@@ -188,7 +188,8 @@ def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
     return ""
 
 
-def _points(curve) -> np.ndarray:
+def points_of(curve: Curve) -> np.ndarray:
+    """The rows that count, as an array (points, 2) in mm and N."""
     rows = np.asarray(curve.valid) > 0
     columns = (1e3 * np.asarray(curve.displacement), np.asarray(curve.force))
     return np.stack(columns, axis=1)[rows].astype(float)

@@ -48,12 +48,16 @@ class Session:
         return specimens.campaign(self.lab, self.preset, out, self.progress, soil, self.place)
 
     def campaign_of_one(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
-        """The same where only tests on one specimen will do."""
+        """The same where only tests on one specimen will do; those without soil are left out."""
         if len(self.lab.specimens()) > 1:
             problem = "the tests are made on several specimens, this command takes one"
             repair = "keep the tests of one specimen, in a lab file of their own"
             raise InputError(self.lab.file, "tests", problem, repair)
-        return cast(Campaign, self.campaign(out, preparation))
+        return cast(Campaign, self.on_soil().campaign(out, preparation))
+
+    def on_soil(self) -> "Session":
+        """The same session with the lab's tests with soil alone."""
+        return replace(self, lab=self.lab.on_soil())
 
 
 def place_of(dask: str | None) -> AbstractPlace:

@@ -11,10 +11,11 @@ from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import names_of
+from calibrate.simulation.bare import BareCampaign
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign, JointCampaign
-from calibrate.simulation.resolution import Preset, specimen, virtual_lab
+from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
 from calibrate.simulation.run import LEAST_ACROSS, Run
 from jdem.materials.soil import SoilParameters
 
@@ -64,7 +65,10 @@ def campaign(
         )
         for number in range(len(lab.specimens()))
     )
-    return parts[0] if len(parts) == 1 else JointCampaign(parts)
+    machine = bare_machine(lab)
+    if machine is None and len(parts) == 1:
+        return parts[0]
+    return JointCampaign(parts, machine and BareCampaign(machine, folder, progress))
 
 
 def simulate(
@@ -125,7 +129,7 @@ def quality_json(runs: Sequence[Run]) -> dict:
 
 
 def rates_json(work: AbstractCampaign) -> dict:
-    """Nominal and simulated platen speeds (mm/s) of all tests, and their ratio."""
+    """Nominal and simulated platen speeds (mm/s) of all tests whose platen moves, their ratio."""
     return {
         test.name: {
             "nominal_mm_s": 1e3 * float(test.nominal_rate),
@@ -133,6 +137,7 @@ def rates_json(work: AbstractCampaign) -> dict:
             "scaled_by": float(test.simulated_rate / test.nominal_rate),
         }
         for test in work.apparatus
+        if test.nominal_rate > 0
     }
 
 

@@ -27,7 +27,7 @@ There are two forms. A file has one of them, not both.
 
 - **A list of tests.** Each test is a table `[[tests]]` with its own targets and curves. The tests
   are made in the order of the file. A test goes on with the specimen as the test before left it.
-  A test with a `specimen` of its own begins with a new one.
+  A test with a `specimen` of its own begins with a new one; `machine` takes none.
 - **The usual pair.** `[confined]` and `[unconfined]` stand alone, with `[targets]` and `[[curves]]`
   beside them. Both tests are made on one specimen, first the confined and then the unconfined one,
   also if the file says nothing about one of them.
@@ -64,6 +64,8 @@ MEANING = {
     "RelaxationTest.force": "to which the platen goes",
     "RelaxationTest.hold": "how long the platen stands still",
     "UnconfinedTest.rest": "between the removal of the mould and the test",
+    "MachineTest.force": "of the platen on the bare base",
+    "MachineTest.loading": "until the force is there, and again until it is gone",
     "AbstractLabTest.type": "kind of test; must be given in `[[tests]]`",
     "AbstractLabTest.name": "of the test in results; default: its type; each name once",
     "AbstractLabTest.specimen": "a specimen of its own, in place of that of the test before",

@@ -1,0 +1,46 @@
+"""A run of the machine without soil: the platen presses on the bare base, and what yields is told.
+
+The deflection is the displacement at the largest force.  It is 0 in the base model, whose machine
+is rigid, and no soil changes it: a fit compares nothing of this test.
+"""
+
+from pydantic import model_validator
+
+from calibrate.core.errors import BadValue
+from calibrate.core.tables import Duration, Force
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.measured import Cylinder
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.platen_on_base import PlatenOnBase
+
+DEFLECTION = Observable(
+    "deflection_mm", "deflection of the machine", "mm", "deflection", 1e3, within=0.15
+)
+
+
+class MachineTest(AbstractLabTest):
+    """Loading on the bare base to `force` (N) within `loading` (s), and unloading as fast."""
+
+    type_name = "machine"
+    title = "machine without soil"
+    observables = (DEFLECTION,)
+    with_soil = False
+
+    force: Force = 400.0
+    loading: Duration = 60.0
+
+    @model_validator(mode="after")
+    def _check_bare(self) -> "MachineTest":
+        if self.loading <= 0:
+            raise BadValue("the force takes no time to rise", 'give e.g. "60 s"', "loading")
+        for name, given in (("protocol", self.protocol), ("specimen", self.specimen)):
+            if given:
+                problem = f"a run of the machine without soil has no {name}"
+                raise BadValue(problem, "leave it out, give force and loading", name)
+        return self
+
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        return PlatenOnBase(force=self.force, loading=self.loading, name=self.called)
+
+    def guides(self) -> tuple[float, ...]:
+        return (self.force,)
