@@ -284,6 +284,6 @@ def test_a_stretched_bond_breaks_once(tmp_path, monkeypatch):
 def test_a_specimen_stands_and_is_crushed(tmp_path):
     outcome = run(Soil(), Physics(), instrument.Instrument(), 1, tmp_path / "run")
     assert outcome.stands, json.dumps(outcome.facts)
-    assert outcome.curves["confined"][:, 1].max() == pytest.approx(400, abs=10)
-    assert 100 < outcome.curves["unconfined"][:, 1].max() < 500
+    assert outcome.confined[:, 1].max() == pytest.approx(400, abs=10)
+    assert 100 < outcome.unconfined[:, 1].max() < 500
     assert BASE_LAW in (tmp_path / "run" / "materials.in").read_text()

@@ -4,7 +4,9 @@
 
 Lists are complete while motion < skin. They are rebuilt before an interval in which motion
 could exceed it if everything went on as in the last interval, with as much again in
-reserve; the largest motion that did occur is kept, so that a surprise is reported.
+reserve.  Where spheres suddenly are too fast for that, as when a brittle specimen bursts, an
+interval is cut into pieces with a look at the lists before each (`lasting`).  The largest
+motion that did occur is kept, so that a surprise is reported.
 """
 
 import equinox as eqx
@@ -19,6 +21,7 @@ from jdem.engine.neighbors import Demand, rebuild
 from jdem.engine.step import Bed, BedState
 
 RESERVE = 0.25  # of the skin, kept for motion that sets in within an interval
+GUARD = 1.5  # times the present speeds is what spheres may reach before the next look
 
 
 class Upkeep(eqx.Module):
@@ -65,6 +68,16 @@ def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upke
     position, boundaries = jax.lax.stop_gradient(origin)
     upkeep = Upkeep(position, boundaries, upkeep.latest, upkeep.largest, demand)
     return state, upkeep, jnp.where(due, 0.0, motion)
+
+
+def lasting(bed: Bed, state: BedState, motion: Array, wanted: Array) -> Array:
+    """How many of the wanted steps the lists last, where `motion` (m) is used up: at least one."""
+    rows, time_step = jax.lax.stop_gradient((bed.spheres.rows(state.motion), bed.time_step))
+    speeds = smooth.norm(Vector.from_rows(rows[:, 3:6]))
+    way = GUARD * _sum_of_two_largest(speeds) * time_step  # m in a step
+    left = bed.grid.skin - motion
+    some = jnp.where(left > way, jnp.minimum(left / jnp.where(way > 0, way, 1.0), wanted), 1)
+    return jnp.where(way * wanted < left, wanted, some.astype(wanted.dtype))
 
 
 def checked(bed: Bed, state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:

@@ -1,8 +1,8 @@
 """The one loop: segments of a machine's programme, sampled into a curve.
 
 One compiled loop serves every programme (`jdem.engine.segment`) and any parameter values,
-for one set of boundaries.  Each sample sees to the contact lists, runs
-`steps_per_sample` time steps and stores means over them.  A segment ends after its
+for one set of boundaries.  Each sample runs `steps_per_sample` time steps, in one piece or as
+many as the contact lists ask for, and stores means over them.  A segment ends after its
 duration or once its servo force is reached; the loop ends with the last segment.
 """
 
@@ -21,7 +21,7 @@ from jdem.boundaries.composite import BASE, LOADS, MOULD, PLATEN, Boundaries, ce
 from jdem.core.fusion import fenced
 from jdem.core.kernel import together
 from jdem.engine.energy import Ledger
-from jdem.engine.list_update import Upkeep, checked, refreshed
+from jdem.engine.list_update import Upkeep, checked, lasting, refreshed
 from jdem.engine.neighbors import ContactList, Demand, Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.segment import Segment, command_of, ended, placed, read, row_of
@@ -169,13 +169,12 @@ def run(
         def shown(reading):
             return around.shown(reading, memory)
 
-        state, upkeep, motion = refreshed(bed, before, progress.upkeep)
-        state, sample = _sampled(present, state, segment, steps_per_sample, shown, step)
+        interval = (segment, steps_per_sample, shown, step)
+        state, sample, upkeep = _sampled((bed, present), before, progress.upkeep, *interval)
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
         done = ended(segment, readings, elapsed)
-        upkeep = checked(bed, state, upkeep, motion)
         following = row_of(programme, jnp.minimum(number + 1, count - 1))
         changes = (done > 0) & (number + 1 < count)
         changed = _prepared(bed, state, following).boundaries
@@ -230,14 +229,19 @@ def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
 
 
 def _sampled(
-    bed: Bed,
+    beds: tuple[Bed, Bed],
     state: BedState,
+    upkeep: Upkeep,
     segment: Segment,
     steps: Array,
     shown: Callable[[Array], Array],
     step: Stepper,
 ):
-    """The state after `steps` time steps, and means over them."""
+    """The state after `steps` time steps, means over them, and the lists' upkeep.
+
+    `beds` are the one that lists are kept for and the one that it is at present.
+    """
+    listed, bed = beds
 
     def advance(_, carry):
         state, sums = carry
@@ -246,8 +250,16 @@ def _sampled(
             state = read(step(bed, state, command), segment, bed.time_step)
             return state, sums + together(_probe, state.boundaries, state.loads, state.reading)
 
+    def piece(carry):
+        state, sums, upkeep, done = carry
+        state, upkeep, motion = refreshed(listed, state, upkeep)
+        count = lasting(listed, state, motion, steps - done)
+        state, sums = jax.lax.fori_loop(0, count, advance, (state, sums))
+        return state, sums, checked(listed, state, upkeep, motion), done + count
+
     sums = jnp.zeros_like(_probe(state.boundaries, state.loads, state.reading))
-    state, sums = jax.lax.fori_loop(0, steps, advance, (state, sums))
+    begun = (state, sums, upkeep, jnp.zeros_like(steps))
+    state, sums, upkeep, _ = jax.lax.while_loop(lambda carry: carry[3] < steps, piece, begun)
     means, count = sums / steps, len(state.boundaries)
     places, loads, reading = jnp.split(means, [3 * count, (3 + LOADS) * count])
     sample = Sample(
@@ -258,7 +270,7 @@ def _sampled(
         reading=reading[0],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
-    return state, sample
+    return state, sample, upkeep
 
 
 def _probe(boundaries: Boundaries, loads: Array, reading: Array) -> Array:
