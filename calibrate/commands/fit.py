@@ -40,6 +40,7 @@ def fit_command(
     """Calibrate the parameters that the data can fix; say which those are."""
     from calibrate.core.files import check_writable
     from calibrate.inference.calibration import calibrate
+    from calibrate.inference.resolutions import Coarse
     from calibrate.reports.results import write_fit
     from calibrate.simulation.session import Session
 
@@ -47,8 +48,12 @@ def fit_command(
     session = Session.open(lab, preset, out, dask)
     values = parse_changes(changes or [])
     names = parse_free(free)
-    work = session.campaign(out, values if prepare_with_soil else None)
-    done = calibrate(session.lab, session.preset, names, values, seed, work)
+    preparation = values if prepare_with_soil else None
+    work, spheres = session.campaign(out, preparation), session.preset.explored
+    coarse = (
+        Coarse(session.resized(spheres).campaign(out, preparation), spheres) if spheres else None
+    )
+    done = calibrate(session.lab, session.preset, names, values, seed, work, coarse)
     write_fit(session, done, json)
 
 

@@ -1,17 +1,21 @@
 """The whole calibration of a lab file, from packings to a fit and its check on fresh packings.
 
 packings -> scatter -> screening -> free parameters -> fit -> fresh packings
+
+Where a preset explores with smaller beds, these are fitted first, to targets corrected by the
+ratio of both sizes at the start (`calibrate.inference.resolutions`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.fit import Calibration, Fit, Settings, fit, packing_scatter
+from calibrate.inference.fit import Calibration, Fit, Settings, descend, fit, packing_scatter
 from calibrate.inference.identifiability import choose_free
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space
 from calibrate.inference.problem import Problem, pose
+from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Run
@@ -50,6 +54,7 @@ class Calibrated:
     strategy: str
     seeds: Seeds
     rates: dict
+    resolutions: dict
 
 
 def calibrate(
@@ -59,9 +64,13 @@ def calibrate(
     changes: dict[str, float],
     seed: int,
     work: AbstractCampaign,
+    coarse: Coarse | None = None,
 ) -> Calibrated:
-    """The whole calibration of a lab file; resumes from what `work.folder` holds."""
-    problem, seeds = pose(lab), Seeds.of(seed, preset.packings)
+    """The whole calibration of a lab file; resumes from what `work.folder` holds.
+
+    `coarse` are the same tests on the smaller beds that it explores with.
+    """
+    problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     base = with_values(base_soil(lab), changes)
     scatter = packing_scatter(
         problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
@@ -69,14 +78,15 @@ def calibrate(
     screening: dict = {}
     free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
     if free is None:
-        screening = screen(lab, problem, base, scatter, seeds, work)
+        screening = screen(lab, problem, base, scatter, seeds, work, coarse)
         free = tuple(screening["free"])
         work.progress.say("free parameters: " + ", ".join(free))
     free_space = space(lab, free, base)
     calibration = Calibration(
-        problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
+        problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), coarse=coarse
     )
-    result = fit(calibration)
+    first = calibration.correction(free_space.start(), "both resolutions at the start")
+    result = fit(calibration, explored(calibration, first))
     soil = free_space.soil(result.best.values)
     fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
     fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
@@ -91,16 +101,69 @@ def calibrate(
         fitted_runs=fitted,
         fresh_runs=fresh,
         scatter=scatter,
-        simulations=work.simulated,
+        simulations=work.simulated + (coarse.campaign.simulated if coarse else 0),
         named=named,
         strategy=calibration.strategy.describe(),
         seeds=seeds,
         rates=rates_json(work),
+        resolutions=resolutions_json(calibration, first, result, preset),
     )
 
 
+def explored(calibration: Calibration, correction: Correction) -> np.ndarray | None:
+    """Where the fit of smaller beds to corrected targets ends; None where there are none."""
+    coarse = calibration.coarse
+    if coarse is None:
+        return None
+    coarse.campaign.progress.say(f"exploring with {coarse.spheres} spheres")
+    small = replace(
+        calibration,
+        problem=corrected(calibration.problem, correction),
+        campaign=coarse.campaign,
+        coarse=None,
+    )
+    best = descend(small).best
+    return None if best is None or best.failures else best.values
+
+
+def resolutions_json(
+    calibration: Calibration, first: Correction, result: Fit, preset: Preset
+) -> dict:
+    """Ratio of both sizes' features at the start and at the best point; empty where there is one
+    size.  Says so where they differ by more than their errors."""
+    coarse = calibration.coarse
+    if coarse is None:
+        return {}
+    problem = calibration.problem
+    last = calibration.correction(result.best.values, "both resolutions at the best point")
+    changed = disagreement(problem, first, last)
+    if changed:
+        calibration.campaign.progress.say(
+            f"beds of {coarse.spheres} and {preset.spheres} spheres disagree beyond their errors: "
+            f"their ratio is {'; '.join(changed)} at the start and at the end: slopes of the "
+            "smaller ones may mislead; fit again from here (--set), or with --preset fine"
+        )
+    return {
+        "explored_spheres": coarse.spheres,
+        "simulations": coarse.campaign.simulated,
+        "ratio": {
+            feature.name: {"start": a, "end": b, "relative_se": se}
+            for feature, a, b, se in zip(
+                problem.features, first.ratio, last.ratio, last.relative_se, strict=True
+            )
+        },
+        "disagree": changed,
+    }
+
+
 def screen(
-    lab: Lab, problem: Problem, base: SoilParameters, scatter, seeds: Seeds, work: AbstractCampaign
+    lab: Lab,
+    problem: Problem,
+    base: SoilParameters,
+    scatter,
+    seeds: Seeds,
+    work: AbstractCampaign,
+    coarse: Coarse | None = None,
 ) -> dict:
     """Slopes of all features in all candidates, and the parameters that the data can fix."""
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
@@ -108,7 +171,7 @@ def screen(
     every = space(lab, candidates, base)
     settings = Settings(strategy=ensemble(every))
     calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings
+        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings, coarse
     )
     slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
     whitened = calibration.whitened(slopes)
@@ -162,6 +225,7 @@ def fit_json(done: Calibrated) -> dict:
             zip(features, np.sqrt(np.diag(done.scatter)).tolist(), strict=True)
         ),
         "simulations": done.simulations,
+        "resolutions": done.resolutions,
         "stopped": done.result.stopped,
         "strategy": done.strategy,
         "profiles": done.result.profiles,

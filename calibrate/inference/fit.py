@@ -25,6 +25,7 @@ from calibrate.core.errors import CalibrationError
 from calibrate.inference.identifiability import Identifiability, assess
 from calibrate.inference.parameters import Space, fitting_ensemble
 from calibrate.inference.problem import Problem, shrunk_covariance
+from calibrate.inference.resolutions import Coarse, Correction
 from calibrate.simulation import Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.sensitivity.base import AbstractStrategy
@@ -82,7 +83,8 @@ class Calibration:
     """A problem, a space of parameters, and the packings on which both are evaluated.
 
     relative_scatter (m, m) is the covariance of one packing's features over their mean,
-    from `scatter_packings` packings.
+    from `scatter_packings` packings.  With `coarse`, slopes are those of its smaller beds, times
+    the ratio of both sizes' features (`calibrate.inference.resolutions`).
     """
 
     problem: Problem
@@ -92,6 +94,7 @@ class Calibration:
     relative_scatter: np.ndarray
     scatter_packings: int
     settings: Settings = field(default_factory=Settings)
+    coarse: Coarse | None = None
 
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
@@ -100,19 +103,34 @@ class Calibration:
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 
-    def runs(self, points: np.ndarray, what: str) -> list[list[Run]]:
-        """Runs at points (k, n, p) of ln p, one for each packing."""
+    def probed(self, points: np.ndarray, what: str) -> np.ndarray:
+        """Features (k, n, m) at points (k, n, p) of ln p, one for each packing of those that slopes
+        are taken on."""
         soils = [
             [self.space.soil(np.exp(point)) for point in row] for row in self.space.inside(points)
         ]
-        return self.campaign.each(soils, self.seeds, what)
+        campaign = self.campaign if self.coarse is None else self.coarse.campaign
+        rows = campaign.each(soils, self.seeds, what)
+        return np.array([self.problem.simulated(row) for row in rows])
 
     def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
         """Features and whitened residual at parameter values (p,)."""
         runs = self.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
         self.forward_runs += 1
-        features = self.problem.simulated(runs)
         failures = tuple(run.failure for run in runs if run.failure)
+        return self._evaluated(values, self.problem.simulated(runs), failures)
+
+    def estimate(self, values: np.ndarray, correction: Correction, what: str) -> Evaluation:
+        """The same from the beds that slopes are taken on, times a ratio known from elsewhere."""
+        if self.coarse is None:
+            return self.evaluate(values, what)
+        runs = self.coarse.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
+        failures = tuple(run.failure for run in runs if run.failure)
+        return self._evaluated(values, self.problem.simulated(runs) * correction.ratio, failures)
+
+    def _evaluated(
+        self, values: np.ndarray, features: np.ndarray, failures: tuple[str, ...]
+    ) -> Evaluation:
         residual = self._residual(features.mean(axis=0), np.log(values))
         if not np.all(np.isfinite(residual)):
             residual = np.full_like(residual, _REJECTED)
@@ -122,18 +140,25 @@ class Calibration:
         """Slopes (m, p) of the mean features per unit of ln p."""
 
         def response(points: Array) -> Array:
-            rows = self.runs(np.asarray(points), what)
-            return jnp.asarray(np.array([self.problem.simulated(row) for row in rows]))
+            return jnp.asarray(self.probed(np.asarray(points), what))
 
         strategy, packings = self.strategy, len(self.seeds)
         found = strategy(response, jnp.log(values), packings)
         self.forward_runs += strategy.runs(len(values), packings) - 1  # the centre is known
-        slopes = np.asarray(found.slopes)
+        slopes = np.asarray(found.slopes) * self.correction(values, what).ratio[:, None]
         if not np.all(np.isfinite(slopes)):
             self.campaign.progress.say(
                 "  too many probes failed: slopes that are not known are set to zero"
             )
         return np.nan_to_num(slopes)
+
+    def correction(self, values: np.ndarray, what: str) -> Correction:
+        """Ratio of the fitted beds' features to those of the beds that slopes are taken on."""
+        if self.coarse is None:
+            return Correction.none(len(self.problem.measured))
+        soil = self.space.soil(values)
+        large = self.problem.simulated(self.campaign.runs([soil], self.seeds, what)[0])
+        return Correction.of(large, self.coarse.features(self.problem, soil, self.seeds, what))
 
     def whitened(self, slopes: np.ndarray) -> np.ndarray:
         return self._whitening @ slopes
@@ -308,13 +333,14 @@ def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, lis
     the covariance implies; `simulated` is what simulation gives at the same point.
     """
     sd, covariance = found.sd_log, found.covariance_log
+    correction = calibration.correction(found.values, "both resolutions at the best point")
     profiles = {}
     for column, name in enumerate(found.names):
         rows = []
         for steps in PROFILE_STEPS:
             shift = covariance[:, column] / sd[column] * steps
             values = np.exp(calibration.space.inside(np.log(found.values) + shift))
-            evaluation = calibration.evaluate(values, f"profile of {name}")
+            evaluation = calibration.estimate(values, correction, f"profile of {name}")
             rows.append(
                 {
                     "value": float(values[column]),

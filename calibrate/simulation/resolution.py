@@ -27,7 +27,9 @@ from jdem.packing.specimen import Specimen
 @dataclass(frozen=True)
 class Preset:
     """Number of spheres, simulated platen speeds (m/s) on a specimen in its mould and on a free
-    one, packings averaged over; whether beds grow to a porosity or settle as they fall."""
+    one, packings averaged over; whether beds grow to a porosity or settle as they fall; fresh
+    packings that a fit is checked on, and spheres of the beds that it explores with (None: the
+    same)."""
 
     name: str
     spheres: int
@@ -35,6 +37,8 @@ class Preset:
     rate_free: float
     packings: int
     grown: bool = False
+    fresh: int = 3
+    explored: int | None = None
 
 
 NARROWEST = 3.0  # spheres across a specimen
@@ -44,8 +48,8 @@ PRESETS = {
     preset.name: preset
     for preset in (
         Preset("quick", 150, 0.045, 0.05, 3),
-        Preset("standard", 2000, 0.08, 0.05, 4, grown=True),
-        Preset("fine", 10_000, 0.10, 0.05, 2, grown=True),
+        Preset("standard", 2000, 0.08, 0.05, 4, grown=True, fresh=8, explored=500),
+        Preset("fine", 10_000, 0.10, 0.05, 2, grown=True, fresh=3, explored=1000),
     )
 }
 

@@ -22,9 +22,6 @@ from jdem.materials.soil import SoilParameters
 SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
 
 
-FRESH_PACKINGS = 3  # on which a fit is checked
-
-
 @dataclass(frozen=True)
 class Seeds:
     """Packings that are fitted, packings held back, and all that scatter is taken from."""
@@ -34,11 +31,10 @@ class Seeds:
     scatter: tuple[int, ...]
 
     @staticmethod
-    def of(seed: int, fitted: int) -> "Seeds":
-        every = tuple(
-            range(100 * seed, 100 * seed + max(SCATTER_PACKINGS, fitted + FRESH_PACKINGS))
-        )
-        return Seeds(every[:fitted], every[fitted : fitted + FRESH_PACKINGS], every)
+    def of(seed: int, fitted: int, fresh: int = 3) -> "Seeds":
+        every = tuple(range(100 * seed, 100 * seed + max(SCATTER_PACKINGS, fitted + fresh)))
+        scatter = every[: max(SCATTER_PACKINGS, fitted)]
+        return Seeds(every[:fitted], every[fitted : fitted + fresh], scatter)
 
 
 def campaign(

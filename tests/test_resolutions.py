@@ -1,0 +1,134 @@
+"""Fits across resolutions: ratios in closed form, and a soil of formulas at two sizes of spheres.
+
+The small beds press deeper and are weaker, by a ratio that the soil changes.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from formulas import BASE, LAB, Formulas, shift
+
+from calibrate.core.progress import Silent
+from calibrate.inference.calibration import explored, resolutions_json
+from calibrate.inference.fit import Calibration, descend, fit, packing_scatter
+from calibrate.inference.parameters import space
+from calibrate.inference.problem import Problem
+from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement
+from calibrate.labtests.features import ScalarTarget
+from calibrate.simulation.resolution import PRESETS
+
+NAMES = ("shear_modulus", "surface_energy")
+FEATURES = (
+    ScalarTarget("depression_depth_mm", "mm", ""),
+    ScalarTarget("crushing_force_n", "N", ""),
+)
+SEEDS = range(4)
+
+
+@dataclass
+class Small(Formulas):
+    """Beds of fewer spheres: depth 1.2 times, force 0.8 times, with a slope of its own."""
+
+    bends: float = 0.1
+
+    def _run(self, soil, seed):
+        run = super()._run(soil, seed)
+        force = 0.8 * np.exp(self.bends * shift(soil, "surface_energy"))
+        depth, strength = (run.observables[f.name] for f in FEATURES)
+        values = {"depression_depth_mm": 1.2 * depth, "crushing_force_n": force * strength}
+        return replace(run, observables=values)
+
+
+def truth():
+    return space(LAB, NAMES, BASE).start() * [1.5, 0.6]
+
+
+def calibration(large, small):
+    """Two targets that a large bed of the true soil shows, without scatter of the laboratory."""
+    hidden = space(LAB, NAMES, BASE).soil(truth())
+    runs = large.runs([hidden], range(1000, 1064), "laboratory")[0]
+    measured = np.array([list(run.observables.values()) for run in runs]).mean(axis=0)
+    problem = Problem(FEATURES, measured, (0.01 * measured) ** 2, np.zeros(2, int))
+    scatter = packing_scatter(problem, lambda s: large.runs([BASE], s, "scatter")[0], range(8))
+    large.simulated = 0
+    coarse = None if small is None else Coarse(small, 500)
+    return Calibration(problem, space(LAB, NAMES, BASE), large, SEEDS, scatter, 8, coarse=coarse)
+
+
+def test_the_ratio_and_its_error_are_those_of_the_means():
+    rng = np.random.default_rng(0)
+    large, small = rng.normal([2.0, 200.0], [0.1, 20.0], (6, 2)), np.full((3, 2), [4.0, 100.0])
+    found = Correction.of(large, small)
+    assert found.ratio == pytest.approx(large.mean(axis=0) / [4.0, 100.0])
+    spread = large.std(axis=0, ddof=1) / large.mean(axis=0)
+    assert found.relative_se == pytest.approx(spread / np.sqrt(6))
+
+
+def test_failed_runs_do_not_count_and_signs_do_not_scale():
+    large = np.array([[2.0, 5.0], [np.nan, np.nan], [2.2, 5.0]])
+    small = np.array([[1.0, -5.0], [1.0, -4.0]])
+    found = Correction.of(large, small)
+    assert found.ratio == pytest.approx([2.1, 1.0])
+    assert np.isfinite(found.relative_se[0]) and np.isinf(found.relative_se[1])
+
+
+def test_corrected_targets_are_what_small_beds_have_to_show():
+    problem = Problem(FEATURES, np.array([3.0, 200.0]), np.array([0.01, 16.0]), np.zeros(2, int))
+    found = corrected(problem, Correction(np.array([0.8, 1.25]), np.zeros(2)))
+    assert found.measured == pytest.approx([3.75, 160.0])
+    assert np.sqrt(found.target_variance) / found.measured == pytest.approx([0.1 / 3, 4 / 200])
+
+
+def test_a_fit_across_resolutions_ends_where_one_with_large_beds_alone_does():
+    """Within half of the stated deviation: both stop within the tolerance of their residuals."""
+    large = Formulas()
+    case = calibration(large, Small())
+    result = fit(case, explored(case, case.correction(case.space.start(), "start")))
+    alone = fit(calibration(large, None))
+    apart = np.log(result.best.values / alone.best.values)
+    assert np.all(np.abs(apart) < 0.5 * alone.identifiability.sd_log)
+    simulated = result.best.features.mean(axis=0)
+    assert simulated == pytest.approx(case.problem.measured, rel=0.03)
+
+
+def test_it_takes_a_third_of_the_large_runs_that_a_fit_without_small_beds_takes():
+    alone, both = Formulas(), Formulas()
+    fit(calibration(alone, None))
+    case = calibration(both, Small())
+    fit(case, explored(case, case.correction(case.space.start(), "start")))
+    assert both.simulated < alone.simulated / 3
+
+
+def test_small_beds_alone_miss_what_large_ones_show():
+    large = Formulas()
+    case = calibration(large, Small())
+    alone = descend(replace(case, campaign=case.coarse.campaign, coarse=None)).best
+    shown = case.evaluate(alone.values, "check").features.mean(axis=0)
+    assert abs(shown[0] / case.problem.measured[0] - 1) > 0.1
+
+
+@dataclass
+class Noted(Silent):
+    lines: tuple = ()
+
+    def say(self, line):
+        self.lines += (line,)
+
+
+@pytest.mark.parametrize(("bends", "said"), [(0.0, False), (2.0, True)])
+def test_sizes_that_disagree_beyond_their_errors_are_said_in_one_sentence(bends, said):
+    large = Formulas(progress=Noted())
+    case = calibration(large, Small(bends=bends))
+    first = case.correction(case.space.start(), "start")
+    result = fit(case, explored(case, first))
+    record = resolutions_json(case, first, result, PRESETS["standard"])
+    lines = [line for line in large.progress.lines if "disagree beyond their errors" in line]
+    assert (len(lines) == 1) == said and bool(record["disagree"]) == said
+    assert record["explored_spheres"] == 500
+
+
+def test_a_ratio_without_error_never_disagrees():
+    problem = Problem(FEATURES, np.ones(2), np.ones(2), np.zeros(2, int))
+    unknown = Correction(np.array([1.0, 2.0]), np.full(2, np.inf))
+    assert disagreement(problem, Correction.none(2), unknown) == []
