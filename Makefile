@@ -12,8 +12,8 @@ TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadsco
 .DELETE_ON_ERROR:
 .PHONY: calibrate test check lint docs notebooks clean help
 
-calibrate: $(STAMP)  ## fit the bundled soil (quick preset); results in results/calibrate
-	$(BIN)/calibrate fit --preset quick --out results/calibrate
+calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in results/calibrate
+	$(BIN)/calibrate fit --preset standard --out results/calibrate
 
 test: lint  ## lint, then run all tests on two cores
 	$(TESTS)

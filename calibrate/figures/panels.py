@@ -15,6 +15,7 @@ from calibrate.labtests.composite import described
 from calibrate.records.base import Curve, Measured, Target, Test
 from calibrate.records.fit import FitRecord, Packing
 
+BANDED = 6  # curves of one group from which on their mean and band are drawn in place of each
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 
@@ -45,6 +46,9 @@ def fit_groups(found: FitRecord, test: Test) -> list[Group]:
 def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measured) -> None:
     """One test's curves, one line a packing, with what was measured."""
     for look, curves in groups:
+        if len(curves) >= BANDED:
+            _band(axis, curves, look)
+            continue
         for number, curve in enumerate(curves):
             name = look.label if number == 0 else None
             points = (curve.displacement_mm, curve.force_n)
@@ -59,6 +63,33 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
         if name in measured.targets:
             _target_force(axis, measured.targets[name], name)
     axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=shown.title)
+
+
+def _band(axis: Axes, curves: Sequence[Curve], look: Look) -> None:
+    """Mean of several curves, and one standard deviation across its course.
+
+    Curves are averaged at equal shares of their length, so that they may turn back.
+    """
+    courses = np.array([_resampled(curve) for curve in curves])
+    mean, spread = courses.mean(axis=0), courses.std(axis=0, ddof=1)
+    size = np.ptp(mean, axis=0)
+    along = np.gradient(mean, axis=0) / size
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    reach = np.linalg.norm(across * spread / size, axis=1, keepdims=True)
+    edges = [mean + sign * reach * across * size for sign in (1, -1)]
+    outline = np.concatenate([edges[0], edges[1][::-1]])
+    axis.fill(*outline.T, color=look.colour, alpha=0.2, lw=0, label=f"{look.label}: ± scatter")
+    axis.plot(*mean.T, look.line, color=look.colour, lw=1.6, label=f"{look.label}: mean")
+
+
+def _resampled(curve: Curve, points: int = 200) -> np.ndarray:
+    """The curve (points, 2) at equal shares of its length, both axes scaled to one."""
+    course = np.stack([curve.displacement_mm, curve.force_n], axis=1)
+    smooth = course / np.maximum(np.ptp(course, axis=0), 1e-12)
+    passed = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1))])
+    wanted = np.linspace(0, passed[-1], points)
+    return np.stack([np.interp(wanted, passed, column) for column in course.T], axis=1)
 
 
 def _target_force(axis: Axes, target: Target, name: str) -> None:

@@ -185,13 +185,15 @@ def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
             _amount(getattr(table, name), target, cylinder, f"{target.field}.{name}", file)
             for name in ("mean", "scatter")
         )
-        return Target(table.times * mean, table.times * scatter, table.repeats or 1)
+        amounts = (table.times * mean, table.times * scatter)
+        return Target(*amounts, table.repeats or 1, table.published_error)
     factor = _factor(target, cylinder, f"{target.field}.unit", file)
     repeats = factor * read_repeats(table, path, target.field)
     if len(repeats) < 2 or repeats.min() <= 0:
         problem = "fewer than two repeats" if len(repeats) < 2 else "a repeat is not above zero"
         raise InputError(file, f"{target.field}.file", problem, "give mean, scatter and repeats")
-    return Target(float(repeats.mean()), float(repeats.std(ddof=1)), len(repeats))
+    amounts = (float(repeats.mean()), float(repeats.std(ddof=1)))
+    return Target(*amounts, len(repeats), table.published_error)
 
 
 def _amount(written: Any, target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:

@@ -15,6 +15,7 @@ from calibrate.core.tables import (
     AbstractTable,
     Count,
     ForceUnit,
+    Fraction,
     Length,
     LengthUnit,
     StrainUnit,
@@ -40,11 +41,13 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Target:
-    """A measured observable: mean of `repeats` tests and standard deviation of one [mm or N]."""
+    """A measured observable: mean of `repeats` tests and standard deviation of one [mm or N], and
+    the relative error that those who published it found for their own simulation, if known."""
 
     mean: float
     scatter: float
     repeats: int
+    published_error: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,8 @@ class TargetTable(AbstractTable):
     """A measured observable: mean and standard deviation of one repeat, as quantities, and their
     number; or a file with one repeat a row, its column and unit, each repeat `times` a factor.
 
-    A length may be given as a strain, a force as a stress of the specimen's area.
+    A length may be given as a strain, a force as a stress of the specimen's area.  published_error
+    is the relative error of a published simulation, for comparison.
     """
 
     mean: Any = None
@@ -94,6 +98,7 @@ class TargetTable(AbstractTable):
     decimal: Literal[".", ","] = "."
     where: dict[str, str] = Field(default={})
     times: float = Field(default=1.0, gt=0)
+    published_error: Fraction | None = None
 
     @model_validator(mode="after")
     def _check_complete(self) -> "TargetTable":

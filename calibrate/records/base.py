@@ -82,11 +82,13 @@ class MeasuredCurve(Curve):
 
 
 class Target(Record):
-    """A measured observable: mean of `repeats` tests, standard deviation of one (mm or N)."""
+    """A measured observable: mean of `repeats` tests, standard deviation of one (mm or N), and the
+    relative error of a published simulation."""
 
     mean: Annotated[float, Field(gt=0)]
     scatter: Annotated[float, Field(ge=0)]
     repeats: int
+    published_error: float | None = None
 
 
 class TestShown(Record):

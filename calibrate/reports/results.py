@@ -51,6 +51,8 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     }
     console.print(_observables_table(session.lab, groups))
     console.print(_parameters_table(done))
+    for line in _verification(done, result):
+        console.print(line, markup=False, highlight=False)
     for line in _conclusions(done, result):
         console.print(line, markup=False, highlight=False)
     _warn_if_coarse(console, result)
@@ -177,6 +179,22 @@ def _parameters_table(done: Calibrated) -> Table:
         cells = [f"{x:.4g}" for x in (first[name], found.values[row])]
         table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
     return table
+
+
+def _verification(done: Calibrated, result: dict) -> list[str]:
+    """How far fresh packings' means are from what was measured, and a publication's own error."""
+    fresh, lines = result["fresh_packings"], []
+    count = len([run for run in done.fresh_runs if not run.failure])
+    for name, target in done.lab.targets.items():
+        mean, error = fresh["observables"][name], fresh["spread"][name] / max(count, 1) ** 0.5
+        line = (
+            f"{label(name)} on {count} fresh packings: {mean:.4g} ± {error:.2g} (standard error), "
+            f"{100 * (mean / target.mean - 1):+.1f} % of what was measured"
+        )
+        if target.published_error is not None:
+            line += f"; the publication's own simulation: {100 * target.published_error:.1f} % off"
+        lines.append(line)
+    return lines
 
 
 def _conclusions(done: Calibrated, result: dict) -> list[str]:

@@ -108,6 +108,7 @@ MEANING = {
     "CurveTable.delimiter": "between cells of a row",
     "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated; default: 80 um",
     "ParticlesTable.poisson_ratio": "of the particles",
+    "TargetTable.published_error": "relative error of a published simulation, for comparison",
     "ParticlesTable.porosity": "of the bed of spheres; default: usual for their size",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
@@ -118,6 +119,7 @@ MEANING = {
 EXAMPLES = {
     "reference_diameter": 'reference_diameter = "80 um"',
     "porosity": "porosity = 0.43",
+    "published_error": 'published_error = "3 %"',
     "mould_height": 'mould_height = "150 mm"',
     "source": 'source = "own tests, 2026"',
     "value": "value = 7e6",

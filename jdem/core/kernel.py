@@ -68,6 +68,17 @@ def entrywise(
     return kernel() if kernel.possible else function(shared, entries)
 
 
+@jax.custom_batching.custom_vmap
+def most_used(count: Array) -> Array:
+    """A number of used entries; of several lists at once the largest, for all of them."""
+    return count
+
+
+@most_used.def_vmap
+def _most_of_all(size: int, batched, count: Array):
+    return jnp.max(count), False
+
+
 def together(function: Callable[..., Tree], *arguments: Any) -> Tree:
     """function(*arguments) of a few numbers, as one kernel instead of one for each operation."""
     if not bounded():

@@ -15,6 +15,7 @@ from jax import Array
 
 from jdem.bodies.base import AbstractBodies
 from jdem.boundaries.composite import Boundaries
+from jdem.core.kernel import most_used
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw, Memory
 
@@ -55,7 +56,7 @@ class ContactList(eqx.Module):
 
     def used(self) -> Array:
         """How many entries there are; they stand at the beginning."""
-        return jnp.sum(self.alive > 0).astype(jnp.int32)
+        return most_used(jnp.sum(self.alive > 0).astype(jnp.int32))
 
     @staticmethod
     def empty(capacity: int, dtype, law: AbstractContactLaw) -> "ContactList":
