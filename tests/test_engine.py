@@ -303,13 +303,29 @@ def test_segments_last_as_long_as_they_say():
 # ------------------------------------------------------------------ lists that are too small
 
 
-def test_the_record_says_which_capacity_or_skin_was_too_small():
+def thrown(speed):
+    """A bed, and the record of 100 steps in one interval after its spheres were thrown (m/s)."""
     bed = bed_of(spheres_of(4), soil_of())
-    fast = state_of(bed, heap(raised=0.1), np.full((4, 3), 10.0))
-    record = simulate(bed, fast, stack([Segment()]), jnp.asarray(100), CAPACITY)
+    fast = state_of(bed, heap(raised=0.1), np.full((4, 3), speed))
+    return bed, simulate(bed, fast, stack([Segment()]), jnp.asarray(100), CAPACITY)
+
+
+def test_the_record_says_which_capacity_or_skin_was_too_small():
+    """Spheres that cross the skin in one step."""
+    bed, record = thrown(1e4)
     assert record.overflow_of(bed.grid)
     assert "motion between rebuilds" in record.explain_overflow(bed.grid)
     assert not Demand.none().exceeds(bed.grid)
+
+
+def test_an_interval_is_cut_where_spheres_would_outrun_their_lists():
+    """They fly several skins in the interval, and every step of it is taken."""
+    speed = 10.0
+    bed, record = thrown(speed)
+    way = 2 * np.sqrt(3) * speed * float(record.state.time)
+    assert way > 3 * bed.grid.skin >= 3 * float(record.drift)
+    assert not record.overflow_of(bed.grid)
+    assert float(record.state.time) == pytest.approx(100 * float(bed.time_step), rel=1e-12)
 
 
 # ------------------------------------------------------------------ energy
