@@ -56,6 +56,11 @@ def calibration(large, small):
     return Calibration(problem, space(LAB, NAMES, BASE), large, SEEDS, scatter, 8, coarse=coarse)
 
 
+def started(case):
+    """Where the small beds' fit ends."""
+    return explored(case, case.correction(case.space.start(), "start")).best.values
+
+
 def test_the_ratio_and_its_error_are_those_of_the_means():
     rng = np.random.default_rng(0)
     large, small = rng.normal([2.0, 200.0], [0.1, 20.0], (6, 2)), np.full((3, 2), [4.0, 100.0])
@@ -84,7 +89,7 @@ def test_a_fit_across_resolutions_ends_where_one_with_large_beds_alone_does():
     """Within half of the stated deviation: both stop within the tolerance of their residuals."""
     large = Formulas()
     case = calibration(large, Small())
-    result = fit(case, explored(case, case.correction(case.space.start(), "start")))
+    result = fit(case, started(case))
     alone = fit(calibration(large, None))
     apart = np.log(result.best.values / alone.best.values)
     assert np.all(np.abs(apart) < 0.5 * alone.identifiability.sd_log)
@@ -96,7 +101,7 @@ def test_it_takes_a_third_of_the_large_runs_that_a_fit_without_small_beds_takes(
     alone, both = Formulas(), Formulas()
     fit(calibration(alone, None))
     case = calibration(both, Small())
-    fit(case, explored(case, case.correction(case.space.start(), "start")))
+    fit(case, started(case))
     assert both.simulated < alone.simulated / 3
 
 
@@ -121,7 +126,7 @@ def test_sizes_that_disagree_beyond_their_errors_are_said_in_one_sentence(bends,
     large = Formulas(progress=Noted())
     case = calibration(large, Small(bends=bends))
     first = case.correction(case.space.start(), "start")
-    result = fit(case, explored(case, first))
+    result = fit(case, explored(case, first).best.values)
     record = resolutions_json(case, first, result, PRESETS["standard"])
     lines = [line for line in large.progress.lines if "disagree beyond their errors" in line]
     assert (len(lines) == 1) == said and bool(record["disagree"]) == said

@@ -50,9 +50,10 @@ def fit_command(
     names = parse_free(free)
     preparation = values if prepare_with_soil else None
     work, spheres = session.campaign(out, preparation), session.preset.explored
-    coarse = (
-        Coarse(session.resized(spheres).campaign(out, preparation), spheres) if spheres else None
-    )
+    coarse = None
+    if spheres is not None:
+        smaller = session.resized(spheres).campaign(out, preparation)
+        coarse = Coarse.of(smaller, spheres, session.preset.spheres)
     done = calibrate(session.lab, session.preset, names, values, seed, work, coarse)
     write_fit(session, done, json)
 

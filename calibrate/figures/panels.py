@@ -165,15 +165,20 @@ def profile(axis: Axes, found: FitRecord, name: str) -> None:
 
 
 def descent(axis: Axes, found: FitRecord) -> None:
-    """The objective at every evaluation; hollow where the step was rejected or failed."""
+    """The objective at every evaluation; hollow where the step was rejected or failed, crosses
+    where smaller beds were explored, whose objective is their own."""
     runs = np.array([step.forward_runs for step in found.history])
     cost = np.array([step.cost for step in found.history])
-    better = np.array([step.status == "better" for step in found.history])
-    axis.plot(runs, np.minimum.accumulate(cost), drawstyle="steps-post", color=DARK, lw=1.2)
+    status = np.array([step.status for step in found.history])
+    better, explored = status == "better", status == "explored"
+    least = np.minimum.accumulate(cost[~explored])
+    axis.plot(runs[~explored], least, drawstyle="steps-post", color=DARK, lw=1.2)
     axis.plot(runs[better], cost[better], "o", color=DARK, label="better")
-    if not np.all(better):
-        points = (runs[~better], cost[~better])
-        axis.plot(*points, "D", mfc="white", mec=MIDDLE, label="rejected or failed")
+    if np.any(explored):
+        axis.plot(runs[explored], cost[explored], "x", color="0.5", label="smaller beds")
+    rest = ~better & ~explored
+    if np.any(rest):
+        axis.plot(runs[rest], cost[rest], "D", mfc="white", mec=MIDDLE, label="rejected or failed")
     axis.set_yscale("log")
     axis.set(xlabel="forward runs a packing", ylabel="objective (half of chi²)")
     axis.set_title("course of the fit")

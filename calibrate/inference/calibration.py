@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.fit import Calibration, Fit, Settings, descend, fit, packing_scatter
+from calibrate.inference.fit import (
+    Calibration,
+    Descent,
+    Fit,
+    Settings,
+    descend,
+    fit,
+    packing_scatter,
+)
 from calibrate.inference.identifiability import choose_free
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space
 from calibrate.inference.problem import Problem, pose
@@ -89,7 +97,9 @@ def calibrate(
         problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), settings, coarse
     )
     first = calibration.correction(free_space.start(), "both resolutions at the start")
-    result = fit(calibration, explored(calibration, first))
+    walked = explored(calibration, first)
+    start = walked.best.values if walked and walked.best else None
+    result = _after(walked, fit(calibration, start), coarse.cost if coarse else 1.0)
     soil = free_space.soil(result.best.values)
     fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
     fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
@@ -113,8 +123,8 @@ def calibrate(
     )
 
 
-def explored(calibration: Calibration, correction: Correction) -> np.ndarray | None:
-    """Where the fit of smaller beds to corrected targets ends; None where there are none."""
+def explored(calibration: Calibration, correction: Correction) -> Descent | None:
+    """The fit of smaller beds to corrected targets; None where there are none, or none succeeds."""
     coarse = calibration.coarse
     if coarse is None:
         return None
@@ -125,8 +135,21 @@ def explored(calibration: Calibration, correction: Correction) -> np.ndarray | N
         campaign=coarse.campaign,
         coarse=None,
     )
-    best = descend(small).best
-    return None if best is None or best.failures else best.values
+    found = descend(small)
+    return None if found.best is None or found.best.failures else found
+
+
+def _after(walked: Descent | None, result: Fit, cost: float = 1.0) -> Fit:
+    """The fit with the evaluations of smaller beds before its own."""
+    if walked is None:
+        return result
+    before = [
+        {**row, "status": "explored", "forward_runs": cost * row["forward_runs"]}
+        for row in walked.history
+    ]
+    shift = {"evaluation": len(before), "forward_runs": before[-1]["forward_runs"]}
+    after = [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in result.history]
+    return replace(result, history=[*before, *after])
 
 
 def resolutions_json(

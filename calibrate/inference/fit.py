@@ -144,7 +144,8 @@ class Calibration:
 
         strategy, packings = self.strategy, len(self.seeds)
         found = strategy(response, jnp.log(values), packings)
-        self.forward_runs += strategy.runs(len(values), packings) - 1  # the centre is known
+        cost = 1.0 if self.coarse is None else self.coarse.cost
+        self.forward_runs += cost * (strategy.runs(len(values), packings) - 1)  # centre: known
         slopes = np.asarray(found.slopes) * self.correction(values, what).ratio[:, None]
         if not np.all(np.isfinite(slopes)):
             self.campaign.progress.say(

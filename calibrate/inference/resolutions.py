@@ -58,10 +58,16 @@ def _relative_variance(features: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Coarse:
-    """The same tests on beds of fewer spheres."""
+    """The same tests on beds of fewer spheres; `cost` is that of a run over a run of large beds."""
 
     campaign: AbstractCampaign
     spheres: int
+    cost: float = 1.0
+
+    @staticmethod
+    def of(campaign: AbstractCampaign, spheres: int, large: int) -> "Coarse":
+        """Time steps go with the diameter, so a run's cost goes with N^(4/3)."""
+        return Coarse(campaign, spheres, (spheres / large) ** (4 / 3))
 
     def features(
         self, problem: Problem, soil: SoilParameters, seeds: Sequence[int], what: str

@@ -93,7 +93,7 @@ class Step(Record):
     """One evaluation of the fit."""
 
     evaluation: int
-    status: Literal["better", "rejected", "failed"]
+    status: Literal["better", "rejected", "failed", "explored"]
     failure: str
     forward_runs: Number
     cost: Number
