@@ -4,9 +4,10 @@
     container of height h' -> grow, hold, level -> height h(h'),   h' chosen so that h(h') = h
 
 Small spheres are thrown into the mould between base and platen and grow to their size while
-nothing weighs (radius expansion; Ding et al. 2014 use it to compare numbers of spheres at one
-porosity).  Then gravity sets in, with a friction that holds the bed nearly as it is, and a
-platen levels it.  What it sinks, or springs back, is made up for by the next container.
+nothing weighs (radius expansion).  Then gravity sets in, with a friction that holds the bed
+nearly as it is, and a platen levels it.  What it sinks, or springs back, is made up for by the
+next container.  A given porosity matters because strength goes with it, and so part of what
+seems an effect of the number of spheres (Ding et al. 2014, doi 10.1007/s00603-013-0533-1).
 """
 
 from collections.abc import Callable
