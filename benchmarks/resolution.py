@@ -31,7 +31,7 @@ from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import campaign
 
 PACKINGS = {150: 12, 250: 10, 500: 8, 1000: 6, 2000: 6, 5000: 3, 10_000: 2, 20_000: 1}
-MATCHED = 0.46  # reached by every size from 250 spheres on
+MATCHED = 0.46  # reached by every size from 500 spheres on
 LAST = 14.0  # mm
 WINDOW = 1.0  # mm
 HEADER = (
@@ -165,7 +165,7 @@ def main() -> None:
     found: dict = {}
     for spheres in [n for n in PACKINGS if n <= chosen.most]:
         for kind, each in (("usual porosity", lab), (f"porosity {MATCHED}", same)):
-            if kind != "usual porosity" and not 250 <= spheres <= 5000:
+            if kind != "usual porosity" and not 500 <= spheres <= 5000:
                 continue
             runs = measured(each, spheres, chosen.folder)
             found.setdefault(kind, {})[str(spheres)] = row(runs, lab.specimen.height)

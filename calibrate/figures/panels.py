@@ -68,15 +68,15 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
 def _band(axis: Axes, curves: Sequence[Curve], look: Look) -> None:
     """Mean of several curves, and one standard deviation across its course.
 
-    Curves are averaged at equal shares of their length, so that they may turn back.
+    Curves are averaged at equal shares of the way that the platen went, so that they may turn back.
     """
     courses = np.array([_resampled(curve) for curve in curves])
     mean, spread = courses.mean(axis=0), courses.std(axis=0, ddof=1)
     size = np.ptp(mean, axis=0)
-    along = np.gradient(mean, axis=0) / size
+    along = np.gradient(_smooth(mean), axis=0) / size
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-    reach = np.linalg.norm(across * spread / size, axis=1, keepdims=True)
+    reach = np.linalg.norm(across * _smooth(spread) / size, axis=1, keepdims=True)
     edges = [mean + sign * reach * across * size for sign in (1, -1)]
     outline = np.concatenate([edges[0], edges[1][::-1]])
     axis.fill(*outline.T, color=look.colour, alpha=0.2, lw=0, label=f"{look.label}: ± scatter")
@@ -84,12 +84,17 @@ def _band(axis: Axes, curves: Sequence[Curve], look: Look) -> None:
 
 
 def _resampled(curve: Curve, points: int = 200) -> np.ndarray:
-    """The curve (points, 2) at equal shares of its length, both axes scaled to one."""
+    """The curve (points, 2) at equal shares of the way that the platen went, there and back."""
     course = np.stack([curve.displacement_mm, curve.force_n], axis=1)
-    smooth = course / np.maximum(np.ptp(course, axis=0), 1e-12)
-    passed = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1))])
+    passed = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(course[:, 0])))])
     wanted = np.linspace(0, passed[-1], points)
     return np.stack([np.interp(wanted, passed, column) for column in course.T], axis=1)
+
+
+def _smooth(rows: np.ndarray, reach: int = 6) -> np.ndarray:
+    """Means over neighbouring rows, shorter at the ends."""
+    places = range(len(rows))
+    return np.array([rows[max(0, k - reach) : k + reach + 1].mean(axis=0) for k in places])
 
 
 def _target_force(axis: Axes, target: Target, name: str) -> None:
