@@ -29,7 +29,7 @@ THOROUGH = (
     *("laws_contract", "laws", "view", "abuse", "relaxation", "study", "unit_of_force"),
     *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "oedometer"),
     *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),
-    *("sensitivity", "smooth"),
+    *("sensitivity", "smooth", "growth", "machine_alone"),
 )
 
 
