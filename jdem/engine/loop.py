@@ -112,21 +112,31 @@ def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
     )
 
 
-Stepper = Callable[[Bed, BedState, Command], BedState]
-
-
-class AbstractFrozen(eqx.Module):
+class AbstractDerivative(eqx.Module):
     """How derivatives pass from segment number `first` on; values stay what they are."""
 
     first: eqx.AbstractVar[int]
 
-    @abc.abstractmethod
     def begun(self, state: BedState) -> BedState:
         """The state as that segment begins."""
+        return state
+
+    def seen(self, force: Array) -> Array:
+        """The force (N or N m) that the servo acts upon."""
+        return force
 
     @abc.abstractmethod
     def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
         """The state one time step later."""
+
+
+class Pathwise(AbstractDerivative):
+    """Through every step as it is computed."""
+
+    first: int = eqx.field(static=True, default=0)
+
+    def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
+        return step(bed, state, command)
 
 
 class _Progress(eqx.Module):
@@ -146,13 +156,13 @@ def run(
     steps_per_sample: Array,
     capacity: int,
     surroundings: AbstractSurroundings | None = None,
-    frozen: AbstractFrozen | None = None,
+    derivative: AbstractDerivative | None = None,
 ) -> Record:
     """Runs a programme (stack of segments) from `state`; at most `capacity` samples.
 
     `surroundings` (the base model's if not given) may change the bed as the programme runs.
-    Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode; `frozen`
-    changes how, and no value.
+    Rows of `samples` beyond the end keep segment -1.  Differentiable in forward mode;
+    `derivative` changes how (`Pathwise` if not given), and no value.
     """
     around = Unchanging() if surroundings is None else surroundings
     count = jnp.shape(programme.duration)[0]
@@ -162,14 +172,14 @@ def run(
     upkeep, memory = Upkeep.begin(bed, prepared), around.begin(state.time.dtype)
     progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
 
-    def advanced(step: Stepper, progress: _Progress):
+    def advanced(way: AbstractDerivative, progress: _Progress):
         number, memory, before = progress.segment, progress.memory, progress.state
         segment, present = row_of(programme, number), around.bed(bed, number, memory)
 
         def shown(reading):
             return around.shown(reading, memory)
 
-        interval = (segment, steps_per_sample, shown, step)
+        interval = (segment, steps_per_sample, shown, way)
         state, sample, upkeep = _sampled((bed, present), before, progress.upkeep, *interval)
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
@@ -189,11 +199,11 @@ def run(
             around.later(memory, number, before, state),
         )
 
-    frozen_step = step if frozen is None else frozen.step
-    if frozen is not None:
-        progress = _until(frozen.first, capacity, partial(advanced, step), progress)
-        progress = eqx.tree_at(lambda p: p.state, progress, frozen.begun(progress.state))
-    final = _until(count, capacity, partial(advanced, frozen_step), progress)
+    way = Pathwise() if derivative is None else derivative
+    if way.first > 0:
+        progress = _until(way.first, capacity, partial(advanced, Pathwise()), progress)
+    progress = eqx.tree_at(lambda p: p.state, progress, way.begun(progress.state))
+    final = _until(count, capacity, partial(advanced, way), progress)
     upkeep, finished = final.upkeep, final.segment >= count
     return Record(final.samples, final.state, upkeep.demand, upkeep.largest, finished)
 
@@ -235,7 +245,7 @@ def _sampled(
     segment: Segment,
     steps: Array,
     shown: Callable[[Array], Array],
-    step: Stepper,
+    way: AbstractDerivative,
 ):
     """The state after `steps` time steps, means over them, and the lists' upkeep.
 
@@ -246,8 +256,8 @@ def _sampled(
     def advance(_, carry):
         state, sums = carry
         with fenced():
-            command = together(command_of, segment, shown(state.reading))
-            state = read(step(bed, state, command), segment, bed.time_step)
+            command = together(command_of, segment, way.seen(shown(state.reading)))
+            state = read(way.step(bed, state, command), segment, bed.time_step)
             return state, sums + together(_probe, state.boundaries, state.loads, state.reading)
 
     def piece(carry):

@@ -92,20 +92,42 @@ def _booked(before, boundaries: Boundaries, felt: Array, powers, absorbed: Array
     return moved(boundaries, time_step), felt, energy + work, time + time_step
 
 
-def next_motion(bed: Bed, motion: Motion, stretching: Real, loads: Array, command: Command):
+def next_motion(
+    bed: Bed,
+    motion: Motion,
+    stretching: Real,
+    loads: Array,
+    command: Command,
+    share: Real | None = None,
+):
     """Motion one step later, and energies of the step as `_absorbed` lists them.
 
     `stretching` (1/s) is the rate of the affine motion along z that damping leaves alone.
+    `share` (-), if given, is what a derivative of the motion relative to it keeps in this step;
+    no value depends on it.
     """
     damping = (command.damping, command.unloaded_damping)
-    shared = (bed.time_step, bed.gravity, bed.roll_width, stretching, damping)
+    shared = (bed.time_step, bed.gravity, bed.roll_width, stretching, damping, share)
     moved, absorbed = entrywise(_moved, shared, (bed.spheres, motion, loads))
     return moved, jnp.sum(absorbed, axis=0)
 
 
+@jax.custom_jvp
+def slowed(value: Array, affine: Array, share: Array) -> Array:
+    """The value; its derivative is affine' + share (value' - affine')."""
+    return value
+
+
+@slowed.defjvp
+def _slowed_derivative(values, tangents):
+    value, _, share = values
+    own, affine, _ = tangents
+    return value, affine + share * (own - affine)
+
+
 def _moved(shared, entries):
     """Each sphere's motion one step later, and what `_absorbed` says of it."""
-    dt, gravity, roll_width, stretching, (background, unloaded) = shared
+    dt, gravity, roll_width, stretching, (background, unloaded), kept = shared
     spheres, motion, loads = entries
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
     impulse = Vector(push.x, push.y, push.z - gravity) * dt
@@ -119,6 +141,11 @@ def _moved(shared, entries):
     kick = Vector.from_rows(loads[:, 3:6]) * (dt / spheres.inertia)
     free_spin = (motion.spin + kick) * keep
     spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, roll_width)
+    if kept is not None:
+        still = jnp.zeros_like(affine)
+        parts = ((velocity.x, still), (velocity.y, still), (velocity.z, affine))
+        velocity = Vector(*(slowed(part, own, kept) for part, own in parts))
+        spin = Vector(*(slowed(part, still, kept) for part in (spin.x, spin.y, spin.z)))
 
     moved = Motion(motion.position + velocity * dt, velocity, spin)
     absorbed = _absorbed(spheres, motion, moved, (impulse, kick), (free, free_spin))

@@ -17,7 +17,7 @@ from jdem.core.quantity import cast
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
-from jdem.engine.loop import AbstractFrozen, Record, Sample, run, start
+from jdem.engine.loop import AbstractDerivative, Record, Sample, run, start
 from jdem.engine.neighbors import Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.segment import Segment, stack
@@ -107,7 +107,7 @@ class VirtualLab(eqx.Module):
     grid: Grid = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
     effects: tuple[AbstractEffect, ...] = ()
-    frozen: AbstractFrozen | None = None
+    derivative: AbstractDerivative | None = None
 
     @staticmethod
     def of(
@@ -131,7 +131,7 @@ class VirtualLab(eqx.Module):
             per_cell=self.numerics.per_cell + 4,
         )
         larger = VirtualLab.of(specimen, self.tests.sampled(3), numerics, self.effects)
-        return replace(larger, frozen=self.frozen)
+        return replace(larger, derivative=self.derivative)
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:
         """Stable time step, s."""
@@ -153,7 +153,7 @@ class VirtualLab(eqx.Module):
         position = cast(packing.position, dtype)
         state = start(bed, position, packing.height, packing.mould_radius)
         programme = cast(self._programme(), dtype)
-        record = run(bed, state, programme, steps, self.capacity, around, self.frozen)
+        record = run(bed, state, programme, steps, self.capacity, around, self.derivative)
         return outcome(self.tests, bed, record, cast(self.effects, dtype))
 
     def _filled(self, packing: Packing) -> Packing:

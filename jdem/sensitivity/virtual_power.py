@@ -34,7 +34,7 @@ from jdem.core import smooth
 from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
-from jdem.engine.loop import AbstractFrozen
+from jdem.engine.loop import AbstractDerivative
 from jdem.engine.step import Bed, BedState, Command, next_motion, step
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, forward_mode
@@ -57,7 +57,7 @@ class VirtualPower(AbstractStrategy):
 
         A response of another laboratory is differentiated pathwise.
         """
-        return replace(lab, frozen=FrozenMotion(lab.tests.names.index(self.first), self.carried))
+        return replace(lab, derivative=FrozenMotion(lab.tests.names.index(self.first), self.carried))
 
     def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
         return forward_mode(response, point, packings)
@@ -69,7 +69,7 @@ class VirtualPower(AbstractStrategy):
         return f"virtual power: pathwise until {self.first}, then with the motion frozen"
 
 
-class FrozenMotion(AbstractFrozen):
+class FrozenMotion(AbstractDerivative):
     """Derivatives see a frozen motion from segment number `first` on.
 
     Derivatives of positions, walls and histories at that moment are `carried` along or dropped.
