@@ -22,7 +22,8 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun, subjaxprs
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from jdem.core.fusion import bounded, once
+from jdem.core.fusion import bounded, fenced, once
+from jdem.core.tangents import differentiable
 
 Tree = TypeVar("Tree")
 
@@ -53,17 +54,18 @@ def entrywise(
     """
     if not bounded():
         return function(shared, entries)
-    first, *_ = jax.tree.leaves(entries)
-    length = first.shape[0]
-    count = block_count(length)
+    length = jax.tree.leaves(entries)[0].shape[0]
+    used = jnp.asarray(length if used is None else used)
+    kernel = partial(_in_blocks, block_count(length))
+    return differentiable(kernel, used, function, shared, entries)
+
+
+def _in_blocks(count: int, used: Array, function: Callable, shared, entries):
+    """function(shared, entries) as one kernel, or plainly if one cannot hold it."""
     kernel = (
         _Kernel(function, shared, entries)
         if count == 1
-        else _Kernel(
-            partial(_blockwise, function, count),
-            (shared, jnp.asarray(length if used is None else used)),
-            entries,
-        )
+        else _Kernel(partial(_blockwise, function, count), (shared, used), entries)
     )
     return kernel() if kernel.possible else function(shared, entries)
 
@@ -83,6 +85,11 @@ def together(function: Callable[..., Tree], *arguments: Any) -> Tree:
     """function(*arguments) of a few numbers, as one kernel instead of one for each operation."""
     if not bounded():
         return function(*arguments)
+    return differentiable(_at_once, None, function, *arguments)
+
+
+def _at_once(_, function: Callable, *arguments):
+    """function(*arguments) as one kernel, or plainly if one cannot hold it."""
     kernel = _Kernel(function, *arguments)
     return kernel() if kernel.possible else function(*arguments)
 
@@ -152,14 +159,32 @@ class _Kernel:
 
     def __call__(self):
         """The function's results."""
-        return jax.tree.unflatten(self._structure, jax.jit(self._marked)(*self._operands))
+        return jax.tree.unflatten(self._structure, _called(self._function, *self._operands))
 
-    def _marked(self, *operands):
-        """Traced before the mark is set, because a mark holds for everything traced inside."""
-        operands = jax.lax.optimization_barrier(operands)
-        (call,) = jax.make_jaxpr(jax.jit(self._function))(*operands).eqns
-        with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
-            return call.primitive.bind(*operands, **call.params)
+
+def _called(function: Callable, *operands):
+    """function(*operands) as a marked call, over several lanes of `vmap` too."""
+
+    @jax.custom_batching.custom_vmap
+    def call(*operands):
+        return jax.jit(partial(_marked, function))(*operands)
+
+    @call.def_vmap
+    def lanes(_, batched, *operands):
+        every = jax.vmap(function, [0 if lane else None for lane in batched])
+        with fenced():
+            found = _called(every, *operands)
+        return found, [True] * len(found)
+
+    return call(*operands)
+
+
+def _marked(function: Callable, *operands):
+    """Traced before the mark is set, because a mark holds for everything traced inside."""
+    operands = jax.lax.optimization_barrier(operands)
+    (call,) = jax.make_jaxpr(jax.jit(function))(*operands).eqns
+    with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
+        return call.primitive.bind(*operands, **call.params)
 
 
 def _evaluated(jaxpr: Jaxpr, constants: int, *operands):

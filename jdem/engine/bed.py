@@ -11,6 +11,7 @@ from jax import Array
 
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.composite import CELL_SURFACES, PLATEN
+from jdem.core.fusion import fenced, once
 from jdem.core.kernel import in_blocks
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
@@ -83,11 +84,14 @@ def friction_of_walls(soil: SoilParameters, surfaces: tuple[str, ...]) -> Array:
 
 
 def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
-    """Time step (s) from the stiffest contact; no derivative passes through it."""
+    """Time step (s) from the stiffest contact; no derivative passes through it, and none changes
+    how it is rounded."""
+    with fenced():
+        spheres, between, walls = once(jax.lax.stop_gradient((spheres, between, walls)))
     radius, mass = spheres.radius, spheres.mass
     pair = jnp.min(0.5 * mass / between.stiffness_bound(0.5 * radius))
     wall = jnp.min(mass / walls.stiffness_bound(radius))
-    return jax.lax.stop_gradient(safety * jnp.sqrt(jnp.minimum(pair, wall)))
+    return safety * jnp.sqrt(jnp.minimum(pair, wall))
 
 
 def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:

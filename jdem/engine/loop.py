@@ -270,7 +270,8 @@ def _sampled(
     sums = jnp.zeros_like(_probe(state.boundaries, state.loads, state.reading))
     begun = (state, sums, upkeep, jnp.zeros_like(steps))
     state, sums, upkeep, _ = jax.lax.while_loop(lambda carry: carry[3] < steps, piece, begun)
-    means, count = sums / steps, len(state.boundaries)
+    with fenced():
+        means, count = together(jnp.divide, sums, steps), len(state.boundaries)
     places, loads, reading = jnp.split(means, [3 * count, (3 + LOADS) * count])
     sample = Sample(
         segment=jnp.zeros((), jnp.int32),

@@ -1,0 +1,97 @@
+"""Derivatives of a kernel: values by the kernel itself, tangents by a second one.
+
+XLA compiles a kernel that computes values and tangents together in another way than one of
+the values alone, and their last bits differ.  So values come from the same program whether
+tangents are wanted or not, and tangents from a program that takes the same arguments and
+hands out nothing else.
+"""
+
+from collections.abc import Callable
+from itertools import chain
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+
+from jdem.core.fusion import fenced
+from jdem.core.linear import pushed_forward
+
+
+def differentiable(kernel: Callable, fixed: Any, function: Callable, *arguments: Any) -> Any:
+    """kernel(fixed, function, *arguments), which is function(*arguments), with its tangents.
+
+    Those are kernel(fixed, g, *doubled), where each of `doubled` holds an argument's arrays and
+    those of its tangent; no derivative passes through `fixed`.
+    """
+    arrays, static = eqx.partition(arguments, eqx.is_array)
+    leaves, structure = jax.tree.flatten(arrays)
+    sizes = [part.num_leaves for part in structure.children()]
+
+    def by_leaves(*parts):
+        leaves = list(chain(*parts))
+        return function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
+
+    @jax.custom_jvp
+    def values(fixed, *leaves):
+        with fenced():
+            return kernel(fixed, by_leaves, *_split(leaves, sizes))
+
+    def derivative(primals, tangents):
+        (fixed, *leaves), (_, *slopes) = primals, tangents
+        found = values(fixed, *leaves)
+        moving = [not isinstance(slope, SymbolicZero) for slope in slopes]
+        changes = []
+        if any(moving):
+            known, moved = _told_apart(leaves, moving)
+            parts = (_split(part, sizes) for part in (known, moved, _told_apart(slopes, moving)[1]))
+            with fenced():
+                changes = kernel(fixed, _pushed(by_leaves), *zip(*parts, strict=True))
+        return found, _as_tangent(found, changes)
+
+    values.defjvp(derivative, symbolic_zeros=True)
+    return values(fixed, *leaves)
+
+
+def _pushed(function: Callable) -> Callable:
+    """Tangents of the function's floating-point results, from its doubled arguments."""
+
+    def pushed(*doubled):
+        known, moved, slopes = (list(chain(*part)) for part in zip(*doubled, strict=True))
+
+        def results(moved):
+            both = [a if b is None else b for a, b in zip(known, moved, strict=True)]
+            return [leaf for leaf in jax.tree.leaves(function(both)) if _floating(leaf)]
+
+        return pushed_forward(results, moved, slopes)
+
+    return pushed
+
+
+def _split(leaves, sizes: list[int]) -> list[list]:
+    """The leaves of each argument."""
+    rest = iter(leaves)
+    return [[next(rest) for _ in range(size)] for size in sizes]
+
+
+def _told_apart(leaves, moving: list[bool]) -> tuple[list, list]:
+    """Those that do not move and those that do, each with None in place of the others."""
+    pairs = list(zip(leaves, moving, strict=True))
+    return [None if m else leaf for leaf, m in pairs], [leaf if m else None for leaf, m in pairs]
+
+
+def _as_tangent(found, changes: list):
+    """A tangent of the results from `changes` of the floating-point ones; without any, zero."""
+    leaves, structure = jax.tree.flatten(found)
+    rest = iter(changes or [jnp.zeros_like(leaf) for leaf in leaves if _floating(leaf)])
+    tangents = [
+        next(rest) if _floating(leaf) else np.zeros(leaf.shape, jax.dtypes.float0)
+        for leaf in leaves
+    ]
+    return jax.tree.unflatten(structure, tangents)
+
+
+def _floating(leaf) -> bool:
+    return jnp.issubdtype(leaf.dtype, jnp.inexact)
