@@ -26,9 +26,10 @@ import numpy as np
 import reporting
 from jax import Array
 
-from calibrate.inference.audit import judged, traced
+from calibrate.inference.audit import judged
 from calibrate.inference.curve_points import POINTS, CurvePoints
 from calibrate.inference.parameters import FACTORS, Space, space
+from calibrate.inference.traced import traced
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import PLAIN
 from calibrate.labtests.unconfined import UnconfinedTest
@@ -71,7 +72,7 @@ class Bench:
         """Slopes (m, p) as `result`, and processor seconds, on the packing of a seed."""
         strategy = VARIANTS[variant]
         both = traced(strategy, strategy.laboratory(self.lab), self.space, self.points)
-        each = eqx.filter_jit(lambda packing, time_step: both(packing, time_step)[1])
+        each = eqx.filter_jit(lambda packing, time_step: both(packing, time_step).slopes)
 
         def on(seed: int) -> dict:
             return self.kept(f"{self._hash(variant)}-{seed}", each, seed)

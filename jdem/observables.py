@@ -12,7 +12,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.core import smooth
+from jdem.core.derivative import with_derivative_of
 from jdem.core.quantity import Real, cast, quantity
+
+CHORD = 5  # rows on either side of a point over which a curve's slope is taken
 
 
 class Curve(eqx.Module):
@@ -35,17 +39,31 @@ def displacement_at(loading: Curve, force) -> Array:
     """Displacement (m) at which the loading curve first reaches `force` (N).
 
     Linear interpolation of the curve's running maximum; a force beyond the last row
-    gives the last row's displacement.
+    gives the last row's displacement.  Its derivative is that of the chord over CHORD rows on
+    either side: the slope between two neighbouring rows is mostly roughness.
     """
     curve = loading.filled()
     highest = jax.lax.cummax(curve.force)
     after = jnp.argmax(highest >= force)
     after = jnp.where(highest[-1] < force, curve.force.shape[0] - 1, after)
     before = jnp.maximum(after - 1, 0)
-    rise = highest[after] - highest[before]
-    share = jnp.where(rise > 0, (force - highest[before]) / jnp.where(rise > 0, rise, 1.0), 1.0)
-    step = curve.displacement[after] - curve.displacement[before]
-    return curve.displacement[before] + jnp.clip(share, 0.0, 1.0) * step
+    share = smooth.divide(force - highest[before], highest[after] - highest[before])
+    share = jax.lax.stop_gradient(jnp.where(highest[after] > highest[before], share, 1.0))
+    share = jnp.clip(share, 0.0, 1.0)
+    travel, reached = (
+        rows[before] + share * (rows[after] - rows[before])
+        for rows in (curve.displacement, highest)
+    )
+    missed = smooth.divide(force - reached, _chord(curve, highest, before, after))
+    return with_derivative_of(travel, travel + missed)
+
+
+def _chord(curve: Curve, highest: Array, before: Array, after: Array) -> Array:
+    """Slope (N/m) of a rising curve over CHORD rows on either side of two rows; no derivative."""
+    end = jnp.argmax(highest >= highest[-1])
+    low, high = jnp.maximum(before - CHORD, 0), jnp.maximum(jnp.minimum(after + CHORD, end), after)
+    rise, way = highest[high] - highest[low], curve.displacement[high] - curve.displacement[low]
+    return jax.lax.stop_gradient(smooth.divide(rise, way))
 
 
 def depression_depth(loading: Curve, force_low, force_high) -> Array:

@@ -66,7 +66,7 @@ def pressed(log_values, programme, freezes):
         FAR,
     )
     frozen = FrozenMotion(1, carried=True) if freezes else None
-    samples = run(bed, state, programme, jnp.asarray(STEPS), CAPACITY, frozen=frozen).samples
+    samples = run(bed, state, programme, jnp.asarray(STEPS), CAPACITY, derivative=frozen).samples
     return samples.platen_force
 
 

@@ -31,7 +31,8 @@ def audit_command(
         typer.Option(
             "--strategy",
             help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
-            "virtual_power, virtual_power_blend; may be given several times.",
+            "overdamped, overdamped_blend, virtual_power, virtual_power_blend; may be given "
+            "several times.",
         ),
     ] = None,
     changes: Changes = None,

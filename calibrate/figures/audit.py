@@ -18,6 +18,8 @@ MARKS = {
     "ensemble": ("P", LIGHT, "--"),
     "pathwise": ("x", "0.5", ":"),
     "blend": ("s", LIGHT, "--"),
+    "overdamped": ("*", DARK, "-"),
+    "overdamped_blend": ("h", MIDDLE, "--"),
     "virtual_power": ("D", DARK, "--"),
     "virtual_power_blend": ("v", LIGHT, ":"),
 }

@@ -13,7 +13,7 @@ wrong one.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import cast
 
 import jax.numpy as jnp
@@ -23,23 +23,28 @@ from jax import Array
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
+from calibrate.inference.traced import Certificate, traced_slopes
 from calibrate.labtests.composite import described
 from calibrate.simulation import Campaign
 from calibrate.simulation.joint import AbstractCampaign
-from jdem.core.program import program
-from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.packing.specimen import Packing
-from jdem.sensitivity.base import AbstractStrategy, Sensitivity, averaged
+from jdem.sensitivity.base import AbstractStrategy, Sensitivity
 from jdem.sensitivity.composite import Blend, blended
+from jdem.sensitivity.overdamped import Overdamped
 from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
+from jdem.sensitivity.traced import AbstractTraced
 from jdem.sensitivity.virtual_power import VirtualPower
 
 STRATEGIES = (
-    "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend",
+    "fit", "ensemble", "regression", "pathwise", "blend", "overdamped", "overdamped_blend",
+    "virtual_power", "virtual_power_blend",
 )  # fmt: skip
 SIMULATED = ("regression", "ensemble", "fit")  # from values of runs that a campaign keeps
-BLENDS = {"blend": "pathwise", "virtual_power_blend": "virtual_power"}  # each with the ensemble
+BLENDS = {  # each with the ensemble
+    "blend": "pathwise",
+    "overdamped_blend": "overdamped",
+    "virtual_power_blend": "virtual_power",
+}
 REFERENCE = Regression((0.2,))
 JUDGED_FROM = 3.0  # standard errors of the reference
 
@@ -58,6 +63,7 @@ class Audit:
     described: dict[str, str]
     packings: int
     points: CurvePoints
+    certificates: dict[str, list[Certificate]] = field(default_factory=dict)
 
     def rows(self, strategy: str) -> list[dict]:
         """One row for each parameter and observable: the contract's keys, and intervals."""
@@ -107,6 +113,8 @@ def strategies(space: Space) -> dict[str, AbstractStrategy]:
         "regression": Regression((0.25,)),
         "pathwise": Pathwise(),
         "blend": Blend(unbiased=ensemble(space)),
+        "overdamped": Overdamped(),
+        "overdamped_blend": Blend(Overdamped(), ensemble(space)),
         "virtual_power": VirtualPower(),
         "virtual_power_blend": Blend(VirtualPower(), ensemble(space)),
     }
@@ -127,7 +135,7 @@ def audit(
     reference = REFERENCE(simulated("reference"), point, count)
     if not bool(jnp.all(jnp.isfinite(reference.slopes))):
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
-    available, estimates = strategies(space), {}
+    available, estimates, certificates = strategies(space), {}, {}
     needed = {*names, *(BLENDS[name] for name in names if name in BLENDS)}
     for name in SIMULATED:
         if name in needed or (name == "ensemble" and needed & set(BLENDS)):
@@ -135,25 +143,22 @@ def audit(
     for name in BLENDS.values():
         if name in needed:
             work.progress.say(f"{name}: one pass with all tangents on every packing")
-            estimates[name] = traced_slopes(name, space, cast(Campaign, work), seeds, points)
+            strategy = cast(AbstractTraced, available[name])
+            found = traced_slopes(strategy, space, cast(Campaign, work), seeds, points)
+            estimates[name], certificates[name] = found
     for name, precise in BLENDS.items():
         if name in names:
-            rows = len(estimates[precise].slopes)
-            both = _first_rows(estimates["ensemble"], rows)
-            estimates[name] = blended(estimates[precise], both)
+            estimates[name] = blended(estimates[precise], estimates["ensemble"])
     return Audit(
         names=space.names,
         reference=reference,
         estimates={name: estimates[name] for name in names},
+        certificates=certificates,
         costs={name: available[name].runs(len(space.names), count) for name in names},
         described={name: available[name].describe() for name in names},
         packings=count,
         points=points,
     )
-
-
-def _first_rows(found: Sensitivity, rows: int) -> Sensitivity:
-    return Sensitivity(found.values[:, :rows], found.slopes[:rows], found.standard_error[:rows])
 
 
 def simulated_response(
@@ -171,50 +176,6 @@ def simulated_response(
         return response
 
     return named
-
-
-def traced_slopes(
-    name: str, space: Space, work: Campaign, seeds: Sequence[int], points: CurvePoints
-) -> Sensitivity:
-    """Slopes in forward mode, packing by packing, at the time step of the base soil.
-
-    Of all observables by `pathwise`; of all curves as well by `virtual_power`.
-    """
-    power = VirtualPower()
-    if name == "virtual_power":
-        slopes = traced(power, power.laboratory(work.lab), space, points)
-    else:
-        slopes = traced(Pathwise(), work.lab, space, points, rows=len(points.called))
-    found = [
-        slopes(packing, work.lab.time_step(packing, space.base)) for packing in work.packings(seeds)
-    ]
-    values, each = (jnp.stack(part) for part in zip(*found, strict=True))
-    return averaged(values, each)
-
-
-def traced(
-    strategy: AbstractStrategy,
-    lab: VirtualLab,
-    space: Space,
-    points: CurvePoints,
-    rows: int | None = None,
-) -> Callable[[Packing, Array], tuple[Array, Array]]:
-    """A compiled function of one packing and its time step (s): values (m,), slopes (m, p).
-
-    At the space's base soil, per unit of ln p; m are the first `rows` of what `points` reads.
-    """
-    point = jnp.log(jnp.asarray(space.start()))
-
-    @program
-    def slopes(packing: Packing, time_step: Array) -> tuple[Array, Array]:
-        def response(asked: Array) -> Array:
-            outcome = lab.run(packing, space.soil(jnp.exp(asked[0, 0])), time_step)
-            return points.traced(outcome)[:rows][None, None]
-
-        found = strategy(response, point, 1)
-        return found.values[0], found.slopes
-
-    return slopes
 
 
 def audit_json(found: Audit) -> dict:
@@ -235,12 +196,32 @@ def audit_json(found: Audit) -> dict:
 
 def _strategy_json(found: Audit, name: str) -> dict:
     rows = found.rows(name)
+    certificates = found.certificates.get(name)
+    certified = {} if certificates is None else {"certificate": _certificate_json(found, name)}
     return {
+        **certified,
         "passed": verdict(rows),
         "rows": rows,
         "forward_runs": found.costs[name],
         "described": found.described[name],
     }
+
+
+def _certificate_json(found: Audit, name: str) -> list[dict]:
+    """Growth and imbalance of the derivative on every packing, by test and parameter."""
+    return [
+        {
+            "seed": each.seed,
+            "test": reading.test,
+            "parameter": parameter,
+            "growth": float(each.growth[test, p]),
+            "imbalance": float(each.imbalance[test, p]),
+            "accepted": bool(each.accepted[test, p]),
+        }
+        for each in found.certificates[name]
+        for test, reading in enumerate(found.points.readings)
+        for p, parameter in enumerate(found.names)
+    ]
 
 
 def _curve_json(found: Audit, test: str) -> dict:

@@ -89,6 +89,12 @@ class CurvePoints:
         curves = [reading.traced(outcome.curves[reading.test]) for reading in self.readings]
         return jnp.concatenate([jnp.stack(values), *curves])
 
+    def tests(self) -> np.ndarray:
+        """Number of the test that each of the numbers comes from."""
+        order = [reading.test for reading in self.readings]
+        single = [order.index(test) for test, _ in self.called]
+        return np.array([*single, *np.repeat(np.arange(len(order)), POINTS)])
+
     def slices(self) -> dict[str, slice]:
         """Where each test's curve stands among what `read` returns."""
         first = len(self.called)

@@ -7,8 +7,9 @@ from pydantic import model_validator as check
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record, Test
 
 Strategy = Literal[
-    "fit", "ensemble", "regression", "pathwise", "blend", "virtual_power", "virtual_power_blend"
-]
+    "fit", "ensemble", "regression", "pathwise", "blend", "overdamped", "overdamped_blend",
+    "virtual_power", "virtual_power_blend",
+]  # fmt: skip
 
 
 class Slope(Record):
@@ -24,6 +25,18 @@ class Slope(Record):
     passed: bool | None
 
 
+class CertificateRow(Record):
+    """How far a derivative that JAX took has grown on one packing, and whether it is believed
+    (`jdem.sensitivity.traced`)."""
+
+    seed: int
+    test: Test
+    parameter: Parameter
+    growth: Number
+    imbalance: Number
+    accepted: bool
+
+
 class StrategyRecord(Record):
     """One strategy's slopes, and what they cost in forward runs a packing."""
 
@@ -31,6 +44,7 @@ class StrategyRecord(Record):
     rows: list[Slope]
     forward_runs: Number
     described: str
+    certificate: list[CertificateRow] | None = None
 
     def judged(self) -> list[Slope]:
         return [row for row in self.rows if row.judged]

@@ -11,6 +11,7 @@ from jax import Array
 
 from jdem.boundaries.composite import Boundaries, effective_radius, nearest, spin_of
 from jdem.core import smooth
+from jdem.core.derivative import resisted
 from jdem.core.fusion import once
 from jdem.core.kernel import entrywise
 from jdem.core.vector import Vector
@@ -48,6 +49,7 @@ def _pair_forces(shared: tuple[Bed, Array], entries):
     one, two = once((one.T, two.T))
     contact, levers = _pair_contacts(bed, one, two, alive)
     force, history = _law_forces(bed.particle_law, contact, history)
+    force = _dragged(bed, contact, force)
     push, twist, power = _assembled(contact, force)
     opposite = None if force.moment is None else -force.moment
     on_first = _row(push, _with(twist * levers[0], force.moment), force, levers[0])
@@ -75,6 +77,7 @@ def _wall_forces(shared: tuple[Bed, Array, Boundaries], entries):
     one = once(jax.lax.optimization_barrier(rows[first]).T)
     contact, lever = _wall_geometry(bed, one, boundaries, wall, alive)
     force, history = _law_forces(bed.wall_law, contact, history)
+    force = _dragged(bed, contact, force)
     push, twist, power = _assembled(contact, force)
     on_first = _row(push, _with(twist * lever, force.moment), force, lever)
     place = Vector(*one[0:3]) - contact.normal * lever
@@ -145,6 +148,22 @@ def _spin(contact: Contact) -> Vector:
 def _law_forces(law: AbstractContactLaw, contact: Contact, history):
     """The law, vectorised over contacts."""
     return once(jax.vmap(law.force)(contact, history))
+
+
+def _dragged(bed: Bed, contact: Contact, force: ContactForce) -> ContactForce:
+    """The force, whose derivative also feels the dashpots of `Bed.drag`."""
+    if bed.drag is None:
+        return force
+    touching = jnp.where(contact.overlap > 0, 1.0, 0.0)
+    constant = touching * bed.drag.contact * contact.mass / contact.time_step
+    held, slip = force.tangential, contact.slip
+    held = held + Vector(*(resisted(v, constant) for v in (slip.x, slip.y, slip.z)))
+    viscous = force.normal.viscous - resisted(contact.approach_speed, constant)
+    return eqx.tree_at(_viscous_and_held, force, (viscous, held))
+
+
+def _viscous_and_held(force: ContactForce):
+    return force.normal.viscous, force.tangential
 
 
 def _assembled(contact: Contact, force: ContactForce):

@@ -113,12 +113,16 @@ def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
 
 
 class AbstractDerivative(eqx.Module):
-    """How derivatives pass from segment number `first` on; values stay what they are."""
+    """How derivatives pass, from segment number `first` on; values stay what they are."""
 
     first: eqx.AbstractVar[int]
 
+    def programme(self, programme: Segment) -> Segment:
+        """The programme, whose rates may have derivatives of their own."""
+        return programme
+
     def begun(self, state: BedState) -> BedState:
-        """The state as that segment begins."""
+        """The state as segment `first` begins."""
         return state
 
     def seen(self, force: Array) -> Array:
@@ -165,6 +169,8 @@ def run(
     `derivative` changes how (`Pathwise` if not given), and no value.
     """
     around = Unchanging() if surroundings is None else surroundings
+    way = Pathwise() if derivative is None else derivative
+    programme = way.programme(programme)
     count = jnp.shape(programme.duration)[0]
     prepared = _prepared(bed, state, row_of(programme, 0))
     none = jnp.zeros((), jnp.int32)
@@ -199,7 +205,6 @@ def run(
             around.later(memory, number, before, state),
         )
 
-    way = Pathwise() if derivative is None else derivative
     if way.first > 0:
         progress = _until(way.first, capacity, partial(advanced, Pathwise()), progress)
     progress = eqx.tree_at(lambda p: p.state, progress, way.begun(progress.state))

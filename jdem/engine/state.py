@@ -13,13 +13,24 @@ from jdem.laws.base import AbstractContactLaw
 GRAVITY = 9.81  # m/s2
 
 
+class TangentDrag(eqx.Module):
+    """What holds derivatives of the motion back, and no value (`jdem.sensitivity.overdamped`).
+
+    background (-) x 1/time step acts on each sphere's motion relative to the stretching that
+    `Bed.follows` imposes; contact (-) x m*/time step is the constant of dashpots in all contacts.
+    """
+
+    background: Real = quantity()
+    contact: Real = quantity()
+
+
 class Bed(eqx.Module):
     """What does not change while a bed is tested: spheres, laws, numerics.
 
     friction (-) between spheres; wall_friction (-) of the boundaries, shape (boundaries,), whose
     materials `surfaces` names; time_step in s; roll_width (rad/s) is the spin at which half of the
     rolling torque acts.  Background damping acts on the motion relative to the stretching that
-    boundary number `follows` imposes.
+    boundary number `follows` imposes; `drag` acts on derivatives alone.
     """
 
     spheres: Spheres
@@ -30,6 +41,7 @@ class Bed(eqx.Module):
     time_step: Real = quantity()
     roll_width: Real = quantity()
     gravity: Real = quantity(GRAVITY)
+    drag: TangentDrag | None = None
     grid: Grid = eqx.field(static=True, kw_only=True)
     surfaces: tuple[str, ...] = eqx.field(static=True, kw_only=True, default=CELL_SURFACES)
     follows: int | None = eqx.field(static=True, kw_only=True, default=PLATEN)

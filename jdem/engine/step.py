@@ -26,6 +26,7 @@ from jdem.boundaries.composite import (
     strain_rate,
 )
 from jdem.core import smooth
+from jdem.core.derivative import slowed
 from jdem.core.fusion import fenced
 from jdem.core.kernel import entrywise, together
 from jdem.core.quantity import Real
@@ -98,31 +99,16 @@ def next_motion(
     stretching: Real,
     loads: Array,
     command: Command,
-    share: Real | None = None,
 ):
     """Motion one step later, and energies of the step as `_absorbed` lists them.
 
     `stretching` (1/s) is the rate of the affine motion along z that damping leaves alone.
-    `share` (-), if given, is what a derivative of the motion relative to it keeps in this step;
-    no value depends on it.
     """
     damping = (command.damping, command.unloaded_damping)
+    share = None if bed.drag is None else 1 / (1 + bed.drag.background)
     shared = (bed.time_step, bed.gravity, bed.roll_width, stretching, damping, share)
     moved, absorbed = entrywise(_moved, shared, (bed.spheres, motion, loads))
     return moved, jnp.sum(absorbed, axis=0)
-
-
-@jax.custom_jvp
-def slowed(value: Array, affine: Array, share: Array) -> Array:
-    """The value; its derivative is affine' + share (value' - affine')."""
-    return value
-
-
-@slowed.defjvp
-def _slowed_derivative(values, tangents):
-    value, _, share = values
-    own, affine, _ = tangents
-    return value, affine + share * (own - affine)
 
 
 def _moved(shared, entries):
@@ -142,14 +128,19 @@ def _moved(shared, entries):
     free_spin = (motion.spin + kick) * keep
     spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, roll_width)
     if kept is not None:
-        still = jnp.zeros_like(affine)
-        parts = ((velocity.x, still), (velocity.y, still), (velocity.z, affine))
-        velocity = Vector(*(slowed(part, own, kept) for part, own in parts))
-        spin = Vector(*(slowed(part, still, kept) for part in (spin.x, spin.y, spin.z)))
+        velocity, spin = _held_back(velocity, spin, affine, kept)
 
     moved = Motion(motion.position + velocity * dt, velocity, spin)
     absorbed = _absorbed(spheres, motion, moved, (impulse, kick), (free, free_spin))
     return moved, absorbed
+
+
+def _held_back(velocity: Vector, spin: Vector, affine: Array, kept: Real):
+    """Both, with the share `kept` of their derivatives relative to the affine motion."""
+    still = jnp.zeros_like(affine)
+    across = (slowed(velocity.x, still, kept), slowed(velocity.y, still, kept))
+    turned = (slowed(part, still, kept) for part in (spin.x, spin.y, spin.z))
+    return Vector(*across, slowed(velocity.z, affine, kept)), Vector(*turned)
 
 
 def _absorbed(spheres: Spheres, before: Motion, after: Motion, increments, free) -> Array:

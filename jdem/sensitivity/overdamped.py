@@ -1,27 +1,125 @@
-"""Overdamped tangents."""
+"""Overdamped derivatives: forward mode, with the derivative of the motion held back.
+
+The derivative of a bed that is loaded slowly is that of a sequence of equilibria, K dx = -df.
+Pathwise tangents obey the equation of motion instead, m dv' = -K dx - df: where a contact softens
+they grow with exp(t sqrt(k/m)), and at some hundred spheres nothing else is left of them.  Here
+they also feel a drag that no value feels,
+
+    dv -> affine + (dv - affine)/(1 + b)      relative to the stretching that the platen imposes
+    df -> df - (c m*/t) dv_rel                in every contact, t the time step
+
+so they relax towards the equilibrium and grow more slowly where there is none.  b = c = 0 are
+pathwise tangents; b -> infinity is frozen motion (docs/gradients.md has both limits and between).
+
+The machine turns at given forces, but a servo whose feedback is differentiated through a bed that
+answers late is an unstable loop.  So derivatives see a platen that does not feel the force, and
+the travels at which it turned follow from the forces G there (implicit function theorem):
+
+    dG/dp + dG/de de/dp = 0,      d out/dp at given forces = d out/dp + d out/de de/dp
+
+e (-) stretches each travel; its derivatives are further tangents, one a turn.
+"""
+
+from dataclasses import replace
+from typing import cast
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jdem.core.quantity import Real, quantity
-from jdem.engine.loop import AbstractDerivative
-from jdem.engine.state import Bed, BedState, Command
-from jdem.engine.step import next_motion, step
+from jdem.engine.loop import AbstractDerivative, Sample
+from jdem.engine.segment import Segment
+from jdem.engine.state import Bed, BedState, Command, TangentDrag
+from jdem.engine.step import step
+from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.sensitivity.traced import AbstractTraced, Read, Simulate, Traced, forward
+
+TURN_ROWS = 3  # samples before a turn, over which its force is averaged
 
 
 class OverdampedMotion(AbstractDerivative):
-    damping: Real = quantity(1e4)
-    cut: bool = eqx.field(static=True, default=True)
-    first: int = eqx.field(static=True, default=0)
+    """Derivatives under `drag`, of a machine that does not feel forces.
+
+    stretches (-), one for each of the movements `turning`, are zero; derivatives in them are those
+    in the logarithms of these movements' travels.
+    """
+
+    drag: TangentDrag
+    stretches: Array = quantity()
+    turning: tuple[int, ...] = eqx.field(static=True, kw_only=True)
+    first: int = eqx.field(static=True, default=0, kw_only=True)
+
+    def programme(self, programme: Segment) -> Segment:
+        speed = programme.speed
+        for stretch, number in zip(self.stretches, self.turning, strict=True):
+            speed = speed.at[number].multiply((1 + stretch).astype(speed.dtype))
+        return eqx.tree_at(lambda p: p.speed, programme, speed)
 
     def seen(self, force: Array) -> Array:
-        return jax.lax.stop_gradient(force) if self.cut else force
+        return jax.lax.stop_gradient(force)
 
     def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
-        share = jax.lax.stop_gradient(1 / (1 + self.damping * bed.time_step))
+        return step(replace(bed, drag=self.drag), state, command)
 
-        def motions(*given):
-            return next_motion(*given, share)
 
-        return step(bed, state, command, motions)
+class Overdamped(AbstractTraced):
+    """Forward mode under a drag; background and contact (-) as in `TangentDrag`.
+
+    Slopes of a test whose growth or imbalance (`jdem.sensitivity.traced`) is above most_growth or
+    most_imbalance are not believed.  `cost` is that of one tangent in forward runs, `turns` how
+    many further ones a sequence of tests takes (benchmarks/results/tangents.md).
+    """
+
+    background: Real = quantity(0.04)
+    contact: Real = quantity(0.12)
+    cost: float = eqx.field(static=True, default=1.5)
+    turns: int = eqx.field(static=True, default=2)
+    most_growth: float = eqx.field(static=True, default=3.0)
+    most_imbalance: float = eqx.field(static=True, default=0.3)
+
+    def laboratory(self, lab: VirtualLab) -> VirtualLab:
+        targets = np.asarray(lab.tests.programme().force_target)
+        turning = tuple(np.flatnonzero(np.isfinite(targets)).tolist())
+        drag = TangentDrag(self.background, self.contact)
+        derivative = OverdampedMotion(drag, jnp.zeros(len(turning)), turning=turning)
+        return replace(lab, derivative=derivative)
+
+    def traced(self, lab: VirtualLab, simulate: Simulate, read: Read, point: Array) -> Traced:
+        motion, count = cast(OverdampedMotion, lab.derivative), point.shape[0]
+        turning = motion.turning
+
+        def simulated(x: Array):
+            stretched = replace(motion, stretches=x[count:])
+            outcome = simulate(replace(lab, derivative=stretched), x[:count])
+            turns = [_turning_force(outcome.record.samples, number) for number in turning]
+            return outcome, jnp.stack(turns) if turns else jnp.zeros(0, x.dtype)
+
+        everywhere = jnp.concatenate([point, jnp.zeros(len(turning), point.dtype)])
+        return forward(lab, simulated, read, everywhere, len(turning))
+
+    def accepted(self, found: Traced) -> Array:
+        """Which tests' slopes in which parameters (tests, p) can be believed."""
+        grown, unbalanced = found.growth > self.most_growth, found.imbalance > self.most_imbalance
+        finite = jnp.isfinite(found.growth) & jnp.isfinite(found.imbalance)
+        return finite & ~grown & ~unbalanced
+
+    def runs(self, parameters: int, packings: int) -> float:
+        return 1 + self.cost * (parameters + self.turns)
+
+    def describe(self) -> str:
+        return (
+            "overdamped: forward mode through every step with a drag on the motion's derivative, "
+            "at the forces where the machine turned"
+        )
+
+
+def _turning_force(samples: Sample, number: int) -> Array:
+    """Mean reading (N) of a movement's last samples; NaN if it was not reached."""
+    rows = jnp.arange(samples.segment.shape[0])
+    last = jnp.max(jnp.where(samples.segment == number, rows, -1))
+    chosen = (rows > last - TURN_ROWS) & (samples.segment == number)
+    total = jnp.sum(jnp.where(chosen, samples.reading, 0.0))
+    return jnp.where(last >= 0, total / jnp.maximum(jnp.sum(chosen), 1), jnp.nan)

@@ -6,21 +6,17 @@ docs/gradients.md, and `ensemble`.
 """
 
 import equinox as eqx
-from jax import Array
 
-from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, forward_mode
+from jdem.sensitivity.traced import AbstractTraced
 
 
-class Pathwise(AbstractStrategy):
+class Pathwise(AbstractTraced):
     """One tangent a parameter, all in one pass; the response must be traceable by JAX.
 
     cost is that of one tangent in forward runs (benchmarks/results/speed.md).
     """
 
     cost: float = eqx.field(static=True, default=1.5)
-
-    def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
-        return forward_mode(response, point, packings)
 
     def runs(self, parameters: int, packings: int) -> float:
         return 1 + self.cost * parameters

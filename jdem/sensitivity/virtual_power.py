@@ -31,17 +31,18 @@ from jax import Array
 from jdem.bodies.spheres import Motion, kinetic_energy
 from jdem.boundaries.composite import PLATEN
 from jdem.core import smooth
+from jdem.core.derivative import with_derivative_of
 from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
 from jdem.engine.loop import AbstractDerivative
 from jdem.engine.step import Bed, BedState, Command, next_motion, step
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.sensitivity.base import AbstractStrategy, Response, Sensitivity, forward_mode
+from jdem.sensitivity.traced import AbstractTraced
 
 
-class VirtualPower(AbstractStrategy):
-    """Forward mode through a response whose laboratory is `laboratory(lab)`.
+class VirtualPower(AbstractTraced):
+    """Forward mode in which the motion is frozen from some movement on.
 
     `first` names the segment from which on the motion is frozen; `carried` as in
     `FrozenMotion`; `cost` is that of one tangent in forward runs
@@ -57,10 +58,9 @@ class VirtualPower(AbstractStrategy):
 
         A response of another laboratory is differentiated pathwise.
         """
-        return replace(lab, derivative=FrozenMotion(lab.tests.names.index(self.first), self.carried))
-
-    def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
-        return forward_mode(response, point, packings)
+        return replace(
+            lab, derivative=FrozenMotion(lab.tests.names.index(self.first), self.carried)
+        )
 
     def runs(self, parameters: int, packings: int) -> float:
         return 1 + self.cost * parameters
@@ -110,15 +110,6 @@ def force_by_power(bed: Bed, before: Motion, after: BedState) -> Array:
     taken = work.absorbed() + kinetic - work.gravity - others
     travel = after.boundaries[PLATEN].rates.speed * bed.time_step
     return smooth.divide(taken - jax.lax.stop_gradient(work.integration), travel)
-
-
-def with_derivative_of(value, other):
-    """The value of one and the derivative of the other; arrays or trees of arrays."""
-
-    def joined(a, b):
-        return jax.lax.stop_gradient(a) + (b - jax.lax.stop_gradient(b))
-
-    return jax.tree.map(joined, value, other)
 
 
 def _as_it_went(bed: Bed, motion: Motion, stretching: Real, loads: Array, command: Command):

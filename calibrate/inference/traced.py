@@ -1,0 +1,66 @@
+"""Slopes that JAX takes of a campaign's runs, packing by packing, and their certificates."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from calibrate.inference.curve_points import CurvePoints
+from calibrate.inference.parameters import Space
+from calibrate.simulation import Campaign
+from jdem.core.program import program
+from jdem.laboratory.virtual_lab import Outcome, VirtualLab
+from jdem.packing.specimen import Packing
+from jdem.sensitivity.base import Sensitivity, averaged
+from jdem.sensitivity.traced import AbstractTraced, Traced
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What a traced strategy says of its own slopes on one packing: arrays (tests, p)."""
+
+    seed: int
+    growth: np.ndarray
+    imbalance: np.ndarray
+    accepted: np.ndarray
+
+
+def traced_slopes(
+    strategy: AbstractTraced,
+    space: Space,
+    work: Campaign,
+    seeds: Sequence[int],
+    points: CurvePoints,
+) -> tuple[Sensitivity, list[Certificate]]:
+    """Slopes of everything that `points` reads, packing by packing, at the time step of the base
+    soil; NaN where the strategy does not believe them."""
+    slopes = traced(strategy, strategy.laboratory(work.lab), space, points)
+    packings = work.packings(seeds)
+    found = [slopes(packing, work.lab.time_step(packing, space.base)) for packing in packings]
+    tests, certificates, believed = points.tests(), [], []
+    for seed, each in zip(seeds, found, strict=True):
+        accepted = np.asarray(strategy.accepted(each))
+        believed.append(jnp.where(accepted[tests], each.slopes, jnp.nan))
+        numbers = (np.asarray(each.growth), np.asarray(each.imbalance), accepted)
+        certificates.append(Certificate(seed, *numbers))
+    values = jnp.stack([each.values for each in found])
+    return averaged(values, jnp.stack(believed)), certificates
+
+
+def traced(
+    strategy: AbstractTraced, lab: VirtualLab, space: Space, points: CurvePoints
+) -> Callable[[Packing, Array], Traced]:
+    """A compiled function of one packing and its time step (s), at the space's base soil; slopes
+    are per unit of ln p.  `lab` is what the strategy makes of the campaign's."""
+    point = jnp.log(jnp.asarray(space.start()))
+
+    @program
+    def slopes(packing: Packing, time_step: Array) -> Traced:
+        def simulated(lab: VirtualLab, asked: Array) -> Outcome:
+            return lab.run(packing, space.soil(jnp.exp(asked)), time_step)
+
+        return strategy.traced(lab, simulated, points.traced, point)
+
+    return slopes
