@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space
-from calibrate.simulation import Campaign
+from calibrate.simulation import Campaign, side_by_side
 from jdem.core.program import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.packing.specimen import Packing
@@ -38,7 +39,13 @@ def traced_slopes(
     soil; NaN where the strategy does not believe them."""
     slopes = traced(strategy, strategy.laboratory(work.lab), space, points)
     packings = work.packings(seeds)
-    found = [slopes(packing, work.lab.time_step(packing, space.base)) for packing in packings]
+
+    def on(number: int) -> Traced:
+        packing = packings[number]
+        found = slopes(packing, work.lab.time_step(packing, space.base))
+        return jax.tree.map(np.asarray, found)
+
+    found = side_by_side(on, len(packings), work.progress, "derivatives", work.workers)
     tests, certificates, believed = points.tests(), [], []
     for seed, each in zip(seeds, found, strict=True):
         accepted = np.asarray(strategy.accepted(each))
@@ -59,7 +66,8 @@ def traced(
     @program
     def slopes(packing: Packing, time_step: Array) -> Traced:
         def simulated(lab: VirtualLab, asked: Array) -> Outcome:
-            return lab.run(packing, space.soil(jnp.exp(asked)), time_step)
+            values = space.start() * jnp.exp(asked - point)  # at the point exactly the base soil's
+            return lab.run(packing, space.soil(values), time_step)
 
         return strategy.traced(lab, simulated, points.traced, point)
 
