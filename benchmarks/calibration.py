@@ -27,7 +27,8 @@ from recovery import STARTS
 from scipy.optimize import minimize
 
 from calibrate.core.progress import for_terminal
-from calibrate.inference.fit import Calibration, descend, packing_scatter
+from calibrate.inference.evaluation import Calibration, packing_scatter
+from calibrate.inference.fit import descend
 from calibrate.inference.parameters import Space, space
 from calibrate.inference.problem import Problem, pose
 from calibrate.io.lab import bundled_lab, load_lab

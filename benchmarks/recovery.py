@@ -29,7 +29,8 @@ import reporting
 
 from calibrate.core.files import write_text
 from calibrate.core.progress import for_terminal
-from calibrate.inference.fit import Calibration, Fit, Settings, fit, packing_scatter
+from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
+from calibrate.inference.fit import Fit, fit
 from calibrate.inference.parameters import Space, space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab

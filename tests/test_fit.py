@@ -21,7 +21,8 @@ from two_tests import pressed_lightly
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
-from calibrate.inference.fit import Calibration, Settings, descend, fit, packing_scatter
+from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
+from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem, pose
 from calibrate.labtests.features import ScalarTarget

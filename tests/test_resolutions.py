@@ -11,7 +11,8 @@ from formulas import BASE, LAB, Formulas, shift
 
 from calibrate.core.progress import Silent
 from calibrate.inference.calibration import explored, resolutions_json
-from calibrate.inference.fit import Calibration, descend, fit, packing_scatter
+from calibrate.inference.evaluation import Calibration, packing_scatter
+from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement

@@ -16,7 +16,8 @@ from two_tests import two_tests
 from calibrate.figures.audit import MARKS
 from calibrate.inference.audit import STRATEGIES, Audit, strategies, verdict
 from calibrate.inference.curve_points import POINTS, CurvePoints, CurveReading
-from calibrate.inference.fit import Evaluation, secant
+from calibrate.inference.evaluation import Evaluation
+from calibrate.inference.fit import secant
 from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import names

@@ -29,7 +29,8 @@ from calibrate.designs.study import (
 from calibrate.designs.surface import fit_surface
 from calibrate.designs.terms import quadratic
 from calibrate.inference.audit import CurvePoints, simulated_response
-from calibrate.inference.fit import Calibration, descend, packing_scatter
+from calibrate.inference.evaluation import Calibration, packing_scatter
+from calibrate.inference.fit import descend
 from calibrate.inference.parameters import Space, ensemble
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab

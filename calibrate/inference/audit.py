@@ -27,12 +27,11 @@ from calibrate.inference.traced import Certificate, traced_slopes
 from calibrate.labtests.composite import described
 from calibrate.simulation import Campaign
 from calibrate.simulation.joint import AbstractCampaign
-from jdem.sensitivity.base import AbstractStrategy, Sensitivity
+from jdem.sensitivity.base import AbstractStrategy, AbstractTraced, Sensitivity
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.overdamped import Overdamped
 from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
-from jdem.sensitivity.traced import AbstractTraced
 from jdem.sensitivity.virtual_power import VirtualPower
 
 STRATEGIES = (

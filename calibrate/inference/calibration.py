@@ -11,15 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.fit import (
-    Calibration,
-    Descent,
-    Fit,
-    Settings,
-    descend,
-    fit,
-    packing_scatter,
-)
+from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
+from calibrate.inference.fit import Descent, Fit, descend, fit
 from calibrate.inference.identifiability import choose_free
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space
 from calibrate.inference.problem import Problem, pose

@@ -14,8 +14,7 @@ from calibrate.simulation import Campaign, side_by_side
 from jdem.core.program import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.packing.specimen import Packing
-from jdem.sensitivity.base import Sensitivity, averaged
-from jdem.sensitivity.traced import AbstractTraced, Traced
+from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ class Slope(Record):
 
 class CertificateRow(Record):
     """How far a derivative that JAX took has grown on one packing, and whether it is believed
-    (`jdem.sensitivity.traced`)."""
+    (`jdem.sensitivity.base`)."""
 
     seed: int
     test: Test

@@ -93,6 +93,14 @@ class Campaign:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""
         return content_hash({**run_content(self.lab, soil), **self._packing_content(seed)})
 
+    def stored(self, key: str) -> Run | None:
+        """What is kept under a key, if anything."""
+        return self._store.run(key)
+
+    def keep(self, key: str, run: Run) -> None:
+        """Keeps a run that was made from runs of this campaign."""
+        self._store.keep_run(key, run)
+
     # ---- simulating
 
     def _simulated(self, tasks: Sequence[Task], what: str) -> dict[str, Run]:

@@ -35,7 +35,7 @@ from jdem.engine.segment import Segment
 from jdem.engine.state import Bed, BedState, Command, TangentDrag
 from jdem.engine.step import step
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.sensitivity.traced import AbstractTraced, Read, Simulate, Traced, forward
+from jdem.sensitivity.base import AbstractTraced, Read, Simulate, Traced, forward
 
 TURN_ROWS = 3  # samples before a turn, over which its force is averaged
 
@@ -68,7 +68,7 @@ class OverdampedMotion(AbstractDerivative):
 class Overdamped(AbstractTraced):
     """Forward mode under a drag; background and contact (-) as in `TangentDrag`.
 
-    Slopes of a test whose growth or imbalance (`jdem.sensitivity.traced`) is above most_growth or
+    Slopes of a test whose growth or imbalance (`jdem.sensitivity.base`) is above most_growth or
     most_imbalance are not believed.  `cost` is that of one tangent in forward runs, `turns` how
     many further ones a sequence of tests takes (benchmarks/results/tangents.md).
     """

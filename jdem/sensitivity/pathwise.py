@@ -7,7 +7,7 @@ docs/gradients.md, and `ensemble`.
 
 import equinox as eqx
 
-from jdem.sensitivity.traced import AbstractTraced
+from jdem.sensitivity.base import AbstractTraced
 
 
 class Pathwise(AbstractTraced):

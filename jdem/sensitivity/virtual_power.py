@@ -38,7 +38,7 @@ from jdem.engine.energy import Ledger
 from jdem.engine.loop import AbstractDerivative
 from jdem.engine.step import Bed, BedState, Command, next_motion, step
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.sensitivity.traced import AbstractTraced
+from jdem.sensitivity.base import AbstractTraced
 
 
 class VirtualPower(AbstractTraced):

@@ -1,0 +1,191 @@
+"""Where a fit looks: features, whitened residual and slopes at parameter values.
+
+    r(y) = [ L^-1 (measured - mean over packings) ,  (ln p - ln p0)/prior_sd ],   L L' = Sigma
+
+Values are those of the fitted beds; slopes may come from smaller ones, by pairs of runs or by
+derivatives that JAX took.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import cast
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from calibrate.core.errors import CalibrationError
+from calibrate.inference.first_order import FirstOrder, hardens
+from calibrate.inference.parameters import Space, fitting_ensemble
+from calibrate.inference.problem import Problem, shrunk_covariance
+from calibrate.inference.resolutions import Coarse, Correction
+from calibrate.simulation import Campaign, Run
+from calibrate.simulation.joint import AbstractCampaign
+from jdem.sensitivity.base import AbstractStrategy, AbstractTraced
+from jdem.sensitivity.overdamped import Overdamped
+
+_REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How long and how finely to fit.
+
+    A fit is done when every whitened data residual is below `tolerance`, when the solver
+    says so, when `patience` evaluations in a row were no better, or after `evaluations`.
+    Slopes come from `strategy` in ln p, by default what the audit passes (docs/gradients.md):
+    derivatives by JAX where no test lets the specimen stand free, else the ensemble, with
+    parameters that it could not confirm in groups moved alone.
+    """
+
+    evaluations: int = 24
+    patience: int = 6
+    tolerance: float = 0.15
+    strategy: AbstractStrategy | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One point that the solver asked for.
+
+    values (p,) are parameters in SI; features (n, m) on each packing; residual is
+    whitened, data first, then prior; cost is half its squared norm.
+    """
+
+    values: np.ndarray
+    features: np.ndarray
+    residual: np.ndarray
+    failures: tuple[str, ...]
+
+    @property
+    def cost(self) -> float:
+        return 0.5 * float(self.residual @ self.residual)
+
+
+@dataclass(eq=False)
+class Calibration:
+    """A problem, a space of parameters, and the packings on which both are evaluated.
+
+    relative_scatter (m, m) is the covariance of one packing's features over their mean,
+    from `scatter_packings` packings.  With `coarse`, slopes are those of its smaller beds, times
+    the ratio of both sizes' features (`calibrate.inference.resolutions`).
+    """
+
+    problem: Problem
+    space: Space
+    campaign: AbstractCampaign
+    seeds: Sequence[int]
+    relative_scatter: np.ndarray
+    scatter_packings: int
+    settings: Settings = field(default_factory=Settings)
+    coarse: Coarse | None = None
+
+    def __post_init__(self):
+        self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
+        self.forward_runs = 0.0  # asked for so far, on each packing
+        self.strategy = self.settings.strategy or self._usual()
+        self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        self._centre = np.log(self.space.start())
+
+    def probed(self, points: np.ndarray, what: str) -> np.ndarray:
+        """Features (k, n, m) at points (k, n, p) of ln p, one for each packing of those that slopes
+        are taken on."""
+        soils = [
+            [self.space.soil(np.exp(point)) for point in row] for row in self.space.inside(points)
+        ]
+        rows = self._probes.each(soils, self.seeds, what)
+        return np.array([self.problem.simulated(row) for row in rows])
+
+    def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
+        """Features and whitened residual at parameter values (p,)."""
+        runs = self.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
+        self.forward_runs += 1
+        failures = tuple(run.failure for run in runs if run.failure)
+        return self._evaluated(values, self.problem.simulated(runs), failures)
+
+    def estimate(self, values: np.ndarray, correction: Correction, what: str) -> Evaluation:
+        """The same from the beds that slopes are taken on, times a ratio known from elsewhere."""
+        if self.coarse is None:
+            return self.evaluate(values, what)
+        runs = self.coarse.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
+        failures = tuple(run.failure for run in runs if run.failure)
+        return self._evaluated(values, self.problem.simulated(runs) * correction.ratio, failures)
+
+    def _evaluated(
+        self, values: np.ndarray, features: np.ndarray, failures: tuple[str, ...]
+    ) -> Evaluation:
+        residual = self._residual(features.mean(axis=0), np.log(values))
+        if not np.all(np.isfinite(residual)):
+            residual = np.full_like(residual, _REJECTED)
+        return Evaluation(values, features, residual, failures)
+
+    def _usual(self) -> AbstractStrategy:
+        """What the audit passes for these tests."""
+        return Overdamped() if hardens(self._probes) else fitting_ensemble(self.space)
+
+    @property
+    def _probes(self) -> AbstractCampaign:
+        """The simulations that slopes are taken from."""
+        return self.campaign if self.coarse is None else self.coarse.campaign
+
+    def slopes(self, values: np.ndarray, what: str) -> np.ndarray:
+        """Slopes (m, p) of the mean features per unit of ln p."""
+        found = self._measured(self.strategy, values, what)
+        if not np.all(np.isfinite(found)) and isinstance(self.strategy, AbstractTraced):
+            self._say("some derivatives are not believed: these slopes come from pairs of runs")
+            paired = self._measured(fitting_ensemble(self.space), values, what)
+            found = np.where(np.isfinite(found), found, paired)
+        slopes = found * self.correction(values, what).ratio[:, None]
+        if not np.all(np.isfinite(slopes)):
+            self._say("too many probes failed: slopes that are not known are set to zero")
+        return np.nan_to_num(slopes)
+
+    def _measured(self, strategy: AbstractStrategy, values: np.ndarray, what: str) -> np.ndarray:
+        """Slopes (m, p) by one strategy on the beds that slopes are taken on; NaN: not known."""
+        packings, cost = len(self.seeds), 1.0 if self.coarse is None else self.coarse.cost
+        self.forward_runs += cost * (strategy.runs(len(values), packings) - 1)  # centre: known
+        if isinstance(strategy, AbstractTraced):
+            first = FirstOrder(cast(Campaign, self._probes), self.space, strategy)
+            return np.asarray(first.slopes(self.problem, values, self.seeds, what).slopes)
+
+        def response(points: Array) -> Array:
+            return jnp.asarray(self.probed(np.asarray(points), what))
+
+        return np.asarray(strategy(response, jnp.log(values), packings).slopes)
+
+    def _say(self, sentence: str) -> None:
+        self.campaign.progress.say(f"  {sentence}")
+
+    def correction(self, values: np.ndarray, what: str) -> Correction:
+        """Ratio of the fitted beds' features to those of the beds that slopes are taken on."""
+        if self.coarse is None:
+            return Correction.none(len(self.problem.measured))
+        soil = self.space.soil(values)
+        large = self.problem.simulated(self.campaign.runs([soil], self.seeds, what)[0])
+        return Correction.of(large, self.coarse.features(self.problem, soil, self.seeds, what))
+
+    def whitened(self, slopes: np.ndarray) -> np.ndarray:
+        return self._whitening @ slopes
+
+    def jacobian(self, slopes: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Of the residual with respect to y, from slopes per ln p."""
+        prior = np.diag(1 / self.space.prior_sd())
+        return np.concatenate([-self.whitened(slopes), prior]) * self.space.log_slope(y)
+
+    def _residual(self, mean: np.ndarray, log_values: np.ndarray) -> np.ndarray:
+        data = self._whitening @ (self.problem.measured - mean)
+        prior = (log_values - self._centre) / self.space.prior_sd()
+        return np.concatenate([data, prior])
+
+
+def packing_scatter(
+    problem: Problem, runs: Callable[[Sequence[int]], list[Run]], seeds: Sequence[int]
+) -> np.ndarray:
+    """Covariance (m, m) of one packing's features over their mean."""
+    finished = runs(seeds)
+    failures = [run.failure for run in finished if run.failure]
+    if len(failures) > len(finished) // 2:
+        repair = "start from another, by [parameters] of the lab file or --set"
+        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}; {repair}")
+    features = problem.simulated([run for run in finished if not run.failure])
+    return shrunk_covariance(features / features.mean(axis=0))
