@@ -215,7 +215,8 @@ def _certificate_json(found: Audit, name: str) -> list[dict]:
             "parameter": parameter,
             "growth": float(each.growth[test, p]),
             "imbalance": float(each.imbalance[test, p]),
-            "accepted": bool(each.accepted[test, p]),
+            "accepted": not each.refused[test, p],
+            "refused": str(each.refused[test, p]),
         }
         for each in found.certificates[name]
         for test, reading in enumerate(found.points.readings)

@@ -25,7 +25,7 @@ from jdem.core.program import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
-from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
+from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged, stands_free
 from jdem.sensitivity.overdamped import Overdamped
 
 STEP = 0.05  # in ln p; curves move by more than their rows are rough
@@ -39,7 +39,7 @@ def hardens(campaign: object) -> bool:
     (docs/gradients.md)."""
     if not isinstance(campaign, Campaign):
         return False
-    return not any(movement.free for movement in campaign.lab.tests.movements())
+    return not any(stands_free(campaign.lab))
 
 
 @dataclass(eq=False)
@@ -106,7 +106,7 @@ class FirstOrder:
 
     def _runs(self, centre: Run, found: Traced) -> list[Run]:
         """Neighbours of one run in all parameters."""
-        believed = np.asarray(self.strategy.accepted(found))
+        believed = np.array(self.strategy.refusals(self.lab, found)) == ""
         return [
             self._neighbour(centre, found, number, sign * STEP, believed)
             for number in range(found.slopes.shape[1])

@@ -19,12 +19,13 @@ from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What a traced strategy says of its own slopes on one packing: arrays (tests, p)."""
+    """What a traced strategy says of its own slopes on one packing: arrays (tests, p); `refused`
+    says why they are not believed, and is empty where they are."""
 
     seed: int
     growth: np.ndarray
     imbalance: np.ndarray
-    accepted: np.ndarray
+    refused: np.ndarray
 
 
 def traced_slopes(
@@ -36,7 +37,8 @@ def traced_slopes(
 ) -> tuple[Sensitivity, list[Certificate]]:
     """Slopes of everything that `points` reads, packing by packing, at the time step of the base
     soil; NaN where the strategy does not believe them."""
-    slopes = traced(strategy, strategy.laboratory(work.lab), space, points)
+    lab = strategy.laboratory(work.lab)
+    slopes = traced(strategy, lab, space, points)
     packings = work.packings(seeds)
 
     def on(number: int) -> Traced:
@@ -47,10 +49,10 @@ def traced_slopes(
     found = side_by_side(on, len(packings), work.progress, "derivatives", work.workers)
     tests, certificates, believed = points.tests(), [], []
     for seed, each in zip(seeds, found, strict=True):
-        accepted = np.asarray(strategy.accepted(each))
-        believed.append(jnp.where(accepted[tests], each.slopes, jnp.nan))
-        numbers = (np.asarray(each.growth), np.asarray(each.imbalance), accepted)
-        certificates.append(Certificate(seed, *numbers))
+        refused = np.array(strategy.refusals(lab, each))
+        believed.append(jnp.where((refused == "")[tests], each.slopes, jnp.nan))
+        sizes = (np.asarray(each.growth), np.asarray(each.imbalance))
+        certificates.append(Certificate(seed, *sizes, refused))
     values = jnp.stack([each.values for each in found])
     return averaged(values, jnp.stack(believed)), certificates
 

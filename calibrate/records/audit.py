@@ -35,6 +35,7 @@ class CertificateRow(Record):
     growth: Number
     imbalance: Number
     accepted: bool
+    refused: str
 
 
 class StrategyRecord(Record):

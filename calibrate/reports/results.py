@@ -72,6 +72,8 @@ def write_audit(session: Session, found: Audit, settings: dict, path: Path | Non
     for name in found.estimates:
         console.print(_audit_table(found, name))
         console.print(f"{name}: {_judgement(found.rows(name))}", highlight=False)
+        for sentence in _refusals(found, name):
+            console.print(f"{name}: {sentence}", highlight=False)
     console.print(
         f"audit.json, audit.png and audit_curves.png are in {session.out}", highlight=False
     )
@@ -88,6 +90,8 @@ def _audit_table(found: Audit, strategy: str) -> Table:
 
 
 def _word(row: dict) -> str:
+    if not np.isfinite(row["estimate"]):
+        return "no derivative"
     if not row["judged"]:
         return "too small to judge"
     return "passed" if row["passed"] else "FAILED"
@@ -97,6 +101,19 @@ def _judgement(rows: list[dict]) -> str:
     judged = [row for row in rows if row["judged"]]
     passed = sum(bool(row["passed"]) for row in judged)
     return f"{passed} of {len(judged)} slopes that can be judged pass"
+
+
+def _refusals(found: Audit, strategy: str) -> list[str]:
+    """Which tests have slopes that their strategy does not believe, on how many packings, and why
+    on the first of them."""
+    sentences, certificates = [], found.certificates.get(strategy, [])
+    for test, reading in enumerate(found.points.readings):
+        why = [reason for each in certificates for reason in each.refused[test] if reason]
+        packings = sum(any(each.refused[test]) for each in certificates)
+        if why:
+            share = f"{packings} of {len(certificates)} packings"
+            sentences.append(f"no derivative of {reading.test} on {share}: {why[0]}")
+    return sentences
 
 
 def write_contact(result: dict, out: Path, path: Path | None) -> None:

@@ -103,9 +103,9 @@ class AbstractTraced(AbstractStrategy):
         """What `read` finds in a run of `lab` (as `laboratory` returns it), and its slopes."""
         return forward(lab, lambda x: (simulate(lab, x), jnp.zeros(0)), read, point)
 
-    def accepted(self, found: Traced) -> Array:
-        """Which tests' slopes in which parameters (tests, p) can be believed: here all."""
-        return jnp.ones(found.growth.shape, bool)
+    def refusals(self, lab: VirtualLab, found: Traced) -> list[list[str]]:
+        """For each test and parameter why its slopes are not believed; "" where they are."""
+        return [["" for _ in row] for row in found.growth]
 
     def __call__(self, response: Response, point: Array, packings: int) -> Sensitivity:
         return forward_mode(response, point, packings)
@@ -163,3 +163,8 @@ def _size(slopes: Array, rows: Array) -> Array:
     """Root mean square of slopes (samples, p) over the chosen samples."""
     squares = jnp.where(rows[:, None], slopes, 0.0) ** 2
     return jnp.sqrt(jnp.sum(squares, axis=0) / jnp.maximum(jnp.sum(rows), 1))
+
+
+def stands_free(lab: VirtualLab) -> list[bool]:
+    """For each test whether its specimen stands without a mould at some time."""
+    return [any(movement.free for movement in test.movements()) for test in lab.tests.apparatus]

@@ -35,7 +35,7 @@ from jdem.engine.segment import Segment
 from jdem.engine.state import Bed, BedState, Command, TangentDrag
 from jdem.engine.step import step
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.sensitivity.base import AbstractTraced, Read, Simulate, Traced, forward
+from jdem.sensitivity.base import AbstractTraced, Read, Simulate, Traced, forward, stands_free
 
 TURN_ROWS = 3  # samples before a turn, over which its force is averaged
 
@@ -68,9 +68,10 @@ class OverdampedMotion(AbstractDerivative):
 class Overdamped(AbstractTraced):
     """Forward mode under a drag; background and contact (-) as in `TangentDrag`.
 
-    Slopes of a test whose growth or imbalance (`jdem.sensitivity.base`) is above most_growth or
-    most_imbalance are not believed.  `cost` is that of one tangent in forward runs, `turns` how
-    many further ones a sequence of tests takes (benchmarks/results/tangents.md).
+    Not believed are slopes of a test in which the specimen stands free, and those whose growth or
+    imbalance (`jdem.sensitivity.base`) is above most_growth or most_imbalance.  `cost` is that of
+    one tangent in forward runs (benchmarks/results/tangents.md); `turns` is how many further ones
+    a sequence of tests takes.
     """
 
     background: Real = quantity(0.04)
@@ -81,8 +82,9 @@ class Overdamped(AbstractTraced):
     most_imbalance: float = eqx.field(static=True, default=0.3)
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
-        targets = np.asarray(lab.tests.programme().force_target)
-        turning = tuple(np.flatnonzero(np.isfinite(targets)).tolist())
+        programme = lab.tests.programme()
+        reached = np.isfinite(programme.force_target) & (np.asarray(programme.tolerance) > 0)
+        turning = tuple(np.flatnonzero(reached).tolist())
         drag = TangentDrag(self.background, self.contact)
         derivative = OverdampedMotion(drag, jnp.zeros(len(turning)), turning=turning)
         return replace(lab, derivative=derivative)
@@ -100,11 +102,24 @@ class Overdamped(AbstractTraced):
         everywhere = jnp.concatenate([point, jnp.zeros(len(turning), point.dtype)])
         return forward(lab, simulated, read, everywhere, len(turning))
 
-    def accepted(self, found: Traced) -> Array:
-        """Which tests' slopes in which parameters (tests, p) can be believed."""
-        grown, unbalanced = found.growth > self.most_growth, found.imbalance > self.most_imbalance
-        finite = jnp.isfinite(found.growth) & jnp.isfinite(found.imbalance)
-        return finite & ~grown & ~unbalanced
+    def refusals(self, lab: VirtualLab, found: Traced) -> list[list[str]]:
+        grown, unbalanced = np.asarray(found.growth), np.asarray(found.imbalance)
+        return [
+            [self._refusal(grown[test, p], unbalanced[test, p], free) for p in range(len(row))]
+            for test, (row, free) in enumerate(zip(grown, stands_free(lab), strict=True))
+        ]
+
+    def _refusal(self, growth: float, imbalance: float, free: bool) -> str:
+        """Why a slope is not believed; "" if it is."""
+        if free:
+            return "the specimen stands free: contacts snap, and a derivative does not see when"
+        if not (np.isfinite(growth) and np.isfinite(imbalance)):
+            return "the derivative is not finite"
+        if growth > self.most_growth:
+            return f"the derivative of the force grew to {growth:.3g} times the force"
+        if imbalance > self.most_imbalance:
+            return f"its forces are out of balance by {imbalance:.3g} times the force"
+        return ""
 
     def runs(self, parameters: int, packings: int) -> float:
         return 1 + self.cost * (parameters + self.turns)
