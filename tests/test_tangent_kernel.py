@@ -11,6 +11,7 @@ from jdem.core.linear import halved
 from jdem.core.vector import Vector
 from jdem.engine.loop import run, start
 from jdem.engine.segment import cell_segment, stack
+from jdem.engine.state import TangentDrag
 from jdem.sensitivity.overdamped import OverdampedMotion
 from tests.hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
 
@@ -133,7 +134,8 @@ def test_a_run_does_not_notice_tangents():
         bed = bed_of(spheres, soil, skin=0.3)
         state = start(bed, positions, 12 * RADIUS, 12 * RADIUS)
         programme = stack([cell_segment(platen_speed=0.5, duration=1.0, damping=10.0)])
-        record = run(bed, state, programme, jnp.asarray(20), 5, None, OverdampedMotion())
+        way = OverdampedMotion(TangentDrag(0.04, 0.12), jnp.zeros(0), turning=())
+        record = run(bed, state, programme, jnp.asarray(20), 5, None, way)
         return record.samples, record.state
 
     point = jnp.asarray([0.1, -0.2])

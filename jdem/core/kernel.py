@@ -27,7 +27,7 @@ from jdem.core.tangents import differentiable
 
 Tree = TypeVar("Tree")
 
-BLOCK = 128  # entries that go through all loops together
+BLOCK = 128  # entries that go through all loops together; half as many with several tangents
 
 _ELEMENTWISE = (
     "abs add add_any and atan2 bitcast_convert_type clamp convert_element_type copy cos div eq "
@@ -56,8 +56,8 @@ def entrywise(
         return function(shared, entries)
     length = jax.tree.leaves(entries)[0].shape[0]
     used = jnp.asarray(length if used is None else used)
-    kernel = partial(_in_blocks, block_count(length))
-    return differentiable(kernel, used, function, shared, entries)
+    kernels = [partial(_in_blocks, block_count(length, size)) for size in (BLOCK, BLOCK // 2)]
+    return differentiable(kernels, used, function, shared, entries)
 
 
 def _in_blocks(count: int, used: Array, function: Callable, shared, entries):
@@ -85,7 +85,7 @@ def together(function: Callable[..., Tree], *arguments: Any) -> Tree:
     """function(*arguments) of a few numbers, as one kernel instead of one for each operation."""
     if not bounded():
         return function(*arguments)
-    return differentiable(_at_once, None, function, *arguments)
+    return differentiable((_at_once, _at_once), None, function, *arguments)
 
 
 def _at_once(_, function: Callable, *arguments):
@@ -94,9 +94,9 @@ def _at_once(_, function: Callable, *arguments):
     return kernel() if kernel.possible else function(*arguments)
 
 
-def block_count(length: int) -> int:
-    """Blocks of BLOCK entries that a list is taken in: 1 unless they are whole."""
-    return max(1, length // BLOCK) if length % BLOCK == 0 else 1
+def block_count(length: int, size: int = BLOCK) -> int:
+    """Blocks of `size` entries that a list is taken in: 1 unless they are whole."""
+    return max(1, length // size) if length % size == 0 else 1
 
 
 def in_blocks(capacity: int) -> int:

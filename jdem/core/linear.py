@@ -35,21 +35,20 @@ def halved() -> Iterator[None]:
         _halved.reset(token)
 
 
-def pushed_forward(function: Callable, point: Any, tangent: Any) -> list:
-    """The tangents of function(point), a list of arrays."""
-    _, push = jax.linearize(function, point)
-    traced = jax.make_jaxpr(push)(tangent)
-    coefficients = once([_narrow(leaf) for leaf in traced.consts])
-    given = [(_narrow(leaf), 0) for leaf in jax.tree.leaves(tangent)]
-    found = _passed(traced.jaxpr, coefficients, given)
-    kinds = zip(found, traced.out_avals, strict=True)
-    return [jnp.asarray(value, kind.dtype) for (value, _), kind in kinds]
-
-
-def _narrow(leaf):
+def narrowed(leaf):
     """The array in the precision that tangents pass in."""
     double = getattr(leaf, "dtype", None) == jnp.float64
     return jnp.asarray(leaf, jnp.float32) if double and _halved.get() else leaf
+
+
+def pushed_forward(function: Callable, point: list, tangent: list) -> list:
+    """The tangents of function(point), a list of arrays, from a narrowed tangent; narrowed too."""
+    _, push = jax.linearize(function, point)
+    full = [None if p is None else jax.ShapeDtypeStruct(p.shape, p.dtype) for p in point]
+    traced = jax.make_jaxpr(push)(full)
+    coefficients = once([narrowed(leaf) for leaf in traced.consts])
+    found = _passed(traced.jaxpr, coefficients, [(leaf, 0) for leaf in jax.tree.leaves(tangent)])
+    return [narrowed(jnp.asarray(value)) for value, _ in found]
 
 
 def _passed(jaxpr: Jaxpr, coefficients: list, tangents: list) -> list:
@@ -64,7 +63,7 @@ def _passed(jaxpr: Jaxpr, coefficients: list, tangents: list) -> list:
         known[variable] = (value, distance)
 
     def read(atom):
-        return (_narrow(atom.val), None) if isinstance(atom, Literal) else known[atom]
+        return (narrowed(atom.val), None) if isinstance(atom, Literal) else known[atom]
 
     for variable, value in zip(jaxpr.constvars, coefficients, strict=True):
         write(variable, value, None)

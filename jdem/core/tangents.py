@@ -6,7 +6,7 @@ tangents are wanted or not, and tangents from a program that takes the same argu
 hands out nothing else.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
 
@@ -17,15 +17,19 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from jdem.core.fusion import fenced
-from jdem.core.linear import pushed_forward
+from jdem.core.linear import narrowed, pushed_forward
 
 
-def differentiable(kernel: Callable, fixed: Any, function: Callable, *arguments: Any) -> Any:
+def differentiable(
+    kernels: Sequence[Callable], fixed: Any, function: Callable, *arguments: Any
+) -> Any:
     """kernel(fixed, function, *arguments), which is function(*arguments), with its tangents.
 
     Those are kernel(fixed, g, *doubled), where each of `doubled` holds an argument's arrays and
-    those of its tangent; no derivative passes through `fixed`.
+    those of its tangent; no derivative passes through `fixed`.  The first of the two kernels is
+    for values, the second for tangents.
     """
+    for_values, for_tangents = kernels
     arrays, static = eqx.partition(arguments, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
     sizes = [part.num_leaves for part in structure.children()]
@@ -37,7 +41,7 @@ def differentiable(kernel: Callable, fixed: Any, function: Callable, *arguments:
     @jax.custom_jvp
     def values(fixed, *leaves):
         with fenced():
-            return kernel(fixed, by_leaves, *_split(leaves, sizes))
+            return for_values(fixed, by_leaves, *_split(leaves, sizes))
 
     def derivative(primals, tangents):
         (fixed, *leaves), (_, *slopes) = primals, tangents
@@ -46,9 +50,10 @@ def differentiable(kernel: Callable, fixed: Any, function: Callable, *arguments:
         changes = []
         if any(moving):
             known, moved = _told_apart(leaves, moving)
-            parts = (_split(part, sizes) for part in (known, moved, _told_apart(slopes, moving)[1]))
+            slopes = [narrowed(leaf) for leaf in _told_apart(slopes, moving)[1]]
+            parts = (_split(part, sizes) for part in (known, moved, slopes))
             with fenced():
-                changes = kernel(fixed, _pushed(by_leaves), *zip(*parts, strict=True))
+                changes = for_tangents(fixed, _pushed(by_leaves), *zip(*parts, strict=True))
         return found, _as_tangent(found, changes)
 
     values.defjvp(derivative, symbolic_zeros=True)
@@ -87,7 +92,9 @@ def _as_tangent(found, changes: list):
     leaves, structure = jax.tree.flatten(found)
     rest = iter(changes or [jnp.zeros_like(leaf) for leaf in leaves if _floating(leaf)])
     tangents = [
-        next(rest) if _floating(leaf) else np.zeros(leaf.shape, jax.dtypes.float0)
+        next(rest).astype(leaf.dtype)
+        if _floating(leaf)
+        else np.zeros(leaf.shape, jax.dtypes.float0)
         for leaf in leaves
     ]
     return jax.tree.unflatten(structure, tangents)
