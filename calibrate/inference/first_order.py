@@ -82,7 +82,9 @@ class FirstOrder:
             return found
 
         progress, workers = self.campaign.progress, self.campaign.workers
-        return side_by_side(on, len(seeds), progress, f"{what}: derivatives", workers)
+        return side_by_side(
+            on, len(seeds), progress, f"{what}: derivatives", workers, compiles=True
+        )
 
     def _derivatives(self, packing: Packing, time_step: Array, values: Array) -> Traced:
         def simulated(lab: VirtualLab, shift: Array) -> Outcome:

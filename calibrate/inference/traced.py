@@ -46,7 +46,9 @@ def traced_slopes(
         found = slopes(packing, work.lab.time_step(packing, space.base))
         return jax.tree.map(np.asarray, found)
 
-    found = side_by_side(on, len(packings), work.progress, "derivatives", work.workers)
+    found = side_by_side(
+        on, len(packings), work.progress, "derivatives", work.workers, compiles=True
+    )
     tests, certificates, believed = points.tests(), [], []
     for seed, each in zip(seeds, found, strict=True):
         refused = np.array(strategy.refusals(lab, each))

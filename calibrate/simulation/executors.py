@@ -93,14 +93,20 @@ def cores() -> int:
 
 def side_by_side(
     one: Callable[[int], Made], count: int, progress: AbstractProgress, what: str,
-    workers: int | None = None,
+    workers: int | None = None, compiles: bool = False,
 ) -> list[Made]:  # fmt: skip
-    """one(0) to one(count - 1), worked out in threads, in this order."""
+    """one(0) to one(count - 1), worked out in threads, in this order.
+
+    With `compiles` one(0) goes first, alone: it compiles for all of them.
+    """
     found: dict[int, Made] = {}
     progress.start(what, count)
     pool = ThreadPoolExecutor(workers or cores())
     try:
-        waiting = {pool.submit(one, number): number for number in range(count)}
+        if compiles and count:
+            found[0] = pool.submit(one, 0).result()
+            progress.advance()
+        waiting = {pool.submit(one, n): n for n in range(count) if n not in found}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
             progress.advance()
