@@ -30,7 +30,7 @@ from hand_made_beds import FAR, RADIUS, Smoothing, bed_of, soil_of, spheres_of
 
 TRAVEL, SPEED, STEPS = 4e-3, 0.05, 10  # m, m/s
 STEP = 0.2  # in ln of the surface energy
-CHAINS = ((4, 2.0), (12, 2.0), (12, 5.0))  # spheres, exponent of the adhesive branch
+CHAINS = ((4, 2.0), (12, 5.0))  # spheres, exponent of the adhesive branch
 HEADER = ("spheres", "tensile exponent", "largest tension (N)", "difference (mN)",
           "pathwise", "overdamped")  # fmt: skip
 

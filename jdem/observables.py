@@ -16,15 +16,17 @@ from jdem.core import smooth
 from jdem.core.derivative import with_derivative_of
 from jdem.core.quantity import Real, cast, quantity
 
-CHORD = 5  # rows on either side of a point over which a curve's slope is taken
-
 
 class Curve(eqx.Module):
-    """Platen displacement (m, downward) and force (N); rows count where `valid` is 1."""
+    """Platen displacement (m, downward) and force (N); rows count where `valid` is 1.
+
+    A derivative takes the curve's slope over `chord` more rows on either side.
+    """
 
     displacement: Array
     force: Array
     valid: Array
+    chord: int = eqx.field(static=True, default=0)
 
     def filled(self) -> "Curve":
         """Masked rows replaced by the nearest valid row before them (or the first after)."""
@@ -32,15 +34,15 @@ class Curve(eqx.Module):
         last = jax.lax.cummax(jnp.where(self.valid > 0, rows, -1))
         source = jnp.where(last < 0, jnp.argmax(self.valid), last)
         ones = jnp.ones_like(self.valid)
-        return Curve(self.displacement[source], self.force[source], ones)
+        return Curve(self.displacement[source], self.force[source], ones, self.chord)
 
 
 def displacement_at(loading: Curve, force) -> Array:
     """Displacement (m) at which the loading curve first reaches `force` (N).
 
     Linear interpolation of the curve's running maximum; a force beyond the last row
-    gives the last row's displacement.  Its derivative is that of the chord over CHORD rows on
-    either side: the slope between two neighbouring rows is mostly roughness.
+    gives the last row's displacement.  A derivative takes the slope of the curve's chord, where
+    it has one: that between two neighbouring rows is mostly roughness.
     """
     curve = loading.filled()
     highest = jax.lax.cummax(curve.force)
@@ -59,9 +61,13 @@ def displacement_at(loading: Curve, force) -> Array:
 
 
 def _chord(curve: Curve, highest: Array, before: Array, after: Array) -> Array:
-    """Slope (N/m) of a rising curve over CHORD rows on either side of two rows; no derivative."""
+    """Slope (N/m) of a rising curve between two rows and `chord` more on either side; no
+    derivative."""
     end = jnp.argmax(highest >= highest[-1])
-    low, high = jnp.maximum(before - CHORD, 0), jnp.maximum(jnp.minimum(after + CHORD, end), after)
+    low, high = (
+        jnp.maximum(before - curve.chord, 0),
+        jnp.maximum(jnp.minimum(after + curve.chord, end), after),
+    )
     rise, way = highest[high] - highest[low], curve.displacement[high] - curve.displacement[low]
     return jax.lax.stop_gradient(smooth.divide(rise, way))
 
@@ -86,7 +92,7 @@ def running_mean(curve: Curve, rows: int) -> Curve:
     kernel = jnp.ones(rows, curve.force.dtype)
     total = jnp.convolve(curve.force * curve.valid, kernel, mode="same")
     count = jnp.convolve(curve.valid, kernel, mode="same")
-    return Curve(curve.displacement, total / jnp.maximum(count, 1.0), curve.valid)
+    return replace(curve, force=total / jnp.maximum(count, 1.0))
 
 
 def inertial_number(rate, height, diameter, density, pressure) -> Array:

@@ -45,10 +45,12 @@ class Movement(eqx.Module):
 
 
 class Readings(eqx.Module):
-    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N)."""
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N); `chord`
+    as in `Curve`."""
 
     travel: Array
     force: Array
+    chord: int = eqx.field(static=True, default=0)
 
 
 class Reading(eqx.Module):
@@ -114,4 +116,5 @@ def curve_of(readings: Readings, chosen: Array) -> Curve:
     """The chosen samples' curve; displacement counts from the first of them."""
     valid = chosen.astype(readings.force.dtype)
     first = readings.travel[jnp.argmax(valid)]
-    return Curve((readings.travel - first) * valid, readings.force * valid, valid)
+    travel = (readings.travel - first) * valid
+    return Curve(travel, readings.force * valid, valid, readings.chord)

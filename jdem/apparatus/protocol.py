@@ -119,7 +119,7 @@ class Protocol(AbstractApparatus):
     def _seated(self, curve: Curve) -> Curve:
         """Displacement from where the force first reaches the seating force."""
         zero = displacement_at(curve, self.seating_force)
-        return Curve((curve.displacement - zero) * curve.valid, curve.force, curve.valid)
+        return replace(curve, displacement=(curve.displacement - zero) * curve.valid)
 
     def _moving(self, step: Step, platen: int, free: bool) -> Movement:
         common = {

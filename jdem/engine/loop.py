@@ -117,6 +117,11 @@ class AbstractDerivative(eqx.Module):
 
     first: eqx.AbstractVar[int]
 
+    @property
+    def chord(self) -> int:
+        """Rows on either side of a sample over which a recorded curve's slope is taken."""
+        return 0
+
     def programme(self, programme: Segment) -> Segment:
         """The programme, whose rates may have derivatives of their own."""
         return programme

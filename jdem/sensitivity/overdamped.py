@@ -37,6 +37,7 @@ from jdem.engine.step import step
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.sensitivity.base import AbstractTraced, Read, Simulate, Traced, forward, stands_free
 
+CHORD = 5  # rows of a curve; between two neighbouring ones its slope is mostly roughness
 TURN_ROWS = 3  # samples before a turn, over which its force is averaged
 
 
@@ -51,6 +52,10 @@ class OverdampedMotion(AbstractDerivative):
     stretches: Array = quantity()
     turning: tuple[int, ...] = eqx.field(static=True, kw_only=True)
     first: int = eqx.field(static=True, default=0, kw_only=True)
+
+    @property
+    def chord(self) -> int:
+        return CHORD
 
     def programme(self, programme: Segment) -> Segment:
         speed = programme.speed
