@@ -42,13 +42,16 @@ def narrowed(leaf):
 
 
 def pushed_forward(function: Callable, point: list, tangent: list) -> list:
-    """The tangents of function(point), a list of arrays, from a narrowed tangent; narrowed too."""
+    """The tangents of function(point), a list of arrays, from a narrowed tangent; narrowed too.
+
+    None stands for a tangent that is zero whatever the point's tangent is.
+    """
     _, push = jax.linearize(function, point)
     full = [None if p is None else jax.ShapeDtypeStruct(p.shape, p.dtype) for p in point]
     traced = jax.make_jaxpr(push)(full)
     coefficients = once([narrowed(leaf) for leaf in traced.consts])
     found = _passed(traced.jaxpr, coefficients, [(leaf, 0) for leaf in jax.tree.leaves(tangent)])
-    return [narrowed(jnp.asarray(value)) for value, _ in found]
+    return [None if distance is None else narrowed(value) for value, distance in found]
 
 
 def _passed(jaxpr: Jaxpr, coefficients: list, tangents: list) -> list:

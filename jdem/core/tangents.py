@@ -88,16 +88,20 @@ def _told_apart(leaves, moving: list[bool]) -> tuple[list, list]:
 
 
 def _as_tangent(found, changes: list):
-    """A tangent of the results from `changes` of the floating-point ones; without any, zero."""
+    """A tangent of the results from `changes` of the floating-point ones; None and no list are
+    zero."""
     leaves, structure = jax.tree.flatten(found)
-    rest = iter(changes or [jnp.zeros_like(leaf) for leaf in leaves if _floating(leaf)])
-    tangents = [
-        next(rest).astype(leaf.dtype)
-        if _floating(leaf)
-        else np.zeros(leaf.shape, jax.dtypes.float0)
-        for leaf in leaves
-    ]
+    rest = iter(changes or [None] * len(leaves))
+    tangents = [_changed(leaf, next(rest)) if _floating(leaf) else _still(leaf) for leaf in leaves]
     return jax.tree.unflatten(structure, tangents)
+
+
+def _changed(leaf, change):
+    return jnp.zeros_like(leaf) if change is None else change.astype(leaf.dtype)
+
+
+def _still(leaf):
+    return np.zeros(leaf.shape, jax.dtypes.float0)
 
 
 def _floating(leaf) -> bool:
