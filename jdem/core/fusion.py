@@ -50,6 +50,9 @@ def once(tree: Tree) -> Tree:
         return _kept(tree)
 
 
+BOUNDARY = "_kept"  # what a program calls it
+
+
 @jax.jit
 def _kept(tree):
     """The tree; the barrier keeps JAX from seeing that nothing happens here."""

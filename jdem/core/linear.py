@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
-from jdem.core.fusion import once
+from jdem.core.fusion import BOUNDARY, once
 
 KEPT = 4  # operations from which on a sum that several results need is kept
 
@@ -94,9 +94,10 @@ def _results(equation: JaxprEqn, given: list[tuple[Any, int | None]]) -> list:
     name, params = equation.primitive.name, equation.params
     values, distances = [value for value, _ in given], [distance for _, distance in given]
     if name == "jit":
-        return _passed(params["jaxpr"].jaxpr, params["jaxpr"].consts, given)
+        found = _passed(params["jaxpr"].jaxpr, params["jaxpr"].consts, given)
+        return _kept(found) if params["name"] == BOUNDARY else found
     if name == "optimization_barrier":
-        return _kept(given)
+        return given
     if name == "div" and distances[0] is not None and distances[1] is None:
         return [(values[0] * once(1 / values[1]), distances[0] + 1)]
     if name == "convert_element_type" and _halved.get() and params["new_dtype"] == jnp.float64:
