@@ -75,13 +75,13 @@ class Overdamped(AbstractTraced):
 
     Not believed are slopes of a test in which the specimen stands free, and those whose growth or
     imbalance (`jdem.sensitivity.base`) is above most_growth or most_imbalance.  `cost` is that of
-    one tangent in forward runs (benchmarks/results/tangents.md); `turns` is how many further ones
-    a sequence of tests takes.
+    one tangent in forward runs of 500 spheres (docs/decisions/2026-11-25-derivatives.md); `turns`
+    is how many further ones a sequence of tests takes.
     """
 
     background: Real = quantity(0.04)
     contact: Real = quantity(0.12)
-    cost: float = eqx.field(static=True, default=1.5)
+    cost: float = eqx.field(static=True, default=1.2)
     turns: int = eqx.field(static=True, default=2)
     most_growth: float = eqx.field(static=True, default=3.0)
     most_imbalance: float = eqx.field(static=True, default=0.3)
