@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.core import smooth
-from jdem.core.derivative import with_derivative_of
 from jdem.core.quantity import Real, cast, quantity
+from jdem.core.tangents import with_derivative_of
 
 
 class Curve(eqx.Module):

@@ -15,14 +15,13 @@ import numpy as np
 from jax import Array
 
 from calibrate.core.errors import CalibrationError
-from calibrate.inference.first_order import FirstOrder, hardens
+from calibrate.inference.first_order import FirstOrder
 from calibrate.inference.parameters import Space, fitting_ensemble
 from calibrate.inference.problem import Problem, shrunk_covariance
 from calibrate.inference.resolutions import Coarse, Correction
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.sensitivity.base import AbstractStrategy, AbstractTraced
-from jdem.sensitivity.overdamped import Overdamped
 
 _REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 
@@ -33,9 +32,9 @@ class Settings:
 
     A fit is done when every whitened data residual is below `tolerance`, when the solver
     says so, when `patience` evaluations in a row were no better, or after `evaluations`.
-    Slopes come from `strategy` in ln p, by default what the audit passes (docs/gradients.md):
-    derivatives by JAX where no test lets the specimen stand free, else the ensemble, with
-    parameters that it could not confirm in groups moved alone.
+    Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
+    could not confirm in groups moved alone; a strategy that differentiates the run itself, as
+    `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
     """
 
     evaluations: int = 24
@@ -83,7 +82,7 @@ class Calibration:
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
         self.forward_runs = 0.0  # asked for so far, on each packing
-        self.strategy = self.settings.strategy or self._usual()
+        self.strategy = self.settings.strategy or fitting_ensemble(self.space)
         self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         self._centre = np.log(self.space.start())
 
@@ -118,10 +117,6 @@ class Calibration:
         if not np.all(np.isfinite(residual)):
             residual = np.full_like(residual, _REJECTED)
         return Evaluation(values, features, residual, failures)
-
-    def _usual(self) -> AbstractStrategy:
-        """What the audit passes for these tests."""
-        return Overdamped() if hardens(self._probes) else fitting_ensemble(self.space)
 
     @property
     def _probes(self) -> AbstractCampaign:

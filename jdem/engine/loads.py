@@ -11,9 +11,9 @@ from jax import Array
 
 from jdem.boundaries.composite import Boundaries, effective_radius, nearest, spin_of
 from jdem.core import smooth
-from jdem.core.derivative import resisted
 from jdem.core.fusion import once
 from jdem.core.kernel import entrywise
+from jdem.core.tangents import resisted
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList
 from jdem.engine.state import Bed

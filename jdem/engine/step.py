@@ -26,10 +26,10 @@ from jdem.boundaries.composite import (
     strain_rate,
 )
 from jdem.core import smooth
-from jdem.core.derivative import slowed
 from jdem.core.fusion import fenced
 from jdem.core.kernel import entrywise, together
 from jdem.core.quantity import Real
+from jdem.core.tangents import slowed
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
 from jdem.engine.loads import pair_loads, wall_loads

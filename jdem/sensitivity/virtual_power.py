@@ -31,8 +31,8 @@ from jax import Array
 from jdem.bodies.spheres import Motion, kinetic_energy
 from jdem.boundaries.composite import PLATEN
 from jdem.core import smooth
-from jdem.core.derivative import with_derivative_of
 from jdem.core.quantity import Real
+from jdem.core.tangents import with_derivative_of
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
 from jdem.engine.loop import AbstractDerivative
