@@ -94,8 +94,9 @@ def _at_once(_, function: Callable, *arguments):
     return kernel() if kernel.possible else function(*arguments)
 
 
-def block_count(length: int, size: int = BLOCK) -> int:
-    """Blocks of `size` entries that a list is taken in: 1 unless they are whole."""
+def block_count(length: int, size: int | None = None) -> int:
+    """Blocks of `size` (BLOCK) entries that a list is taken in: 1 unless they are whole."""
+    size = BLOCK if size is None else size
     return max(1, length // size) if length % size == 0 else 1
 
 
