@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibrate.inference.first_order import FirstOrder, hardens
+from calibrate.inference.first_order import FirstOrder
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -51,14 +51,6 @@ def pressed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pressed")
     lab = laboratory(folder)
     return lab, Campaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), folder)
-
-
-def test_only_tests_that_never_stand_free_have_derivatives(pressed, tmp_path):
-    lab = load_lab(bundled_lab())
-    both = Campaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), tmp_path)
-    assert hardens(pressed[1])
-    assert not hardens(both)
-    assert not hardens(object())
 
 
 def test_slopes_of_a_bed_are_those_of_its_response_and_are_kept(pressed):

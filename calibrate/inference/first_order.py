@@ -25,21 +25,11 @@ from jdem.core.program import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
-from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged, stands_free
+from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
 from jdem.sensitivity.overdamped import Overdamped
 
 STEP = 0.05  # in ln p; curves move by more than their rows are rough
 SIGNS = (1, -1)
-
-
-def hardens(campaign: object) -> bool:
-    """Whether derivatives of these tests can be taken: one specimen, which never stands free.
-
-    A free specimen fails by contacts that snap, and a derivative does not see when they do
-    (docs/gradients.md)."""
-    if not isinstance(campaign, Campaign):
-        return False
-    return not any(stands_free(campaign.lab))
 
 
 @dataclass(eq=False)

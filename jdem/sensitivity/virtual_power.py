@@ -54,10 +54,6 @@ class VirtualPower(AbstractTraced):
     cost: float = eqx.field(static=True, default=1.3)
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
-        """The laboratory that the response has to run: values are those of `lab`.
-
-        A response of another laboratory is differentiated pathwise.
-        """
         return replace(
             lab, derivative=FrozenMotion(lab.tests.names.index(self.first), self.carried)
         )
