@@ -1,16 +1,15 @@
 """How much the observables depend on choices of the method, beside the scatter of packings.
 
-On the bundled soil at the quick preset (150 spheres): depression depth H and crushing
-force F with both simulated rates halved, with the time step halved, with every rounding
-sharp, with half the background damping, with two and four times the spheres, and with
-the shear modulus changed by one part in 10^9 (what chaos alone does).  H is also read up
-to two servo widths below the largest force, where the platen has not slowed down yet: the
-difference tells creep under the nearly constant force from the response to loading.
-Differences are paired by packing where the packing is the same bed; spheres of another
-number are another bed, so those differences are not paired.
+On the bundled soil at the preset standard's rates, on grown beds of 500 spheres (2000 with
+`--spheres 2000`): depression depth H and crushing force F with the time step halved and
+lengthened, with both simulated rates halved and doubled, with every rounding sharp, with half
+the background damping, and with the shear modulus changed by one part in 10^9 (what chaos
+alone does).  H is also read up to two servo widths below the largest force, where the platen
+has not slowed down yet: the difference tells creep under the nearly constant force from the
+response to loading.  Differences are paired by packing.
 
     python benchmarks/convergence.py               all parts, about 10 minutes on two cores
-    python benchmarks/convergence.py --part rate   one part, about 1 minute
+    python benchmarks/convergence.py --part rate   one part, about 2 minutes
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
 benchmarks/results/convergence.json and .md; single parts are added to what is there.
@@ -35,6 +34,7 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.core.smooth import Smoothing
 from jdem.engine.bed import Numerics
 from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.packing.specimen import Specimen
 
 EARLY = "depth_before_servo_mm"
 OBSERVABLES = ("depression_depth_mm", EARLY, "crushing_force_n")
@@ -42,42 +42,41 @@ OBSERVABLES = ("depression_depth_mm", EARLY, "crushing_force_n")
 
 @dataclass(frozen=True)
 class Variant:
-    """One change of the method; factors are relative to the quick preset."""
+    """One change of the method; factors are relative to the preset."""
 
     part: str
     what: str
-    spheres: int = 150
     rate: float = 1.0
     damping: float = 1.0
     modulus: float = 1.0
     numerics: dict = field(default_factory=dict)
-    packings: int = 4
-
-    @property
-    def paired(self) -> bool:
-        return self.spheres == BASE.spheres
 
 
-BASE = Variant("base", "quick preset")
+def _step(factor: float) -> dict:
+    return {"safety": factor * Numerics().safety}
+
+
+BASE = Variant("base", "as the preset")
 VARIANTS = (
     Variant("chaos", "shear modulus + 1e-9 of itself", modulus=1 + 1e-9),
+    Variant("step", "time step halved", numerics=_step(0.5)),
+    Variant("step", "time step 1.5 times as long", numerics=_step(1.5)),
+    Variant("step", "time step twice as long", numerics=_step(2.0)),
     Variant("rate", "both rates halved", rate=0.5),
-    Variant("step", "time step halved", numerics={"safety": 0.5 * Numerics().safety}),
+    Variant("rate", "both rates doubled", rate=2.0),
     Variant("sharp", "all roundings sharp", numerics={"smoothing": Smoothing.sharp()}),
     Variant("damping", "background damping halved", damping=0.5),
-    Variant("spheres", "300 spheres", spheres=300),
-    Variant("spheres", "600 spheres", spheres=600, packings=2),
 )
 
 
-def laboratory(lab: Lab, variant: Variant) -> tuple[VirtualLab, object]:
+def laboratory(lab: Lab, variant: Variant, spheres: int) -> tuple[VirtualLab, Specimen]:
     """The virtual tests and the specimen of a variant."""
-    quick = PRESETS["quick"]
+    usual = PRESETS["standard"]
     preset = replace(
-        quick,
-        spheres=variant.spheres,
-        rate_in_mould=variant.rate * quick.rate_in_mould,
-        rate_free=variant.rate * quick.rate_free,
+        usual,
+        spheres=spheres,
+        rate_in_mould=variant.rate * usual.rate_in_mould,
+        rate_free=variant.rate * usual.rate_free,
     )
     cylinder = specimen(lab, preset)
     virtual = virtual_lab(lab, preset, numerics_for(cylinder, **variant.numerics))
@@ -95,12 +94,12 @@ def _damped(virtual: VirtualLab, factor: float) -> VirtualLab:
     )
 
 
-def measured(lab: Lab, variant: Variant, seed: int, folder: Path) -> list[Run]:
+def measured(lab: Lab, variant: Variant, chosen: argparse.Namespace) -> list[Run]:
     """The variant's runs, one a packing."""
-    work = Campaign(*laboratory(lab, variant), folder, for_terminal())
+    work = Campaign(*laboratory(lab, variant, chosen.spheres), chosen.folder, for_terminal())
     soil = base_soil(lab)
     soil = with_values(soil, {"shear_modulus": variant.modulus * float(soil.shear_modulus)})
-    seeds = range(seed, seed + variant.packings)
+    seeds = range(chosen.seed, chosen.seed + chosen.packings)
     return work.runs([soil], seeds, variant.what)[0]
 
 
@@ -108,24 +107,16 @@ def row(variant: Variant, runs: list[Run], base: list[Run]) -> dict:
     """Numbers of one variant and its differences from the base."""
     return {
         "part": variant.part,
-        "spheres": variant.spheres,
-        "paired": variant.paired,
-        **{
-            name: compared(_values(runs, name), _values(base, name), variant.paired)
-            for name in OBSERVABLES
-        },
+        **{name: compared(_values(runs, name), _values(base, name)) for name in OBSERVABLES},
         **quality(runs),
         "failures": [run.failure for run in runs if run.failure],
     }
 
 
-def compared(values: np.ndarray, base: np.ndarray, paired: bool) -> dict:
+def compared(values: np.ndarray, base: np.ndarray) -> dict:
     """Mean and scatter over packings; difference from the base and its standard error."""
-    if paired:
-        differences = values - base
-        error = differences.std(ddof=1) / np.sqrt(len(differences))
-    else:
-        error = np.sqrt(values.var(ddof=1) / len(values) + base.var(ddof=1) / len(base))
+    differences = values - base
+    error = differences.std(ddof=1) / np.sqrt(len(differences))
     return {
         "values": values.tolist(),
         "mean": float(values.mean()),
@@ -168,8 +159,8 @@ def depth_before_servo(run: Run) -> float:
     return float(high - low)
 
 
-def markdown(variants: dict, origin: dict) -> str:
-    """The table, with scatter beside every difference."""
+def markdown(variants: dict, spheres: str) -> str:
+    """The table of one size of bed, with scatter beside every difference."""
     header = (
         "variant",
         "packings",
@@ -182,33 +173,27 @@ def markdown(variants: dict, origin: dict) -> str:
         "energy balance",
         "kinetic energy after rest (J)",
         "time steps",
+        "run (s)",
     )
     rows = [_cells(what, entry) for what, entry in variants.items()]
-    return (
-        "# Convergence\n\nBundled soil. Scatter is the standard deviation over packings; "
-        "differences are from the first row, paired by packing unless marked *. The inertial "
-        "number is that of the confined test; energy balance is the integration error over "
-        "the platen's work; quality columns give the worst packing.\n\n"
-        + reporting.table(header, rows)
-        + reporting.footer(origin)
-    )
+    return f"## {spheres} spheres\n\n" + reporting.table(header, rows)
 
 
 def _cells(what: str, entry: dict) -> list[str]:
     depth, early, force = (entry[name] for name in OBSERVABLES)
-    mark = "" if entry["paired"] else " *"
     return [
         what,
         str(len(depth["values"])),
         f"{depth['mean']:.3f} ± {depth['scatter']:.3f}",
-        f"{depth['difference']:+.3f} ± {depth['standard_error']:.3f}{mark}",
-        f"{early['difference']:+.3f} ± {early['standard_error']:.3f}{mark}",
+        f"{depth['difference']:+.3f} ± {depth['standard_error']:.3f}",
+        f"{early['difference']:+.3f} ± {early['standard_error']:.3f}",
         f"{force['mean']:.1f} ± {force['scatter']:.1f}",
-        f"{force['difference']:+.1f} ± {force['standard_error']:.1f}{mark}",
+        f"{force['difference']:+.1f} ± {force['standard_error']:.1f}",
         f"{entry['inertial_number']:.1e}",
         f"{entry['energy_balance']:.1e}",
         f"{entry['kinetic_energy_after_rest_j']:.1e}",
         f"{entry['steps']:.0f}",
+        f"{entry['runtime_s']:.0f}",
     ]
 
 
@@ -216,6 +201,8 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
     parts = sorted({variant.part for variant in VARIANTS})
     parser.add_argument("--part", choices=parts, action="append", help="default: all parts")
+    parser.add_argument("--spheres", type=int, default=500)
+    parser.add_argument("--packings", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0, help="first packing")
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
     return parser.parse_args()
@@ -229,22 +216,29 @@ def main() -> None:
     chosen = arguments()
     reporting.configure()
     lab = load_lab(bundled_lab())
-    base = measured(lab, BASE, chosen.seed, chosen.folder)
+    base = measured(lab, BASE, chosen)
+    known = reporting.earlier("convergence", "sizes")
     found = {BASE.what: row(BASE, base, base)}
-    known = reporting.earlier("convergence", "variants")
+    before = known.get(str(chosen.spheres), {})
     for variant in VARIANTS:
         if chosen.part is None or variant.part in chosen.part:
-            runs = measured(lab, variant, chosen.seed, chosen.folder)
-            found[variant.what] = row(variant, runs, base)
-        elif variant.what in known:
-            found[variant.what] = known[variant.what]
-        _save(found, chosen.seed)
+            found[variant.what] = row(variant, measured(lab, variant, chosen), base)
+        elif variant.what in before:
+            found[variant.what] = before[variant.what]
+        _save({**known, str(chosen.spheres): found})
 
 
-def _save(found: dict, seed: int) -> None:
+def _save(sizes: dict) -> None:
     origin = reporting.provenance()
-    content = {**origin, "seed": seed, "variants": found}
-    reporting.write("convergence", content, markdown(found, origin))
+    tables = "\n".join(markdown(found, spheres) for spheres, found in sizes.items())
+    head = (
+        "# Convergence\n\nBundled soil. Scatter is the standard deviation over packings; "
+        "differences are from the first row of their table, paired by packing. The inertial "
+        "number is that of the confined test; energy balance is the integration error over "
+        "the platen's work; quality columns give the worst packing.\n\n"
+    )
+    text = head + tables + reporting.footer(origin)
+    reporting.write("convergence", {**origin, "sizes": sizes}, text)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ Writes benchmarks/results/derivatives.json and .md after every fit.
 """
 
 import argparse
-import csv
 import json
 import time
 from dataclasses import replace
@@ -20,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import reporting
-from recovery import LABORATORY, REPEATS, scaled
+from made_lab import LABORATORY, of_curves, scaled
 
 from calibrate.core.files import write_text
 from calibrate.core.progress import for_terminal
@@ -36,6 +35,7 @@ from calibrate.simulation.specimens import Seeds
 from jdem.sensitivity.base import AbstractStrategy
 from jdem.sensitivity.overdamped import Overdamped
 
+REPEATS = 4
 HIDDEN = {
     "shear_modulus": 0.8,
     "plasticity_ratio": 0.85,
@@ -53,55 +53,18 @@ HEADER = ("start", "slopes", "evaluations", "forward runs a packing", "processor
 
 def laboratory(folder: Path, spheres: int) -> tuple[Lab, Campaign]:
     """The lab file of the hidden parameters' confined curves, read back, and its simulations."""
-    path = folder / f"derivatives-{spheres}" / "lab.toml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lab = load_lab(bundled_lab())
-    hidden = scaled(base_soil(lab), HIDDEN)
+    bundled = load_lab(bundled_lab())
+    hidden = scaled(base_soil(bundled), HIDDEN)
     seeds = range(LABORATORY, LABORATORY + REPEATS)
-    runs = _campaign(lab, folder, spheres).runs([hidden], seeds, "laboratory")[0]
-    tables = []
-    for number, run in enumerate(runs, start=1):
-        _write(path.with_name(f"{number}.csv"), run.curves["confined"])
-        tables.append(
-            f'[[tests.curves]]\nfile = "{number}.csv"\n'
-            'displacement = { column = "displacement", unit = "mm" }\n'
-            'force = { column = "force", unit = "N" }\n\n'
-        )
-    write_text(path, _text("".join(tables)))
-    lab = load_lab(path)
+    runs = _campaign(bundled, folder, spheres).runs([hidden], seeds, "laboratory")[0]
+    path = folder / f"derivatives-{spheres}" / "lab.toml"
+    lab = of_curves(path, runs, without=("unconfined",))
     return lab, _campaign(lab, folder, spheres)
 
 
 def _campaign(lab: Lab, folder: Path, spheres: int) -> Campaign:
     preset = replace(PRESETS["standard"], spheres=spheres)
     return Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, for_terminal())
-
-
-def _text(curves: str) -> str:
-    """The bundled soil in a lab that does nothing but confined compression."""
-    bundled = load_lab(bundled_lab())
-    soil = base_soil(bundled)
-    parameters = "".join(
-        f"{key} = {float(getattr(soil, key))!r}\n"
-        for key, choice in bundled.parameters.items()
-        if choice.value is not None
-    )
-    return (
-        '[soil]\nname = "hidden parameters, confined compression"\n'
-        f'density = ["{np.mean(bundled.density_kg_m3):.6g} kg/m^3"]\n\n'
-        '[specimen]\ndiameter = "50 mm"\nheight = "100 mm"\n\n'
-        f'[[tests]]\ntype = "confined"\nrate = "8 mm/s"\n\n{curves}'
-        f"[particles]\npoisson_ratio = {bundled.particles.poisson_ratio}\n"
-        'reference_diameter = "80 um"\n\n'
-        f"[parameters]\n{parameters}"
-    )
-
-
-def _write(path: Path, curve: np.ndarray) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["displacement", "force"])
-        writer.writerows([[f"{x:.6g}", f"{f:.6g}"] for x, f in curve])
 
 
 def fitted(

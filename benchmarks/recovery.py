@@ -20,28 +20,25 @@ benchmarks/results/recovery.json and .md after every start.
 """
 
 import argparse
-import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import reporting
+from made_lab import LABORATORY, of_curves, of_targets, scaled
 
-from calibrate.core.files import write_text
 from calibrate.core.progress import for_terminal
 from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
 from calibrate.inference.fit import Fit, fit
 from calibrate.inference.parameters import Space, space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
-from calibrate.io.soil import base_soil, with_values
+from calibrate.io.soil import base_soil
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from calibrate.simulation.specimens import Seeds, mean_observables, spread_observables
-from jdem.materials.soil import SoilParameters
 
 REPEATS = 4
-LABORATORY = 50_000  # added to the seed: the laboratory's packings are never fitted
 QUICK = PRESETS["quick"]
 
 
@@ -100,13 +97,8 @@ def campaign(lab: Lab, folder: Path) -> CountingCampaign:
     return CountingCampaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), folder, for_terminal())
 
 
-def scaled(soil: SoilParameters, factors: dict[str, float]) -> SoilParameters:
-    """The soil with some parameters multiplied."""
-    return with_values(soil, {n: f * float(getattr(soil, n)) for n, f in factors.items()})
-
-
-def made_lab(name: str, case: Case, seed: int, folder: Path) -> tuple[Path, list[Run]]:
-    """Writes the lab file of the hidden parameters; its path and the runs behind it."""
+def made_lab(name: str, case: Case, seed: int, folder: Path) -> tuple[Lab, list[Run]]:
+    """The lab of the hidden parameters, written and read back, and the runs behind it."""
     lab = load_lab(bundled_lab())
     seeds = range(LABORATORY + seed, LABORATORY + seed + REPEATS)
     hidden = scaled(base_soil(lab), case.hidden)
@@ -115,68 +107,7 @@ def made_lab(name: str, case: Case, seed: int, folder: Path) -> tuple[Path, list
     if failures:
         raise RuntimeError(f"a laboratory specimen failed: {failures[0]}; give another --seed")
     path = folder / "recovery" / f"{name}-{seed}" / "lab.toml"
-    measured = _curves(runs, path.parent) if case.whole_curves else _targets(runs)
-    write_text(path, _lab_text(lab, name, measured))
-    return path, runs
-
-
-def _targets(runs: list[Run]) -> str:
-    means, spread = mean_observables(runs), spread_observables(runs)
-    tables = (("depression_depth", "mm"), ("crushing_force", "N"))
-    return "".join(
-        f'[targets.{name}]\nmean = "{means[f"{name}_{unit.lower()}"]:.6g} {unit}"\n'
-        f'scatter = "{spread[f"{name}_{unit.lower()}"]:.6g} {unit}"\nrepeats = {len(runs)}\n\n'
-        for name, unit in tables
-    )
-
-
-def _curves(runs: list[Run], folder: Path) -> str:
-    """Writes the curves as CSV; the lab file's tables that name them."""
-    tables = []
-    for number, run in enumerate(runs, start=1):
-        for test, curve in run.curves.items():
-            file = f"{test}_{number}.csv"
-            _write_curve(folder / file, curve)
-            tables.append(
-                f'[[curves]]\ntest = "{test}"\nfile = "{file}"\n'
-                'displacement = { column = "displacement", unit = "mm" }\n'
-                'force = { column = "force", unit = "N" }\n\n'
-            )
-    return "".join(tables)
-
-
-def _write_curve(path: Path, curve: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["displacement", "force"])
-        writer.writerows([[f"{x:.6g}", f"{f:.6g}"] for x, f in curve])
-
-
-def _lab_text(lab: Lab, name: str, measured: str) -> str:
-    """The bundled soil's lab file with other measurements; starting values are the same."""
-    soil = base_soil(lab)
-    densities = ", ".join(f'"{value} kg/m^3"' for value in lab.density_kg_m3)
-    parameters = "".join(
-        f"{key} = {float(getattr(soil, key))!r}\n"
-        for key, choice in lab.parameters.items()
-        if choice.value is not None
-    )
-    first, second = lab.pair().compression, lab.pair().crushing
-    return (
-        f'[soil]\nname = "hidden parameters, case {name}"\ndensity = [{densities}]\n\n'
-        f'[specimen]\ndiameter = "{1e3 * lab.specimen.diameter:g} mm"\n'
-        f'height = "{1e3 * lab.specimen.height:g} mm"\n\n'
-        f'[{first.type_name}]\nrate = "{1e3 * first.rate:g} mm/s"\n'
-        f'force_low = "{first.force_low:g} N"\n'
-        f'force_high = "{first.force_high:g} N"\n\n'
-        f'[{second.type_name}]\nrate = "{1e3 * second.rate:g} mm/s"\n'
-        f'rest = "{second.rest:g} s"\n\n'
-        f"{measured}"
-        f"[particles]\npoisson_ratio = {lab.particles.poisson_ratio}\n"
-        f'reference_diameter = "{1e6 * (lab.particles.reference_diameter or 0):.10g} um"\n\n'
-        f"[parameters]\n{parameters}"
-    )
+    return (of_curves if case.whole_curves else of_targets)(path, runs), runs
 
 
 def recovered(lab: Lab, names: tuple[str, ...], start: dict, seed: int, work: CountingCampaign):
@@ -225,10 +156,10 @@ def _recovery(hidden: float, fitted: float, interval: np.ndarray, deviation: flo
 
 def measured_case(name: str, case: Case, seed: int, folder: Path) -> dict:
     """The laboratory's side of a case."""
-    path, runs = made_lab(name, case, seed, folder)
-    soil = scaled(base_soil(load_lab(path)), case.hidden)
+    lab, runs = made_lab(name, case, seed, folder)
+    soil = scaled(base_soil(lab), case.hidden)
     return {
-        "lab_file": str(path),
+        "lab_file": str(lab.file),
         "hidden": {key: float(getattr(soil, key)) for key in case.hidden},
         "data": "whole curves" if case.whole_curves else "H and F",
         "repeats": REPEATS,

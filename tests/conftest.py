@@ -25,7 +25,8 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # Modules that take longer than some eight seconds on one core, the longest first.  They are begun
 # in this order, so that two workers end at about the same time; `make check` leaves them out.
 THOROUGH = (
-    *("notebooks", "lab", "fit", "effects", "cluster", "report", "virtual_power", "engine"),
+    *("notebooks", "overdamped", "lab", "fit", "effects", "cluster", "report", "virtual_power"),
+    *("first_order", "tangent_kernel", "engine"),
     *("laws_contract", "laws", "view", "abuse", "relaxation", "study", "unit_of_force"),
     *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "oedometer"),
     *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),

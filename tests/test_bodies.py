@@ -56,7 +56,7 @@ class Silent(AbstractContactLaw):
     def force(self, contact, history):
         raise NotImplementedError
 
-    def stiffness_bound(self, radius):
+    def longest_step(self, mass, radius):
         raise NotImplementedError
 
 

@@ -44,7 +44,7 @@ def strengths(**values):
 
 BASE, ALL = lab_with(), lab_with(*[effect(0.0) for effect in EFFECTS.values()])
 HEIGHT = 0.06  # m, of a bed
-STEP = 0.8  # of the stable time step, the same for all strengths
+STEP = 0.5  # of the stable time step, the same for all strengths
 
 
 @pytest.fixture(scope="session")

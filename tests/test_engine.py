@@ -385,14 +385,14 @@ def test_a_batch_of_soils_runs_as_each_alone():
     soils = [cohesive_soil(), cohesive_soil(surface_energy=3.0, static_friction=0.4)]
     beds = [bed_of(spheres_of(4), soil, smoothing=Smoothing()) for soil in soils]
     starts = [state_of(bed, heap()) for bed in beds]
-    segments = [stack([Segment(duration=400.5 * bed.time_step)]) for bed in beds]
+    segments = [stack([Segment(duration=200.5 * bed.time_step)]) for bed in beds]
     many = jax.tree.map(
         lambda *leaves: jnp.stack(leaves), *zip(beds, starts, segments, strict=True)
     )
-    batch = eqx.filter_vmap(lambda b, s, p: run(b, s, p, jnp.asarray(100), CAPACITY))
+    batch = eqx.filter_vmap(lambda b, s, p: run(b, s, p, jnp.asarray(50), CAPACITY))
     together = eqx.filter_jit(batch)(*many)
     for k, one in enumerate(zip(beds, starts, segments, strict=True)):
-        alone = simulate(*one, jnp.asarray(100), CAPACITY)
+        alone = simulate(*one, jnp.asarray(50), CAPACITY)
         for ours, expected in zip(results(together), results(alone), strict=True):
             assert np.abs(ours[k] - expected).max() < 1e-9 * np.abs(expected).max()
 

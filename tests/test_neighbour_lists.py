@@ -40,7 +40,7 @@ class Keeper(AbstractContactLaw):
     def force(self, contact, history):
         raise NotImplementedError
 
-    def stiffness_bound(self, radius):
+    def longest_step(self, mass, radius):
         raise NotImplementedError
 
     def memory(self, shape, dtype):

@@ -33,7 +33,7 @@ def seen():
     confined = ConfinedCompression(
         simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
-    unconfined = UnconfinedCompression(stroke=5e-4, rest=2e-2, opening=1e-4)
+    unconfined = UnconfinedCompression(stroke=5e-4, rest=4e-2, opening=1e-4)
     lab = small_lab(TestSequence((confined, unconfined)))
     states = frames(lab, packing, SOIL, 6)
     return packing, lab, states, [contacts_of(f.bed, f.state) for f in states]

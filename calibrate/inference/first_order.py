@@ -64,7 +64,7 @@ class FirstOrder:
             kept = [run for key in keys if (run := self.campaign.stored(key)) is not None]
             if len(kept) == len(keys):
                 return kept
-            step = self.campaign.lab.time_step(packings[number], soil)
+            step = self.lab.time_step(packings[number], soil)
             traced = self._program(packings[number], step, jnp.asarray(values))
             found = self._runs(centres[number], jax.tree.map(np.asarray, traced))
             for key, run in zip(keys, found, strict=True):

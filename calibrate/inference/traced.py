@@ -35,15 +35,15 @@ def traced_slopes(
     seeds: Sequence[int],
     points: CurvePoints,
 ) -> tuple[Sensitivity, list[Certificate]]:
-    """Slopes of everything that `points` reads, packing by packing, at the time step of the base
-    soil; NaN where the strategy does not believe them."""
+    """Slopes of everything that `points` reads, packing by packing, at the strategy's time step for
+    the base soil; NaN where the strategy does not believe them."""
     lab = strategy.laboratory(work.lab)
     slopes = traced(strategy, lab, space, points)
     packings = work.packings(seeds)
 
     def on(number: int) -> Traced:
         packing = packings[number]
-        found = slopes(packing, work.lab.time_step(packing, space.base))
+        found = slopes(packing, lab.time_step(packing, space.base))
         return jax.tree.map(np.asarray, found)
 
     found = side_by_side(

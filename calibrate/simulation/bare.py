@@ -55,6 +55,6 @@ class BareCampaign:
             for (test, source), (name, factor) in called.items()
         }
         curves = {name: points_of(reading.curve) for name, reading in found.items()}
-        nothing = {"overflow": 0.0, "steps": 0.0, "spheres": 0.0}
+        nothing = {"overflow": 0.0, "steps": 0.0, "spheres": 0.0, "repeats": 0.0}
         quality = {name: np.nan for name in QUALITY} | nothing
         return Run(observables, curves, quality | {"runtime_s": time.perf_counter() - begun})

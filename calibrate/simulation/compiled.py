@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from calibrate.simulation.run import Run, summary
+from calibrate.simulation.run import Run, repeated, summary
 from jdem.bodies.spheres import Spheres
 from jdem.core.program import program
 from jdem.core.vector import Vector
@@ -52,7 +52,7 @@ def simulated(lab: VirtualLab, specimen: Specimen, packing: Packing, soil: SoilP
     """One run; once more with larger lists if they were too small."""
     run = _timed(lab, packing, soil)
     if run.quality["overflow"] > 0:
-        run = _timed(lab.roomier(specimen), packing, soil)
+        run = repeated(_timed(lab.roomier(specimen), packing, soil), run)
     return run
 
 

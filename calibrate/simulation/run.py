@@ -26,6 +26,7 @@ QUALITY = (
     "steps",
     "spheres",
     "runtime_s",
+    "repeats",
     "spheres_across",
     "porosity",
 )
@@ -74,6 +75,7 @@ def summary(
         "steps": float(steps),
         "spheres": float(packing.spheres.count),
         "runtime_s": seconds,
+        "repeats": 0.0,
         **resolution_of(packing),
     }
     return Run(
@@ -96,6 +98,13 @@ def completed(run: Run, packing: Packing) -> Run:
     if "porosity" in run.quality:
         return run
     return replace(run, quality={**run.quality, **resolution_of(packing)})
+
+
+def repeated(run: Run, before: Run) -> Run:
+    """A run that took the place of one whose lists were too small; its time is that of both."""
+    times = {"repeats": 1 + before.quality["repeats"]}
+    times |= {"runtime_s": before.quality["runtime_s"] + run.quality["runtime_s"]}
+    return replace(run, quality=run.quality | times)
 
 
 def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:

@@ -99,7 +99,7 @@ def simulation_json(runs: Sequence[Run]) -> dict:
     }
 
 
-OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean}
+OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean, "repeats": np.sum}
 
 
 def coarse(quality: dict) -> str:
@@ -114,8 +114,8 @@ def coarse(quality: dict) -> str:
 
 
 def quality_json(runs: Sequence[Run]) -> dict:
-    """The worst of each check over packings, their mean resolution, and whether any list stayed
-    too small."""
+    """The worst of each check over packings, their mean resolution, how many were run twice, and
+    whether any list stayed too small."""
     worst = {
         name: float(OVER_PACKINGS.get(name, np.max)([run.quality[name] for run in runs]))
         for name in runs[0].quality

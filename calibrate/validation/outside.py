@@ -62,8 +62,8 @@ class Crushable(AbstractContactLaw):
         )
         return weaker, history
 
-    def stiffness_bound(self, radius):
-        return self.inner.stiffness_bound(radius)
+    def longest_step(self, mass, radius):
+        return self.inner.longest_step(mass, radius)
 
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)

@@ -15,6 +15,8 @@ from jdem.core.quantity import Real, quantity
 from jdem.engine.segment import Segment
 from jdem.observables import Curve
 
+RESPONSE = 5e-4  # s, of the drive to its servo: 20 to 60 time steps
+
 
 class Damping(eqx.Module):
     """Background damping (1/s) while the machine loads, and while a specimen comes to rest.

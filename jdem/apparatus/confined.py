@@ -10,7 +10,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
+from jdem.apparatus.base import (
+    RESPONSE,
+    AbstractApparatus,
+    Damping,
+    Movement,
+    Reading,
+    Readings,
+    curve_of,
+)
 from jdem.core.quantity import Real, cast, quantity
 from jdem.engine.segment import KEEP, LOWER, Segment, cell_segment
 from jdem.observables import Curve, depression_depth, displacement_at
@@ -21,11 +29,11 @@ OVERSHOOT = 2.0  # servo widths
 class ConfinedCompression(AbstractApparatus):
     """Loads to force_high (N) at simulated_rate (m/s), holds for `hold` (s), unloads.
 
-    The platen slows down within servo_width (N) of its target and stops when the force
-    is within `tolerance` (N) of it.  On loading the target lies OVERSHOOT widths beyond
-    force_high, so that force_high is passed at full speed and no creep of the bed at
-    standstill is counted as depression; stroke (m) is the farthest it may go.  The curve's
-    displacement counts from seating_force (N).  `further` movements may follow.
+    The platen slows down within servo_width (N) of its target and stops when the force is within
+    `tolerance` (N) of it; its drive follows the servo in `response` (s).  On loading the target
+    lies OVERSHOOT widths beyond force_high, so that force_high is passed at full speed and no
+    creep of the bed at standstill is counted as depression; stroke (m) is the farthest it may go.
+    The curve's displacement counts from seating_force (N).  `further` movements may follow.
     """
 
     simulated_rate: Real = quantity(0.1)
@@ -33,6 +41,7 @@ class ConfinedCompression(AbstractApparatus):
     force_low: Real = quantity(200.0)
     force_high: Real = quantity(400.0)
     servo_width: Real = quantity(1.5)
+    response: Real = quantity(RESPONSE)
     tolerance: Real = quantity(0.75)
     stroke: Real = quantity(0.025)
     hold: Real = quantity(0.0)
@@ -90,6 +99,7 @@ class ConfinedCompression(AbstractApparatus):
             platen_speed=self.simulated_rate,
             force_target=force,
             servo_width=self.servo_width,
+            response=self.response,
             tolerance=self.tolerance,
             damping=self.damping.loading,
             unloaded_damping=self.damping.unloaded,

@@ -15,7 +15,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus, Damping, Movement, Reading, Readings, curve_of
+from jdem.apparatus.base import (
+    RESPONSE,
+    AbstractApparatus,
+    Damping,
+    Movement,
+    Reading,
+    Readings,
+    curve_of,
+)
 from jdem.core.quantity import Real, quantity
 from jdem.engine.segment import KEEP, LOWER, REMOVE, cell_segment
 from jdem.observables import AbstractGauge, Curve, displacement_at
@@ -48,7 +56,8 @@ class Step(eqx.Module):
 class Protocol(AbstractApparatus):
     """A test made of steps.
 
-    simulated_rate (m/s) is the platen's; servo_width and tolerance (N) as in `Segment`; stroke
+    simulated_rate (m/s) is the platen's; servo_width and tolerance (N) and response (s) as in
+    `Segment`; stroke
     (m) is the farthest that one step may go; displacement counts from seating_force (N) on the
     first loading; gauges are the observables.  The platen is lowered onto the specimen before
     the first step that moves, and again after the mould was taken away.
@@ -58,6 +67,7 @@ class Protocol(AbstractApparatus):
     simulated_rate: Real = quantity(0.05)
     nominal_rate: Real = quantity(1e-3)
     servo_width: Real = quantity(1.5)
+    response: Real = quantity(RESPONSE)
     tolerance: Real = quantity(0.75)
     stroke: Real = quantity(0.025)
     damping: Damping = eqx.field(default_factory=Damping)
@@ -137,6 +147,7 @@ class Protocol(AbstractApparatus):
                 platen_speed=self.simulated_rate,
                 force_target=step.value,
                 servo_width=self.servo_width,
+                response=self.response,
                 tolerance=self.tolerance,
                 duration=self.stroke / self.simulated_rate,
                 **common,
@@ -151,6 +162,7 @@ class Protocol(AbstractApparatus):
                 platen_speed=self.simulated_rate,
                 force_target=force,
                 servo_width=10 * self.servo_width,
+                response=self.response,
                 duration=time,
                 **common,
             )

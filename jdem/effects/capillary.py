@@ -76,8 +76,8 @@ class AcrossGaps(AbstractContactLaw):
         share = (jnp.exp(-lengths) - math.exp(-CUTOFF)) / (1 - math.exp(-CUTOFF))
         return self.stress * diameter**2 * jnp.maximum(share, 0.0)
 
-    def stiffness_bound(self, radius):
-        return self.inner.stiffness_bound(radius)
+    def longest_step(self, mass, radius):
+        return self.inner.longest_step(mass, radius)
 
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)

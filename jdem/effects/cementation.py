@@ -90,8 +90,8 @@ class Bonded(AbstractContactLaw):
         force = eqx.tree_at(lambda f: (f.normal, f.tangential), force, (normal, tangential))
         return force, BondedMemory(inner, bond)
 
-    def stiffness_bound(self, radius):
-        return self.inner.stiffness_bound(radius)
+    def longest_step(self, mass, radius):
+        return self.inner.longest_step(mass, radius)
 
     def memory(self, shape, dtype):
         zero = jnp.zeros(shape, dtype)

@@ -1,6 +1,6 @@
 """From spheres and soil to a bed that can be advanced: laws, time step, list capacities.
 
-dt = safety * min over contacts of sqrt(m*/k),   k the stiffest tangent (k2, wall or pair)
+dt = safety * min over contacts of the longest step at which two bodies are stable
 """
 
 import equinox as eqx
@@ -27,13 +27,15 @@ PAIRS_GROW = 4  # power of the listing distance with which the number of listed 
 class Numerics(eqx.Module):
     """Choices of the method, not of the soil.
 
-    safety (-) scales the time step; sample_time (s) is the interval of output and of list
-    rebuilds; skin (-) is the listing distance over the mean diameter; pairs_per_sphere
-    (None: `usual_pairs`), wall_layer (wall contacts = wall_layer x spheres x diameter / width)
-    and per_cell set list capacities; dtype is "float64" or "float32";
+    safety (-) is the time step over the longest at which one contact is stable; a sphere has
+    several, and beds are unstable from 0.55 on (docs/decisions/2026-11-25-servo-and-step.md).
+    sample_time (s) is the interval of output and of list rebuilds; skin (-) is the listing
+    distance over the mean diameter; pairs_per_sphere (None: `usual_pairs`), wall_layer (wall
+    contacts = wall_layer x spheres x diameter / width) and per_cell set list capacities; dtype is
+    "float64" or "float32".
     """
 
-    safety: float = eqx.field(static=True, default=0.3)
+    safety: float = eqx.field(static=True, default=0.45)
     sample_time: float = eqx.field(static=True, default=2.5e-4)
     skin: float = eqx.field(static=True, default=0.08)
     pairs_per_sphere: float | None = eqx.field(static=True, default=None)
@@ -89,9 +91,9 @@ def stable_time_step(spheres: Spheres, between, walls, safety: float) -> Array:
     with fenced():
         spheres, between, walls = once(jax.lax.stop_gradient((spheres, between, walls)))
     radius, mass = spheres.radius, spheres.mass
-    pair = jnp.min(0.5 * mass / between.stiffness_bound(0.5 * radius))
-    wall = jnp.min(mass / walls.stiffness_bound(radius))
-    return safety * jnp.sqrt(jnp.minimum(pair, wall))
+    pair = jnp.min(between.longest_step(0.5 * mass, 0.5 * radius))
+    wall = jnp.min(walls.longest_step(mass, radius))
+    return safety * jnp.minimum(pair, wall)
 
 
 def steps_per_sample(bed: Bed, numerics: Numerics) -> Array:

@@ -266,7 +266,8 @@ def _sampled(
     def advance(_, carry):
         state, sums = carry
         with fenced():
-            command = together(command_of, segment, way.seen(shown(state.reading)))
+            seen = way.seen(shown(state.reading))
+            command = together(command_of, segment, seen, state.boundaries, bed.time_step)
             state = read(way.step(bed, state, command), segment, bed.time_step)
             return state, sums + together(_probe, state.boundaries, state.loads, state.reading)
 

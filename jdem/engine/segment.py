@@ -1,6 +1,7 @@
 """The machine's programme: a table of segments, each a movement of boundaries.
 
-    rate -> rate tanh((force_target - F)/servo_width)      of the boundary with the servo
+    rate_s = rate tanh((force_target - F)/servo_width)     what the servo asks for
+    response d(rate)/dt = rate_s - rate                    of the boundary that it drives
 
 A programme is numbers, not code, so one compiled loop serves every apparatus.
 """
@@ -35,7 +36,10 @@ class Segment(eqx.Module):
     at `growth` (m/s), each of shape (boundaries,).  `servo` is the number of the one whose
     `component` (FORCE, TORQUE or PUSH: what resists speed, spin or growth) is brought to
     force_target: that rate is multiplied by tanh((force_target - F)/servo_width), so it arrives
-    smoothly; with an infinite target it is constant.  The segment ends after `duration` or when
+    smoothly; with an infinite target it is constant.  The drive takes `response` (s) to follow its
+    servo: dashpots of the bed answer the rate at once, so a drive that followed at once would
+    swing from step to step wherever they exceed servo_width/rate.  The segment ends after
+    `duration` or when
     |F - force_target| < tolerance.  F is what the load cell reads: it follows the resistance
     with the time constant `lag`; with a lag the segment also ends when F passes the target.
     `placed` says what happens to each boundary first: KEEP, REMOVE, or LOWER it onto the nearest
@@ -50,6 +54,7 @@ class Segment(eqx.Module):
     component: Array = eqx.field(default=FORCE, converter=jnp.asarray)
     force_target: Real = quantity(jnp.inf)
     servo_width: Real = quantity(1.0)
+    response: Real = quantity(0.0)
     tolerance: Real = quantity(0.0)
     damping: Real = quantity(0.0)
     unloaded_damping: Real = quantity(0.0)
@@ -90,18 +95,29 @@ def row_of(programme: Segment, index) -> Segment:
     return jax.tree.map(lambda leaf: leaf[index], programme)
 
 
-def command_of(segment: Segment, force: Array) -> Command:
-    """What the machine does where it sees `force` (N or N m)."""
+def command_of(segment: Segment, force: Array, before: Boundaries, time_step: Real) -> Command:
+    """What the machine does where it sees `force` (N or N m) and moved as boundaries `before`."""
     unlimited = jnp.isinf(segment.force_target)
     target = jnp.where(unlimited, force, segment.force_target)  # or inf x 0 is a slope: NaN
     share = jnp.where(unlimited, 1.0, jnp.tanh((target - force) / segment.servo_width))
     table = jnp.stack([segment.speed, segment.spin, segment.growth])
-    rates = [
+    wanted = [
         table[place] * jnp.where(_served(segment, place), share, 1.0)
         for place in np.ndindex(*table.shape)
     ]
+    kept = jnp.where(unlimited, 0.0, segment.response / (segment.response + time_step))
+    rates = [
+        rate + (moved - rate) * jnp.where(_served(segment, place), kept, 0.0)
+        for rate, moved, place in zip(wanted, _rates(before), np.ndindex(*table.shape), strict=True)
+    ]
     rates = jnp.stack(rates).reshape(table.shape)
     return Command(rates, segment.damping, segment.unloaded_damping)
+
+
+def _rates(boundaries: Boundaries) -> list[Array]:
+    """Speeds, spins and growths, one after the other."""
+    each = [boundary.rates for boundary in boundaries]
+    return [*(r.speed for r in each), *(r.spin for r in each), *(r.growth for r in each)]
 
 
 def _served(segment: Segment, place: tuple[int, ...]) -> Array:

@@ -18,6 +18,7 @@ from typing import Any
 import equinox as eqx
 from jax import Array
 
+from jdem.core.quantity import Real
 from jdem.core.vector import Vector
 from jdem.mechanics.contact import Contact, ContactForce, NormalForce
 
@@ -35,6 +36,10 @@ class AbstractNormalLaw(eqx.Module):
     def stiffness_bound(self, radius: Array) -> Array:
         """Largest normal stiffness (N/m) at effective radius R*, for the time step."""
 
+    def damping_ratio(self) -> Real:
+        """The dashpot's share of critical damping, for the time step: 0 unless said so."""
+        return 0.0
+
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""
         return ()
@@ -51,6 +56,10 @@ class AbstractTangentialLaw(eqx.Module):
 
         `stiffness` is the tangential spring's, N/m.
         """
+
+    def damping_ratio(self) -> Real:
+        """The dashpot's share of critical damping, for the time step: 0 unless said so."""
+        return 0.0
 
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""
@@ -86,8 +95,9 @@ class AbstractContactLaw(eqx.Module):
         """The contact's force by part and its memory after this instant."""
 
     @abc.abstractmethod
-    def stiffness_bound(self, radius: Array) -> Array:
-        """Largest stiffness (N/m) at effective radius R*, for the time step."""
+    def longest_step(self, mass: Array, radius: Array) -> Array:
+        """Longest time step (s) at which two bodies in contact are stable, of effective mass m*
+        (kg) and radius R* (m)."""
 
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from jdem.core.quantity import Real, quantity
 from jdem.laws.base import (
     AbstractContactLaw,
@@ -11,7 +13,11 @@ from jdem.laws.base import (
     Memory,
 )
 from jdem.mechanics.contact import Contact, ContactForce
+from jdem.mechanics.dashpot import longest_step
 from jdem.mechanics.elasticity import AbstractStiffness
+
+SLIPPING = 2 / 7  # effective mass of slip over that of approach, for spheres
+SOFTEST = 0.01  # largest overlap over R* that the time step reckons with
 
 
 class ContactMemory(NamedTuple):
@@ -46,8 +52,17 @@ class ContactLaw(AbstractContactLaw):
         force = ContactForce(normal, spring, dashpot, self.rolling.limit(normal), moment)
         return force, ContactMemory(plastic, stretch, rolled)
 
-    def stiffness_bound(self, radius):
-        return self.normal.stiffness_bound(radius)
+    def longest_step(self, mass, radius):
+        """The shorter one of approach and sliding.
+
+        A force at the surface of a sphere turns it too, so that slip sees less inertia:
+        1/m_t = 1/m* (1 + m r^2/I) = 7/2 1/m*.
+        """
+        sliding = self.tangential_multiplier * self.shear.tangential(radius, SOFTEST * radius)
+        return jnp.minimum(
+            longest_step(mass, self.normal.stiffness_bound(radius), self.normal.damping_ratio()),
+            longest_step(mass * SLIPPING, sliding, self.tangential.damping_ratio() / SLIPPING**0.5),
+        )
 
     def memory(self, shape, dtype):
         parts = (self.normal, self.tangential, self.rolling)

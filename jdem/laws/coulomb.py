@@ -21,7 +21,7 @@ from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractTangentialLaw
 from jdem.mechanics.contact import Contact, NormalForce
-from jdem.mechanics.dashpot import dashpot_constant
+from jdem.mechanics.dashpot import damping_ratio, dashpot_constant
 
 
 class CoulombSpring(AbstractTangentialLaw):
@@ -43,6 +43,9 @@ class CoulombSpring(AbstractTangentialLaw):
         share = jnp.where(load > 0, smooth.divide(saturated, load), 1.0) * loaded
         share = once(share)
         return stretch * (-stiffness * share), contact.slip * (-beta * share), stretch
+
+    def damping_ratio(self):
+        return damping_ratio(jnp.log(self.restitution))
 
     def memory(self, shape, dtype):
         """Elastic stretch of the spring, m."""

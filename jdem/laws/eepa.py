@@ -26,7 +26,7 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
 from jdem.mechanics.contact import Contact, NormalForce
-from jdem.mechanics.dashpot import dashpot_constant
+from jdem.mechanics.dashpot import damping_ratio, dashpot_constant
 from jdem.mechanics.elasticity import AbstractStiffness
 
 
@@ -114,6 +114,9 @@ class EEPA(AbstractNormalLaw):
 
     def stiffness_bound(self, radius: Array):
         return self.stiffness.bound(radius) / (1 - self.plasticity_ratio)
+
+    def damping_ratio(self):
+        return damping_ratio(jnp.log(self.restitution))
 
     def _loaded(self, overlap, history: PlasticMemory):
         """Virgin loading carries the plastic memory with it and forgets earlier reloads."""

@@ -27,7 +27,7 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
 from jdem.mechanics.contact import Contact, NormalForce
-from jdem.mechanics.dashpot import dashpot_constant
+from jdem.mechanics.dashpot import damping_ratio, dashpot_constant
 from jdem.mechanics.elasticity import AbstractStiffness
 
 
@@ -87,6 +87,9 @@ class HystereticSpring(AbstractNormalLaw):
     def stiffness_bound(self, radius: Array):
         """K2; cohesion's slope lowers it."""
         return self.unloading_stiffness(radius) + 2 * jnp.pi * self.cohesion * radius
+
+    def damping_ratio(self):
+        return self.damping_factor * damping_ratio(jnp.log(self.restitution))
 
     def _residual(self, overlap, before):
         """d0 after this instant, m."""

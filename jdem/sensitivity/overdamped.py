@@ -37,6 +37,7 @@ from jdem.engine.step import step
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.sensitivity.base import AbstractTraced, Read, Simulate, Traced, forward, stands_free
 
+FINER = 0.5  # of the usual time step: the drag is explicit and takes its share of stability
 CHORD = 5  # rows of a curve; between two neighbouring ones its slope is mostly roughness
 TURN_ROWS = 3  # samples before a turn, over which its force is averaged
 
@@ -92,7 +93,8 @@ class Overdamped(AbstractTraced):
         turning = tuple(np.flatnonzero(reached).tolist())
         drag = TangentDrag(self.background, self.contact)
         derivative = OverdampedMotion(drag, jnp.zeros(len(turning)), turning=turning)
-        return replace(lab, derivative=derivative)
+        finer = replace(lab.numerics, safety=FINER * lab.numerics.safety)
+        return replace(lab, derivative=derivative, numerics=finer)
 
     def traced(self, lab: VirtualLab, simulate: Simulate, read: Read, point: Array) -> Traced:
         motion, count = cast(OverdampedMotion, lab.derivative), point.shape[0]
