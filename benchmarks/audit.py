@@ -1,10 +1,10 @@
 """The audit of the gradients that `fit` and screening use, on two sets of packings.
 
-    python benchmarks/audit.py               more than an hour of one core
-    python benchmarks/audit.py --packings 8  quicker, and less precise
+    python benchmarks/audit.py --seeds 21 22         some 15 minutes on two cores
 
-The bundled soil at 300 spheres: reference slopes by regression over +-20 %, one parameter at a
-time, against those of both strategies, on the same packings; then all of it again on others.
+The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
++-20 %, one parameter at a time, against those of both strategies, on the same packings; then all
+of it again on others.
 Runs are kept in results/benchmarks; a second call resumes.  Writes
 notebooks/data/audit.json, benchmarks/results/audit.md and docs/images/audit*.png, after every seed.
 """
@@ -32,7 +32,7 @@ STRATEGIES = {"fit": "As fits take them", "ensemble": "All parameters in groups"
 
 def audited(spheres: int, seeds: range, folder: Path) -> Audit:
     lab = load_lab(bundled_lab())
-    preset = replace(PRESETS["quick"], spheres=spheres)
+    preset = replace(PRESETS["standard"], spheres=spheres)
     work = Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, for_terminal())
     return audit(space(lab, (*FACTORS, "shear_modulus")), work, seeds, list(STRATEGIES))
 
@@ -115,8 +115,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--spheres", type=int, default=300)
-    parser.add_argument("--packings", type=int, default=16, help="packings a seed")
+    parser.add_argument("--spheres", type=int, default=1000)
+    parser.add_argument("--packings", type=int, default=4, help="packings a seed")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
     chosen = parser.parse_args()

@@ -44,7 +44,7 @@ def strengths(**values):
 
 BASE, ALL = lab_with(), lab_with(*[effect(0.0) for effect in EFFECTS.values()])
 HEIGHT = 0.06  # m, of a bed
-STEP = 0.5  # of the stable time step, the same for all strengths
+STEP = 0.4  # of the stable time step, the same for all strengths
 
 
 @pytest.fixture(scope="session")
@@ -280,12 +280,12 @@ def secant(outcome, travel=5e-4):
 
 
 def test_platen_friction_acts_without_the_mould(outcome):
-    low, high = outcome(), outcome(platen_friction=0.5)
-    assert force_of(high) > force_of(low)
+    """So few spheres are stronger or weaker by chance: asked is where it acts, not which way."""
+    low, high = outcome(), outcome(platen_friction=1.0)
     depth = depth_of(high) / depth_of(low) - 1
     force = force_of(high) / force_of(low) - 1
     print(f"platen friction: depth {float(depth):+.3f}, crushing force {float(force):+.3f}")
-    assert abs(depth) < 0.5 * abs(force)
+    assert abs(depth) < 0.03 < abs(force)
 
 
 def test_the_second_test_alone_is_multiplied(outcome):

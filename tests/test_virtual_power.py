@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
+from quickly import quickly
 
 from calibrate.inference.parameters import FACTORS
 from calibrate.io.soil import with_values
@@ -75,15 +76,21 @@ def centre():
     return jnp.log(jnp.asarray([float(getattr(soil, name)) for name in NAMES]))
 
 
-def slopes(programme):
-    """Derivatives (samples, p) of the platen force (N) per unit of ln p, motion frozen; values are
-    checked to be those of a motion that is not, but for round-off of another program."""
+@quickly
+def frozen(log_values, programme):
+    """Slopes and values of the platen force, motion frozen."""
 
     def both(x):
         force = pressed(x, programme, True)
         return force, force
 
-    slope, force = jax.jacfwd(both, has_aux=True)(centre())
+    return jax.jacfwd(both, has_aux=True)(log_values)
+
+
+def slopes(programme):
+    """Derivatives (samples, p) of the platen force (N) per unit of ln p, motion frozen; values are
+    checked to be those of a motion that is not, but for round-off of another program."""
+    slope, force = frozen(centre(), programme)
     np.testing.assert_allclose(force, pressed(centre(), programme, False), rtol=1e-12, atol=1e-15)
     return np.asarray(slope)
 
