@@ -3,6 +3,7 @@
 import jax
 
 
-def quickly(function):
+def quickly(function, **options):
     """`function` jitted as a whole and compiled without optimisation; the same to round-off."""
-    return jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})
+    cheap = {"xla_backend_optimization_level": 0}
+    return jax.jit(function, compiler_options=cheap, **options)

@@ -7,6 +7,8 @@
 Spheres are elastic and without friction, so an equilibrium is a function of the parameters.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -59,32 +61,35 @@ def pressed(x, position, height, mould, spread, derivative=None):
     return record.state.loads[:, 6], record.state.motion.position.stack(), record
 
 
-def way(first=0):
-    return OverdampedMotion(DRAG, jnp.zeros(0), turning=(), first=first)
-
-
-def slopes(position, height, mould, spread, derivative):
+@partial(quickly, static_argnames="spread")
+def slopes(x, position, height, mould, spread):
     """Values and derivatives (p last) of `pressed`'s forces and positions."""
+    way = OverdampedMotion(DRAG, jnp.zeros(0), turning=())
 
     def both(x):
-        force, place, _ = pressed(x, position, height, mould, spread, derivative)
+        force, place, _ = pressed(x, position, height, mould, spread, way)
         return (force, place), (force, place)
 
-    return quickly(jax.jacfwd(both, has_aux=True))(jnp.zeros(2))
+    return jax.jacfwd(both, has_aux=True)(x)
 
 
-def column(count):
-    """Spheres in line that just touch each other, the base and the platen."""
-    radius = RADIUS * jnp.ones(count)
-    z = jnp.cumsum(2 * radius) - radius
-    return jnp.stack([jnp.zeros(count), jnp.zeros(count), z], axis=-1), jnp.sum(2 * radius)
+def column():
+    """Four spheres in line that just touch each other, the base and the platen."""
+    z = RADIUS * jnp.asarray([1.0, 3.0, 5.0, 7.0])
+    return jnp.stack([0 * z, 0 * z, z], axis=-1), 8 * RADIUS
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_a_sphere_and_a_chain_between_platens(count):
+def row():
+    """Four spheres apart from each other, each between the platens."""
+    x = RADIUS * jnp.asarray([-6.0, -2.0, 2.0, 6.0])
+    return jnp.stack([x, 0 * x, 0 * x + RADIUS], axis=-1), 2 * RADIUS
+
+
+@pytest.mark.parametrize("arranged", [row, column])
+def test_a_sphere_and_a_chain_between_platens(arranged):
     """At a given travel F is proportional to the modulus, and no sphere moves."""
-    position, height = column(count)
-    (force_slope, place_slope), (force, _) = slopes(position, height, FAR, 0.0, way())
+    position, height = arranged()
+    (force_slope, place_slope), (force, _) = slopes(jnp.zeros(2), position, height, FAR, 0.0)
     assert float(force[PLATEN]) > 0
     assert abs(float(force_slope[PLATEN, MODULUS] / force[PLATEN]) - 1) < 1e-6
     assert np.abs(np.asarray(place_slope[..., MODULUS])).max() < 1e-6 * TRAVEL
@@ -115,7 +120,7 @@ def test_a_packing_at_rest_solves_for_equilibrium():
     """Motion frozen or not: K dx = -df, whatever the drag was on the way."""
     position, height, mould = rings(3)
     given, spread = (position, height, mould, 0.02), 0.02
-    (found, _), _ = slopes(*given[:3], spread, way())
+    (found, _), _ = slopes(jnp.zeros(2), *given[:3], spread)
     _, place, record = pressed(jnp.zeros(2), *given[:3], spread)
     state = jax.lax.stop_gradient(record.state)
 
