@@ -63,7 +63,7 @@ def theirs(lab: Lab, packing: Packing, folder: Path) -> dict:
     """LIGGGHTS on two ranks, one specimen."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for name in ("in.tests", "plate.tests.stl"):
+    for name in ("in.tests", "plate.stl"):
         shutil.copy(PEERS / name, folder)
     _write_bed(folder / "bed.data", packing)
     variables = [part for name, v in _variables(lab, packing).items() for part in ("-var", name, v)]

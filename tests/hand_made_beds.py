@@ -132,3 +132,10 @@ def last(samples):
     """The last interval that was recorded."""
     row = np.flatnonzero(np.asarray(samples.segment) >= 0)[-1]
     return jax.tree.map(lambda leaf: np.asarray(leaf)[row], samples)
+
+
+def quickly(function, **options):
+    """`function` jitted as a whole and compiled without optimisation: a derivative of a few spheres
+    compiles in a third of the time, and is the same to round-off."""
+    cheap = {"xla_backend_optimization_level": 0}
+    return jax.jit(function, compiler_options=cheap, **options)

@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_beds import RADIUS, bed_of, listed, soil_of, spheres_of
-from quickly import quickly
+from hand_made_beds import RADIUS, bed_of, listed, quickly, soil_of, spheres_of
 
 from jdem.bodies.spheres import Motion, Spheres
 from jdem.boundaries.base import FAR

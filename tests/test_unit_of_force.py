@@ -7,8 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of, state_of
-from quickly import quickly
+from hand_made_beds import RADIUS, bed_of, quickly, soil_of, spheres_of, state_of
 
 from jdem.core.smooth import Smoothing
 from jdem.engine.loop import run

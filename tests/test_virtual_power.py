@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
-from quickly import quickly
+from hand_made_beds import RADIUS, bed_of, quickly, soil_of, spheres_of
 
 from calibrate.inference.parameters import FACTORS
 from calibrate.io.soil import with_values

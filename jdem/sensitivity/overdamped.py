@@ -76,7 +76,7 @@ class Overdamped(AbstractTraced):
 
     Not believed are slopes of a test in which the specimen stands free, and those whose growth or
     imbalance (`jdem.sensitivity.base`) is above most_growth or most_imbalance.  `cost` is that of
-    one tangent in forward runs of 500 spheres (docs/decisions/2026-11-25-derivatives.md); `turns`
+    one tangent over that of values, 500 spheres (docs/decisions/2026-11-25-derivatives.md); `turns`
     is how many further ones a sequence of tests takes.
     """
 
@@ -129,7 +129,7 @@ class Overdamped(AbstractTraced):
         return ""
 
     def runs(self, parameters: int, packings: int) -> float:
-        return 1 + self.cost * (parameters + self.turns)
+        return (1 + self.cost * (parameters + self.turns)) / FINER
 
     def describe(self) -> str:
         return (
