@@ -157,6 +157,17 @@ def test_slopes_are_measured_anew_after_two_rejected_steps_in_a_row_only():
     assert walk.stopped == "every target is met within the tolerance"
 
 
+def test_a_step_after_a_rejected_one_is_another_step():
+    """A solver that only damps would try nearly the same point again: its damping is small beside
+    whitened slopes.  The chord of the rejected step tells how far to go."""
+    walk = descend(scalar_case(TRUTH_TWO, 0), START_TWO * [6.0, 1.0])
+    points = [np.log(list(row["parameters"].values())) for row in walk.history]
+    status = [row["status"] for row in walk.history]
+    first = status.index("rejected")
+    tried, following = points[first] - points[first - 1], points[first + 1] - points[first]
+    assert np.linalg.norm(following) > 0.1 * np.linalg.norm(tried)
+
+
 def test_a_fit_ends_after_its_evaluations():
     result = fit(scalar_case(TRUTH_TWO, 0, settings=Settings(evaluations=2, tolerance=0.0)))
     assert [row["evaluation"] for row in result.history] == [1, 2]

@@ -36,7 +36,8 @@ from jdem.materials.soil import SoilParameters
 
 CANDIDATES = (*FACTORS, "shear_modulus")
 # Where large beds are dear: a residual of 0.3 deviations is a third of what packings leave open.
-THRIFTY = Settings(evaluations=10, patience=2, tolerance=0.3)
+THRIFTY = Settings(evaluations=10, patience=3, tolerance=0.3)
+EXPLORING = Settings(tolerance=0.3)  # small beds are cheap
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,7 @@ def explored(calibration: Calibration, correction: Correction) -> Descent | None
         problem=corrected(calibration.problem, correction),
         campaign=coarse.campaign,
         coarse=None,
+        settings=EXPLORING,
     )
     found = descend(small)
     return None if found.best is None or found.best.failures else found

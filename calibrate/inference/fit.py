@@ -6,8 +6,9 @@ fit can be watched, its best iterate kept, and, because every simulation is cach
 killed at any moment and started again with the same end.
 
 Slopes are measured at the start; later evaluations correct them along the step that was
-taken (Broyden 1965, Math. Comp. 19, 577), a rejected one too; they are measured anew
-where two in a row are rejected.
+taken (Broyden 1965, Math. Comp. 19, 577), a rejected one too: where a response is curved, its
+chord tells how far to go.  They are measured anew where two in a row are rejected, unless they
+were measured at that very point.
 """
 
 from dataclasses import dataclass
@@ -76,6 +77,7 @@ class _Walk:
         self.best: Evaluation | None = None
         self.slopes = np.zeros((len(calibration.problem.measured), len(y)))
         self._corrected = False
+        self._measured_at: Evaluation | None = None
         self.history: list[dict] = []
         self._begin(y)
 
@@ -105,14 +107,21 @@ class _Walk:
         elif better:
             self.slopes = secant(self.slopes, before, evaluation)
             self._corrected = True
-        elif self._corrected:
-            if evaluation.failures or self._rejected_before():
-                self._measure(before)
-            else:
-                self.slopes = secant(self.slopes, before, evaluation)
+        elif self._corrected or not evaluation.failures:
+            self._learn(before, evaluation)
             evaluation, y = before, calibration.space.to_unbounded(before.values)
             self._begin(y)
         return self._step(evaluation, y)
+
+    def _learn(self, before: Evaluation, rejected: Evaluation) -> None:
+        """Slopes at `before` once a step from there was rejected: corrected along that step, or
+        measured anew if two steps in a row went wrong and they were not measured just there."""
+        wrong = rejected.failures or self._rejected_before()
+        if wrong and self._measured_at is not before:
+            self._measure(before)
+        elif not rejected.failures:
+            self.slopes = secant(self.slopes, before, rejected)
+            self._corrected = True
 
     def _rejected_before(self) -> bool:
         """Whether the evaluation before the last was no better either."""
@@ -122,7 +131,7 @@ class _Walk:
         if not evaluation.failures:
             what = f"slopes at evaluation {len(self.history)}"
             self.slopes = self._calibration.slopes(evaluation.values, what)
-            self._corrected = False
+            self._corrected, self._measured_at = False, evaluation
 
     def _step(self, evaluation: Evaluation, y: np.ndarray) -> str:
         jacobian = self._calibration.jacobian(self.slopes, y)

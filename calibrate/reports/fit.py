@@ -1,6 +1,6 @@
 """The report of a calibration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +10,13 @@ from calibrate.figures.style import above, panel_svg
 from calibrate.labtests.composite import described
 from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, Test, read
-from calibrate.records.fit import FitRecord, Packing, Summary
+from calibrate.records.fit import Feature, FitRecord, Packing, Summary
 from calibrate.reports.html import Page, Picture, Table, number, plus_minus, quantity, render, words
 from calibrate.simulation.specimens import coarse
 
 SMALL = (4.6, 2.9)  # inches
 FAR = 2.0  # deviations beyond which a fitted number is counted as missed
+WARNED = 3.0  # and beyond which it is a warning
 
 
 def page(path: Path) -> Page:
@@ -79,6 +80,8 @@ def _interval(found: FitRecord, name: str) -> str:
 
 
 def _warnings(found: FitRecord) -> Iterator[str]:
+    for sentence in missed(found.features):
+        yield f"{sentence}."
     for name in found.at_bound:
         yield f"{words(name)} ended at its bound."
     for packing in (*found.packings.fitted, *found.packings.fresh):
@@ -91,6 +94,18 @@ def _warnings(found: FitRecord) -> Iterator[str]:
         yield f"{sentence_of_size}."
     if found.quality.get("overflow"):
         yield "a contact list stayed too small in a run."
+
+
+def missed(features: Mapping[str, Feature]) -> Iterator[str]:
+    """One sentence for each feature that the fit did not meet, with what to do."""
+    for name, each in features.items():
+        off = abs(each.simulated - each.measured) / each.sd
+        if off > WARNED:
+            yield (
+                f"the fit did not meet {name}: {each.simulated:.4g} for {each.measured:.4g} "
+                f"measured, {off:.0f} standard deviations off; start elsewhere (--set) or free other "
+                "parameters (--free)"
+            )
 
 
 def _weights(weights: dict[str, float]) -> str:

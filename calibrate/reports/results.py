@@ -18,7 +18,8 @@ from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import Measured, record
-from calibrate.records.fit import FitRecord
+from calibrate.records.fit import Feature, FitRecord
+from calibrate.reports.fit import missed
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import coarse, measured_json
@@ -228,4 +229,5 @@ def _conclusions(done: Calibrated, result: dict) -> list[str]:
         lines.append(f"{verdict} (signal/noise {entry['signal_to_noise']:.1f}): {weights}")
     for name in result["at_bound"]:
         lines.append(f"warning: {name} ended at its bound")
-    return lines
+    features = {name: Feature(**row) for name, row in result["features"].items()}
+    return [*lines, *(f"warning: {sentence}" for sentence in missed(features))]
