@@ -103,8 +103,8 @@ def missed(features: Mapping[str, Feature]) -> Iterator[str]:
         if off > WARNED:
             yield (
                 f"the fit did not meet {name}: {each.simulated:.4g} for {each.measured:.4g} "
-                f"measured, {off:.0f} standard deviations off; start elsewhere (--set) or free other "
-                "parameters (--free)"
+                f"measured, {off:.0f} standard deviations off; start elsewhere (--set) or free "
+                "other parameters (--free)"
             )
 
 
