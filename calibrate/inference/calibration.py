@@ -37,7 +37,7 @@ from jdem.materials.soil import SoilParameters
 CANDIDATES = (*FACTORS, "shear_modulus")
 # Where large beds are dear: a residual of 0.3 deviations is a third of what packings leave open.
 THRIFTY = Settings(evaluations=10, patience=3, tolerance=0.3)
-EXPLORING = Settings(tolerance=0.3)  # small beds are cheap
+EXPLORING = Settings(evaluations=12, patience=4, tolerance=0.3)  # small beds are cheap
 
 
 @dataclass(frozen=True, eq=False)
