@@ -5,11 +5,12 @@
 One packing and one run of the bundled soil for each preset with one worker, so processor
 time is about what an idle core would take; tracing and loading the program (some seconds)
 is included, and with a cold compilation cache compiling it (ten more).  Quick and standard
-take two minutes, fine about fifteen.  Writes benchmarks/results/presets.json and .md;
-presets that were not asked for keep their rows.
+take two minutes, fine about five.  Writes benchmarks/results/presets.json and .md;
+presets that were not asked for keep their rows.  Memory is the largest of the process so far.
 """
 
 import argparse
+import resource
 import time
 
 import reporting
@@ -28,6 +29,7 @@ HEADER = (
     "one run (s)",
     "time steps",
     "inertial number",
+    "peak memory (GiB)",
     "H (mm)",
     "F (N)",
 )
@@ -69,6 +71,7 @@ def _measured(name: str, seed: int) -> dict:
         "run_s": finished - settled,
         "steps": run.quality["steps"],
         "inertial_number": run.quality["inertial_number"],
+        "peak_memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
         "failure": run.failure,
         **run.observables,
     }
@@ -84,6 +87,7 @@ def _markdown(rows: dict, origin: dict) -> str:
             f"{row['run_s']:.0f}",
             f"{row['steps']:.0f}",
             f"{row['inertial_number']:.1e}",
+            f"{row['peak_memory_gib']:.1f}",
             f"{row['depression_depth_mm']:.2f}",
             f"{row['crushing_force_n']:.0f}",
         )
