@@ -48,7 +48,7 @@ PRESETS = {
     preset.name: preset
     for preset in (
         Preset("quick", 150, 0.045, 0.05, 3),
-        Preset("standard", 2000, 0.08, 0.05, 4, grown=True, fresh=8, explored=500),
+        Preset("standard", 2000, 0.08, 0.05, 4, grown=True, fresh=12, explored=500),
         Preset("fine", 10_000, 0.10, 0.05, 2, grown=True, fresh=3, explored=1000),
     )
 }
