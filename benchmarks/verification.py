@@ -25,7 +25,8 @@ from calibrate.io.lab import bundled_lab
 from calibrate.labtests.composite import label
 
 HEADER = ("soil", "seed", "observable", "measured", "fresh packings: mean ± s.e.", "one packing",
-          "error", "published error", "packings", "D/d", "simulations", "minutes")  # fmt: skip
+          "error", "published error", "packings", "D/d", "simulated in the last call",
+          "minutes")  # fmt: skip
 
 
 def fitted(soil: str, seed: int, folder: Path) -> dict:

@@ -77,8 +77,8 @@ def theirs(lab: Lab, packing: Packing, folder: Path) -> dict:
     seconds = time.perf_counter() - begun
     rows = [line.split() for line in (folder / "tests.log").read_text().splitlines()]
     steps = max(int(row[0]) for row in rows if row and row[0].isdigit())
-    crushing = np.loadtxt(folder / "ucs.txt", comments="#")
-    loading = np.loadtxt(folder / "load.txt", comments="#")
+    crushing = np.loadtxt(folder / "ucs.txt", skiprows=1)
+    loading = np.loadtxt(folder / "load.txt", skiprows=1)
     force = np.maximum.accumulate(_smooth(loading[:, 1], 5))
     low, high = np.interp((200.0, min(400.0, force[-1])), force, loading[:, 0])
     return {
