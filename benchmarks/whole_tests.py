@@ -38,8 +38,8 @@ HEADER = ("round", "program", "specimens", "wall time (s)", "wall time of one (s
           "M particle-steps/s", "H (mm)", "F (N)")  # fmt: skip
 STANDARD = PRESETS["standard"]
 FELL_APART = (
-    "\nA specimen of LIGGGHTS fell apart without the mould (F = 0): its last stage moves loose spheres, "
-    "which is cheap, so its rate is too high by an unknown share.\n"
+    "\nA specimen of LIGGGHTS fell apart without the mould (F = 0): its last stage moves loose "
+    "spheres, which is cheap, so its rate is too high by an unknown share.\n"
 )
 
 
