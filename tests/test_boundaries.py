@@ -200,6 +200,22 @@ def test_a_servo_holds_a_torque():
     assert float(table[TORQUE, BASE]) == pytest.approx(target, rel=0.05)
 
 
+@pytest.mark.parametrize(("response", "calm"), [(5e-4, True), (0.0, False)])
+def test_a_drive_that_follows_at_once_swings_from_step_to_step(response, calm):
+    """The dashpots of four spheres answer the platen's speed v with C v: where C exceeds width/v the
+    force alternates between two values, unless the drive takes time."""
+    bed = bed_of(spheres_of(4), soil_of(restitution=0.2), gravity=0.0, skin=20.0)
+    x = RADIUS * np.array([-9.0, -3.0, 3.0, 9.0])
+    state = state_of(bed, np.stack([x, 0 * x, 0 * x + RADIUS], axis=-1))
+    state = eqx.tree_at(lambda s: s.boundaries, state, cell(2 * RADIUS, FAR, float))
+    servo = {"force_target": 1.0, "servo_width": 0.16, "response": response}
+    segment = cell_segment(platen_speed=0.2, damping=500.0, duration=1.0, **servo)
+    samples = running(bed, state, segment, 1).samples
+    force = np.asarray(samples.platen_force)[np.asarray(samples.segment) >= 0][-40:]
+    swing = np.abs(np.diff(force)).max()
+    assert (swing < 0.02) == calm and (swing > 0.2) != calm
+
+
 def test_any_boundary_can_be_driven():
     """The base, pushed up against a sphere under the platen by a servo on its own force."""
     bed = bed_of(spheres_of(1), soil_of(restitution=0.3), gravity=0.0, skin=20.0)

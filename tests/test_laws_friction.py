@@ -26,6 +26,7 @@ from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.eepa import PlasticMemory
 from jdem.laws.rolling import ConstantTorque
 from jdem.mechanics.contact import NormalForce
+from jdem.mechanics.dashpot import longest_step
 
 
 @every_exponent
@@ -171,3 +172,17 @@ def test_the_rolling_limit_is_friction_times_the_hysteretic_force(hysteretic, sm
     normal = NormalForce(jnp.asarray(hysteretic), jnp.asarray(7.0), jnp.asarray(4.0))
     limit = ConstantTorque(0.4, smoothing).limit(normal)
     assert limit == pytest.approx(0.4 * abs(hysteretic), rel=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 1.5])
+def test_the_longest_step_is_where_the_integration_turns_unstable(ratio):
+    """Of x'' = -k x - c x', by the engine's step: v -= (k x + c v) dt/m, x += v dt."""
+    mass, stiffness = 3e-4, 2e4
+    damping = 2 * ratio * np.sqrt(mass * stiffness)
+    longest = float(longest_step(jnp.asarray(mass), jnp.asarray(stiffness), ratio))
+    for share, stable in ((0.999, True), (1.001, False)):
+        dt = share * longest
+        kick = np.array([[1.0, 0.0], [-stiffness * dt / mass, 1 - damping * dt / mass]])
+        drift = np.array([[1.0, dt], [0.0, 1.0]])
+        growth = np.abs(np.linalg.eigvals(drift @ kick)).max()
+        assert (growth < 1 + 1e-9) == stable
