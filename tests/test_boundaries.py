@@ -202,8 +202,8 @@ def test_a_servo_holds_a_torque():
 
 @pytest.mark.parametrize(("response", "calm"), [(5e-4, True), (0.0, False)])
 def test_a_drive_that_follows_at_once_swings_from_step_to_step(response, calm):
-    """The dashpots of four spheres answer the platen's speed v with C v: where C exceeds width/v the
-    force alternates between two values, unless the drive takes time."""
+    """The dashpots of four spheres answer the platen's speed v with C v: where C exceeds width/v
+    the force alternates between two values, unless the drive takes time."""
     bed = bed_of(spheres_of(4), soil_of(restitution=0.2), gravity=0.0, skin=20.0)
     x = RADIUS * np.array([-9.0, -3.0, 3.0, 9.0])
     state = state_of(bed, np.stack([x, 0 * x, 0 * x + RADIUS], axis=-1))
