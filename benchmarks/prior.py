@@ -2,9 +2,10 @@
 
 Soils are drawn from the priors of all parameters that a fit may free, cut at their bounds, each
 on a packing of its own, at the preset standard's rates.  Counted are runs that failed, runs that
-were done twice because a list was too small, and what half the time step changes.
+were done twice because a list was too small, what half the time step changes, and how many fail
+with a longer one: that is the margin.
 
-    python benchmarks/prior.py                     40 soils, 500 spheres, 4 minutes on two cores
+    python benchmarks/prior.py                     40 soils, 500 spheres, 6 minutes on two cores
     python benchmarks/prior.py --spheres 2000 --soils 20
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
@@ -28,8 +29,9 @@ from jdem.engine.bed import Numerics
 from jdem.materials.soil import SoilParameters
 
 HEADER = ("spheres", "soils", "failed", "done twice", "energy balance, largest",
-          "H changed by half the step, largest", "median", "soils compared")  # fmt: skip
-DEPTH = "depression_depth_mm"
+          "H changed by half the step, largest", "median", "soils compared",
+          "failed with 1.3 times the step")  # fmt: skip
+DEPTH, LONGER = "depression_depth_mm", 1.3
 
 
 def soils(lab: Lab, count: int, seed: int) -> list[SoilParameters]:
@@ -55,7 +57,7 @@ def simulated(lab: Lab, spheres: int, factor: float, chosen: argparse.Namespace)
     return work.each([row], range(chosen.soils), f"time step x {factor:g}")[0]
 
 
-def compared(usual: list[Run], finer: list[Run]) -> dict:
+def compared(usual: list[Run], finer: list[Run], coarser: list[Run]) -> dict:
     """What was counted, and relative changes of the depth where both runs have one."""
     sound = [not (a.failure or b.failure) for a, b in zip(usual, finer, strict=True)]
     depths = np.array([[r.observables[DEPTH] for r in runs] for runs in (usual, finer)])
@@ -66,6 +68,7 @@ def compared(usual: list[Run], finer: list[Run]) -> dict:
         "repeats": float(sum(run.quality["repeats"] for run in usual)),
         "energy_balance": float(max(run.quality["energy_balance"] for run in usual)),
         "changes_of_depth": changes.tolist(),
+        "failures_with_longer_step": sum(bool(run.failure) for run in coarser),
     }
 
 
@@ -80,6 +83,7 @@ def markdown(found: dict, origin: dict) -> str:
             f"{100 * max(row['changes_of_depth']):.2f} %",
             f"{100 * np.median(row['changes_of_depth']):.2f} %",
             str(len(row["changes_of_depth"])),
+            str(row["failures_with_longer_step"]),
         ]
         for spheres, row in found.items()
     ]
@@ -104,9 +108,9 @@ def main() -> None:
     chosen = parser.parse_args()
     reporting.configure()
     lab = load_lab(bundled_lab())
-    usual, finer = (simulated(lab, chosen.spheres, factor, chosen) for factor in (1.0, 0.5))
+    runs = [simulated(lab, chosen.spheres, factor, chosen) for factor in (1.0, 0.5, LONGER)]
     found = reporting.earlier("prior", "sizes")
-    found[str(chosen.spheres)] = compared(usual, finer)
+    found[str(chosen.spheres)] = compared(*runs)
     origin = reporting.provenance()
     reporting.write("prior", {**origin, "sizes": found}, markdown(found, origin))
 

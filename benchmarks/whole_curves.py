@@ -156,7 +156,7 @@ def main() -> None:
         ]
         found[test] = compared([run.curves[test] for run in runs], fresh, LAST[test])
     origin = reporting.provenance()
-    kept = {name: result[name] for name in ("free", "parameters", "intervals_95") if name in result}
+    kept = {name: result[name] for name in ("free", "parameters")}
     content = {**origin, "hidden": HIDDEN, "fit": kept, "tests": found}
     reporting.write("whole_curves", content, markdown(result, found, origin))
     picture(found)

@@ -20,7 +20,7 @@ from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
 
 # How the checks of several runs become one; the largest counts of those that are not named.
-COMBINED = {name: np.sum for name in ("steps", "runtime_s", "platen_work_j")}
+COMBINED = {name: np.sum for name in ("steps", "runtime_s", "repeats", "platen_work_j")}
 COMBINED |= {"spheres_across": np.min, "time_step_s": np.min}
 
 

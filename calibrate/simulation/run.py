@@ -102,9 +102,8 @@ def completed(run: Run, packing: Packing) -> Run:
 
 def repeated(run: Run, before: Run) -> Run:
     """A run that took the place of one whose lists were too small; its time is that of both."""
-    times = {"repeats": 1 + before.quality["repeats"]}
-    times |= {"runtime_s": before.quality["runtime_s"] + run.quality["runtime_s"]}
-    return replace(run, quality=run.quality | times)
+    both = before.quality["runtime_s"] + run.quality["runtime_s"]
+    return replace(run, quality=run.quality | {"repeats": 1.0, "runtime_s": both})
 
 
 def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:
