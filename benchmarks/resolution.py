@@ -30,7 +30,7 @@ from calibrate.simulation import Run
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import campaign
 
-PACKINGS = {150: 12, 250: 10, 500: 8, 1000: 6, 2000: 6, 5000: 3, 10_000: 2, 20_000: 1}
+PACKINGS = {150: 6, 250: 10, 500: 8, 1000: 6, 2000: 6, 5000: 3, 10_000: 2, 20_000: 1}
 MATCHED = 0.46  # reached by every size from 500 spheres on
 LAST = 14.0  # mm
 WINDOW = 1.0  # mm

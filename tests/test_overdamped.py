@@ -27,8 +27,8 @@ from jdem.engine.state import TangentDrag
 from jdem.sensitivity.overdamped import OverdampedMotion
 
 TRAVEL, SPEED = 2e-4, 0.05  # m, m/s
-STEPS, SAMPLES, CAPACITY = 200, 40, 128  # of rest; capacity of the record
-DRAG = TangentDrag(0.04, 0.12)
+STEPS, SAMPLES, CAPACITY = 100, 160, 256  # of rest; capacity of the record
+DRAG = TangentDrag(1.0, 1e-6)  # little: an elastic bed without friction holds itself
 ELASTIC = {
     "static_friction": 0.0,
     "platen_friction": 0.0,
@@ -63,7 +63,7 @@ def pressed(x, position, height, mould, spread, derivative=None):
 @partial(quickly, static_argnames="spread")
 def slopes(x, position, height, mould, spread):
     """Values and derivatives (p last) of `pressed`'s forces and positions."""
-    way = OverdampedMotion(DRAG, jnp.zeros(0), turning=())
+    way = OverdampedMotion(DRAG, turning=())
 
     def both(x):
         force, place, _ = pressed(x, position, height, mould, spread, way)
