@@ -135,7 +135,8 @@ def markdown(found: list[dict], origin: dict) -> str:
     ]
     return (
         "# Whole tests\n\nBoth tests, 2000 spheres, two cores, everything in the time. A specimen "
-        "that falls apart without the mould (F near 0) is cheap to crush: its rate does not compare.\n\n"
+        "that falls apart without the mould (F near 0) is cheap to crush: its rate does not "
+        "compare.\n\n"
         + reporting.table(HEADER, rows)
         + f"\nOurs over LIGGGHTS': {rates[0] / rates[1]:.2f} in particle-steps.\n"
         + reporting.footer(origin)
