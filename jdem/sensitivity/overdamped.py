@@ -252,16 +252,16 @@ def _relisted(memory: Memory, after: BedState) -> Memory:
 class Overdamped(AbstractTraced):
     """Forward mode from equilibrium to equilibrium; background (1/s) and contact (-) are the drag.
 
-    Not believed are slopes of a test in which the specimen stands free, and those whose growth or
-    imbalance (`jdem.sensitivity.base`) is above most_growth or most_imbalance.  `cost` is that of
-    one tangent over that of values, 500 spheres (docs/decisions/2026-11-25-derivatives.md); `turns`
-    is how many further ones a sequence of tests takes.
+    Not believed are slopes of a test in which the specimen stands free, and all of a test in which
+    one parameter's growth or imbalance (`jdem.sensitivity.base`) is above most_growth or
+    most_imbalance: what makes one grow acts on all.  `cost` is that of one tangent over that of
+    values, 500 spheres (docs/decisions/2026-11-25-derivatives.md).
     """
 
     background: Real = quantity(500.0)
     contact: Real = quantity(0.15)
-    cost: float = eqx.field(static=True, default=1.2)
-    most_growth: float = eqx.field(static=True, default=3.0)
+    cost: float = eqx.field(static=True, default=0.6)
+    most_growth: float = eqx.field(static=True, default=1.0)
     most_imbalance: float = eqx.field(static=True, default=0.3)
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
@@ -273,14 +273,14 @@ class Overdamped(AbstractTraced):
         return replace(lab, derivative=derivative)
 
     def refusals(self, lab: VirtualLab, found: Traced) -> list[list[str]]:
-        grown, unbalanced = np.asarray(found.growth), np.asarray(found.imbalance)
+        sizes = zip(np.asarray(found.growth), np.asarray(found.imbalance), strict=True)
         return [
-            [self._refusal(grown[test, p], unbalanced[test, p], free) for p in range(len(row))]
-            for test, (row, free) in enumerate(zip(grown, stands_free(lab), strict=True))
+            [self._refusal(float(np.max(grown)), float(np.max(unbalanced)), free)] * len(grown)
+            for (grown, unbalanced), free in zip(sizes, stands_free(lab), strict=True)
         ]
 
     def _refusal(self, growth: float, imbalance: float, free: bool) -> str:
-        """Why a slope is not believed; "" if it is."""
+        """Why slopes of a test are not believed, from the largest ones; "" if they are."""
         if free:
             return "the specimen stands free: contacts snap, and a derivative does not see when"
         if not (np.isfinite(growth) and np.isfinite(imbalance)):
