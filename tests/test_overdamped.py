@@ -22,14 +22,14 @@ from jdem.bodies.spheres import Motion, Spheres
 from jdem.boundaries.base import FAR
 from jdem.boundaries.composite import PLATEN
 from jdem.core.vector import Vector
+from jdem.engine.equilibrium import Carried, Stretch, _balance, _dragged, _motion
 from jdem.engine.loads import pair_loads, wall_loads
 from jdem.engine.loop import run, start
 from jdem.engine.segment import cell_segment, stack
 from jdem.engine.state import TangentDrag
+from jdem.engine.stiffness import System
 from jdem.observables import Curve, displacement_at
-from jdem.sensitivity.equilibrium import Carried, Stretch, _balance, _dragged, _motion
 from jdem.sensitivity.overdamped import OverdampedMotion
-from jdem.sensitivity.stiffness import System
 
 TRAVEL, SPEED = 2e-4, 0.05  # m, m/s
 STEPS, SAMPLES, CAPACITY = 100, 160, 256  # of rest; capacity of the record

@@ -4,7 +4,7 @@ The derivative of a bed that is loaded slowly is that of a sequence of equilibri
 Pathwise tangents obey the equation of motion instead, m dv' = -K dx - df: where a contact softens
 they grow with exp(t sqrt(k/m)), and at some hundred spheres nothing else is left of them.  Here
 no derivative passes through the time steps.  After every `STRIDE` of them derivatives follow from
-those before and from how spheres moved meanwhile (`jdem.sensitivity.equilibrium`).
+those before and from how spheres moved meanwhile (`jdem.engine.equilibrium`).
 
 The machine moves as it did: derivatives are those at given travels.  Where it turns, at a force
 G, the travel depends on the parameters, and all goes on along its path as far as that takes:
@@ -28,13 +28,13 @@ from jdem.core import smooth
 from jdem.core.quantity import Real, quantity
 from jdem.core.tangents import with_derivative_of
 from jdem.core.vector import Vector
+from jdem.engine.equilibrium import Carried, Stretch, followed
 from jdem.engine.loop import AbstractDerivative, Interval, Sample
 from jdem.engine.neighbors import inherited
 from jdem.engine.segment import placed, served
 from jdem.engine.state import Bed, BedState, TangentDrag
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.sensitivity.base import AbstractTraced, Traced, stands_free
-from jdem.sensitivity.equilibrium import Carried, Stretch, followed
 
 STRIDE = 36  # time steps from one equilibrium to the next
 WINDOW = 0.25  # in ln(force); between two neighbouring rows a curve's slope is mostly roughness

@@ -2,7 +2,7 @@
 
     A w = forces and torques on all spheres        w: velocities and spins
 
-A is that of the contact law over a whole stretch, with drag (`jdem.sensitivity.equilibrium`), and
+A is that of the contact law over a whole stretch, with drag (`jdem.engine.equilibrium`), and
 it is not symmetric, because friction goes with the load.  It is solved for all derivatives at once
 by BiCGStab (van der Vorst 1992, SIAM J. Sci. Stat. Comput. 13, 631).  The preconditioner is each
 sphere's own stiffness, and the whole bed's against low polynomials of the place: without these,

@@ -14,7 +14,7 @@ wrong sign.  So each contact and each sphere also resists the rate of change of 
 which is implicit in time and therefore needs no short steps.  Errors do not add up, because it is
 the whole force that is balanced after every stretch, not its change.
 
-The linear system is that of `jdem.sensitivity.stiffness`.
+The linear system is that of `jdem.engine.stiffness`.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ from jdem.core.vector import Vector
 from jdem.engine.loads import pair_loads, wall_loads
 from jdem.engine.neighbors import ContactList
 from jdem.engine.state import Bed
-from jdem.sensitivity.stiffness import System, drag_of, smallest_width, solved
+from jdem.engine.stiffness import System, drag_of, smallest_width, solved
 
 
 class Stretch(eqx.Module):
