@@ -9,6 +9,7 @@ and roughness, the deviation from a line through 1 mm around each point, over th
     python benchmarks/resolution.py                       all sizes, some 25 minutes on two cores
     python benchmarks/resolution.py --most 2000           up to 2000 spheres, 6 minutes
 
+Of 150 spheres there are six packings: the seventh does not reach its usual porosity.
 Runs are kept in results/benchmarks; a second call resumes.  Writes resolution.json and .md in
 benchmarks/results and docs/images/resolution.png after each size.
 """

@@ -6,9 +6,10 @@
 
 Each fits the same parameters to the soil's targets, from the same start, on four packings, and is
 checked on fresh packings of 2000 spheres.  Costs are processor seconds of the fit, compiling in;
-beds are made before, and the check is not counted.
+beds are made before, and the check is not counted.  One soil from one start takes 47 minutes of
+a core for its three fits.
 
-    python benchmarks/sizes.py --soils wheat_after_rice --starts base      half an hour, two cores
+    python benchmarks/sizes.py --soils wheat_after_rice --starts base
 
 Fits are kept in results/benchmarks/sizes; a second call resumes at the next one.  Writes
 benchmarks/results/sizes.json and .md after each; other fits of the same engine keep their rows.
