@@ -64,7 +64,7 @@ def measured(count: int, exponent: float) -> dict:
     """Mean slope (N per ln surface energy) while pulling, by differences and both derivatives."""
     force, given = pulled(count, exponent), Overdamped()
     drag = TangentDrag(given.background, given.contact)
-    ways = {"pathwise": None, "overdamped": OverdampedMotion(drag, jnp.zeros(0), turning=())}
+    ways = {"pathwise": None, "overdamped": OverdampedMotion(drag, turning=())}
     up, down = (np.asarray(force(jnp.asarray(s))) for s in (STEP, -STEP))
     difference = float(np.nanmean(up - down) / (2 * STEP))
     slopes = {}

@@ -20,13 +20,13 @@ from jdem.core.tangents import with_derivative_of
 class Curve(eqx.Module):
     """Platen displacement (m, downward) and force (N); rows count where `valid` is 1.
 
-    A derivative takes the curve's slope over `chord` more rows on either side.
+    A derivative is taken over `window` (-), a width in ln(force) to either side of a force.
     """
 
     displacement: Array
     force: Array
     valid: Array
-    chord: int = eqx.field(static=True, default=0)
+    window: float = eqx.field(static=True, default=0.0)
 
     def filled(self) -> "Curve":
         """Masked rows replaced by the nearest valid row before them (or the first after)."""
@@ -34,42 +34,53 @@ class Curve(eqx.Module):
         last = jax.lax.cummax(jnp.where(self.valid > 0, rows, -1))
         source = jnp.where(last < 0, jnp.argmax(self.valid), last)
         ones = jnp.ones_like(self.valid)
-        return Curve(self.displacement[source], self.force[source], ones, self.chord)
+        return Curve(self.displacement[source], self.force[source], ones, self.window)
 
 
 def displacement_at(loading: Curve, force) -> Array:
     """Displacement (m) at which the loading curve first reaches `force` (N).
 
     Linear interpolation of the curve's running maximum; a force beyond the last row
-    gives the last row's displacement.  A derivative takes the slope of the curve's chord, where
-    it has one: that between two neighbouring rows is mostly roughness.
+    gives the last row's displacement.  A derivative takes the curve over its window, where it
+    has one: between two neighbouring rows its slope is mostly roughness.
     """
     curve = loading.filled()
     highest = jax.lax.cummax(curve.force)
     after = jnp.argmax(highest >= force)
     after = jnp.where(highest[-1] < force, curve.force.shape[0] - 1, after)
     before = jnp.maximum(after - 1, 0)
-    share = smooth.divide(force - highest[before], highest[after] - highest[before])
-    share = jax.lax.stop_gradient(jnp.where(highest[after] > highest[before], share, 1.0))
+    rise = highest[after] - highest[before]
+    share = smooth.divide(force - highest[before], rise)
+    share = jax.lax.stop_gradient(jnp.where(rise > 0, share, 1.0))
     share = jnp.clip(share, 0.0, 1.0)
     travel, reached = (
         rows[before] + share * (rows[after] - rows[before])
         for rows in (curve.displacement, highest)
     )
-    missed = smooth.divide(force - reached, _chord(curve, highest, before, after))
-    return with_derivative_of(travel, travel + missed)
+    if curve.window > 0:
+        return with_derivative_of(travel, travel * _stretched(curve, force))
+    way = curve.displacement[after] - curve.displacement[before]
+    slope = jax.lax.stop_gradient(smooth.divide(rise, way))
+    return with_derivative_of(travel, travel + smooth.divide(force - reached, slope))
 
 
-def _chord(curve: Curve, highest: Array, before: Array, after: Array) -> Array:
-    """Slope (N/m) of a rising curve between two rows and `chord` more on either side; no
-    derivative."""
-    end = jnp.argmax(highest >= highest[-1])
-    low, high = (
-        jnp.maximum(before - curve.chord, 0),
-        jnp.maximum(jnp.minimum(after + curve.chord, end), after),
-    )
-    rise, way = highest[high] - highest[low], curve.displacement[high] - curve.displacement[low]
-    return jax.lax.stop_gradient(smooth.divide(rise, way))
+def _stretched(curve: Curve, force) -> Array:
+    """1, with the derivative of ln(displacement) at a force: over the window, of a power law.
+
+    F ~ u^n there, so d ln u = mean(d ln u_k - d ln F_k / n) + d ln F / n over its rows k.
+    """
+    rows = jnp.arange(curve.force.shape[0])
+    known = (curve.force > 0) & (curve.displacement > 0) & (rows <= jnp.argmax(curve.force))
+    travels, forces = (jnp.where(known, part, 1.0) for part in (curve.displacement, curve.force))
+    x, y = jnp.log(travels), jnp.log(forces)
+    away = jnp.where(known, jnp.abs(y - jnp.log(force)), jnp.inf)
+    chosen = away <= jnp.maximum(curve.window, jnp.min(away))
+    weight = jax.lax.stop_gradient(chosen / jnp.sum(chosen))
+    dx, dy = (part - jnp.sum(weight * part) for part in (x, y))
+    exponent = smooth.divide(jnp.sum(weight * dx * dy), jnp.sum(weight * dx * dx))
+    exponent = jax.lax.stop_gradient(jnp.where(exponent > 0, exponent, 1.0))
+    changes = jnp.sum(weight * (x - y / exponent)) + jnp.log(force) / exponent
+    return 1 + changes - jax.lax.stop_gradient(changes)
 
 
 def depression_depth(loading: Curve, force_low, force_high) -> Array:

@@ -3,10 +3,12 @@
     one sphere      pressed by s:  k = k1/2, so F = k1 s/2
     a chain         n spheres in line, contacts in series: 1/k = 2/k_wall + (n - 1)/k_pair
     a packing       K dx = -df solved directly, K by jax.jacfwd of the engine's own forces
+    a turn          at a given force F = k s, so s goes with 1/k
 
 Spheres are elastic and without friction, so an equilibrium is a function of the parameters.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -20,15 +22,18 @@ from jdem.bodies.spheres import Motion, Spheres
 from jdem.boundaries.base import FAR
 from jdem.boundaries.composite import PLATEN
 from jdem.core.vector import Vector
+from jdem.engine.equilibrium import Carried, Stretch, _balance, _dragged, _motion
 from jdem.engine.loads import pair_loads, wall_loads
 from jdem.engine.loop import run, start
 from jdem.engine.segment import cell_segment, stack
 from jdem.engine.state import TangentDrag
+from jdem.engine.stiffness import System
+from jdem.observables import Curve, displacement_at
 from jdem.sensitivity.overdamped import OverdampedMotion
 
 TRAVEL, SPEED = 2e-4, 0.05  # m, m/s
-STEPS, SAMPLES, CAPACITY = 200, 40, 128  # of rest; capacity of the record
-DRAG = TangentDrag(0.04, 0.12)
+STEPS, SAMPLES, CAPACITY = 100, 160, 256  # of rest; capacity of the record
+DRAG = TangentDrag(1.0, 1e-6)  # little: an elastic bed without friction holds itself
 ELASTIC = {
     "static_friction": 0.0,
     "platen_friction": 0.0,
@@ -63,7 +68,7 @@ def pressed(x, position, height, mould, spread, derivative=None):
 @partial(quickly, static_argnames="spread")
 def slopes(x, position, height, mould, spread):
     """Values and derivatives (p last) of `pressed`'s forces and positions."""
-    way = OverdampedMotion(DRAG, jnp.zeros(0), turning=())
+    way = OverdampedMotion(DRAG, turning=())
 
     def both(x):
         force, place, _ = pressed(x, position, height, mould, spread, way)
@@ -136,3 +141,74 @@ def test_a_packing_at_rest_solves_for_equilibrium():
     assert np.abs(np.asarray(found[PLATEN] - expected)).max() < 1e-6 * force
     assert abs(float(expected[MIDDLE])) > 0.1 * force
     assert np.abs(np.asarray(moved[:, MIDDLE])).max() > 0.1 * RADIUS  # equilibrium moves
+
+
+def test_the_system_is_the_derivative_of_the_balance():
+    """Of a bed with friction, adhesion and rolling resistance, spheres moving at random."""
+    position, height, mould = rings(3)
+    soil = soil_of(surface_energy=2.0, plasticity_ratio=0.4, rolling_friction=0.3)
+    bed = bed_of(spheres_of(len(position), 0.02), soil)
+    bed = replace(bed, drag=TangentDrag(500.0, 0.15))
+    place = position * jnp.asarray([0.999, 0.999, 0.998])
+    state = listed(bed, start(bed, Vector.from_rows(place), 0.998 * height, 0.999 * mould))
+    rates = jax.random.normal(jax.random.key(0), (2, len(position), 6)) * jnp.asarray([1e-3] * 6)
+    histories = (state.pairs.history, state.wall_contacts.history)
+    carried = Carried(state.motion.position, jnp.zeros_like(rates[0]), *histories, state.loads)
+    stretch = Stretch(
+        20 * bed.time_step, *map(Vector.from_rows, jnp.split(rates[0], 2, axis=1)),
+        state.pairs, state.wall_contacts,
+    )  # fmt: skip
+
+    def balance(rates):
+        found, limit = _balance(_dragged(bed, stretch), state.boundaries, carried, rates, stretch)
+        return found[0], limit
+
+    _, expected, limit = jax.jvp(balance, (rates[0],), (rates[1],), has_aux=True)
+    motion, lists = _motion(carried, rates[0], stretch), (state.pairs, state.wall_contacts)
+    system = System.of(_dragged(bed, stretch), state.boundaries, motion, lists, limit)
+    found = system.answer((rates[1] / system.scale)[:, :, None])[:, :, 0] / system.scale
+    for part in (slice(0, 3), slice(3, 6)):
+        size = np.linalg.norm(expected[:, part])
+        assert size > 0
+        assert np.linalg.norm(found[:, part] - expected[:, part]) < 1e-5 * size
+
+
+def test_a_turn_at_a_force():
+    """F = k s: at a given force the platen stands higher by s per unit of ln k, and F is F."""
+    position, height = row()
+    target, width = 8.0, 0.5
+
+    def simulated(x):
+        bed = bed_at(x, position.shape[0], 0.0)
+        state = start(bed, Vector.from_rows(position), height, FAR)
+        loading = cell_segment(
+            platen_speed=SPEED, force_target=target, servo_width=width, tolerance=width,
+            duration=1.0, damping=500.0,
+        )  # fmt: skip
+        legs = [loading, cell_segment(duration=40 * bed.time_step, damping=500.0)]
+        way = OverdampedMotion(DRAG, turning=(0,))
+        record = run(bed, state, stack(legs), jnp.asarray(20), CAPACITY, derivative=way)
+        return record.samples.reading, record.samples.platen_height, record.samples.segment
+
+    (force, height_now, segment), (force_slope, height_slope, _) = quickly(
+        lambda x, t: jax.jvp(simulated, (x,), (t,))
+    )(jnp.zeros(2), jnp.asarray([1.0, 0.0]))
+    held, pressed_by = np.asarray(segment) == 1, height - float(height_now[segment == 1][-1])
+    assert held.sum() >= 2
+    np.testing.assert_allclose(force[held], target, atol=2 * width)
+    assert np.abs(force_slope[held]).max() < 0.02 * target  # dashpots act while it loads
+    np.testing.assert_allclose(height_slope[held], pressed_by, rtol=0.02)
+
+
+def test_a_curve_is_differentiated_as_a_power_law():
+    """u = (F/k)^(1/n): du/d ln k = -u/n, however rough the recorded force is."""
+    travel = jnp.linspace(0.0, 5e-3, 400)
+    rough = 1 + 0.02 * jnp.sin(2e4 * travel)
+
+    def reached(x, window):
+        force = jnp.exp(x) * 4e5 * travel**1.4 * rough
+        return displacement_at(Curve(travel, force, jnp.ones(400), window), 100.0)
+
+    expected = -float(reached(0.0, 0.0)) / 1.4
+    assert abs(float(jax.grad(reached)(0.0, 0.25)) / expected - 1) < 0.03
+    assert abs(float(jax.grad(reached)(0.0, 0.0)) / expected - 1) > 0.1

@@ -134,7 +134,7 @@ def test_a_run_does_not_notice_tangents():
         bed = bed_of(spheres, soil, skin=0.3)
         state = start(bed, positions, 12 * RADIUS, 12 * RADIUS)
         programme = stack([cell_segment(platen_speed=0.5, duration=1.0, damping=10.0)])
-        way = OverdampedMotion(TangentDrag(0.04, 0.12), jnp.zeros(0), turning=())
+        way = OverdampedMotion(TangentDrag(500.0, 0.15), turning=())
         record = run(bed, state, programme, jnp.asarray(20), 5, None, way)
         return record.samples, record.state
 

@@ -47,12 +47,12 @@ class Movement(eqx.Module):
 
 
 class Readings(eqx.Module):
-    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N); `chord`
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N); `window`
     as in `Curve`."""
 
     travel: Array
     force: Array
-    chord: int = eqx.field(static=True, default=0)
+    window: float = eqx.field(static=True, default=0.0)
 
 
 class Reading(eqx.Module):
@@ -119,4 +119,4 @@ def curve_of(readings: Readings, chosen: Array) -> Curve:
     valid = chosen.astype(readings.force.dtype)
     first = readings.travel[jnp.argmax(valid)]
     travel = (readings.travel - first) * valid
-    return Curve(travel, readings.force * valid, valid, readings.chord)
+    return Curve(travel, readings.force * valid, valid, readings.window)

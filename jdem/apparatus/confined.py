@@ -89,7 +89,7 @@ class ConfinedCompression(AbstractApparatus):
         valid = ((movement >= 0) & (movement < len(self.names))).astype(readings.force.dtype)
         zero = displacement_at(loading, self.seating_force)
         travel = readings.travel - readings.travel[jnp.argmax(valid)] - zero
-        return Curve(travel * valid, readings.force * valid, valid, readings.chord)
+        return Curve(travel * valid, readings.force * valid, valid, readings.window)
 
     def _beyond_force_high(self) -> Real:
         return self.force_high + OVERSHOOT * self.servo_width

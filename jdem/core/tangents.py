@@ -113,19 +113,6 @@ def _floating(leaf) -> bool:
 
 
 @jax.custom_jvp
-def slowed(value: Array, affine: Array, share: Array) -> Array:
-    """The value; its derivative is affine' + share (value' - affine')."""
-    return value
-
-
-@slowed.defjvp
-def _slowed_derivative(values, tangents):
-    value, _, share = values
-    own, affine, _ = tangents
-    return value, affine + share * (own - affine)
-
-
-@jax.custom_jvp
 def resisted(velocity: Array, constant: Array) -> Array:
     """Zero; its derivative is that of a dashpot's force, -constant velocity'."""
     return jnp.zeros_like(velocity)
@@ -138,9 +125,23 @@ def _resisted_derivative(values, tangents):
 
 
 def with_derivative_of(value, other):
-    """The value of one and the derivative of the other; arrays or trees of arrays."""
+    """The value of one and the derivative of the other; arrays or trees of arrays.
 
-    def joined(a, b):
-        return jax.lax.stop_gradient(a) + (b - jax.lax.stop_gradient(b))
+    Arrays of the other may be smaller: they are repeated, as numpy does it.
+    """
+
+    def joined(value: Array, other: Array) -> Array:
+        return _joined(value, jnp.broadcast_to(other, jnp.shape(value)))
 
     return jax.tree.map(joined, value, other)
+
+
+@jax.custom_jvp
+def _joined(value: Array, other: Array) -> Array:
+    """The value alone: in value + (other - other), the two others may be rounded differently."""
+    return value
+
+
+@_joined.defjvp
+def _joined_derivative(values, tangents):
+    return values[0], tangents[1].astype(values[0].dtype)

@@ -46,7 +46,11 @@ def _pair_forces(shared: tuple[Bed, Array], entries):
     bed, rows = shared
     first, second, alive, history = entries
     one, two = jax.lax.optimization_barrier((rows[first], rows[second]))
-    one, two = once((one.T, two.T))
+    return between(bed, *once((one.T, two.T)), alive, history)
+
+
+def between(bed: Bed, one: Array, two: Array, alive: Array, history):
+    """What pairs of spheres do to each other, from the columns (11, pairs) of their rows."""
     contact, levers = _pair_contacts(bed, one, two, alive)
     force, history = _law_forces(bed.particle_law, contact, history)
     force = _dragged(bed, contact, force)
@@ -75,6 +79,11 @@ def _wall_forces(shared: tuple[Bed, Array, Boundaries], entries):
     bed, rows, boundaries = shared
     first, wall, alive, history = entries
     one = once(jax.lax.optimization_barrier(rows[first]).T)
+    return against(bed, boundaries, one, wall, alive, history)
+
+
+def against(bed: Bed, boundaries: Boundaries, one: Array, wall: Array, alive: Array, history):
+    """What spheres and boundaries do to each other, from the columns (11, contacts) of rows."""
     contact, lever = _wall_geometry(bed, one, boundaries, wall, alive)
     force, history = _law_forces(bed.wall_law, contact, history)
     force = _dragged(bed, contact, force)

@@ -6,8 +6,8 @@ many as the contact lists ask for, and stores means over them.  A segment ends a
 duration or once its servo force is reached; the loop ends with the last segment.
 """
 
-import abc
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -112,15 +112,32 @@ def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
     )
 
 
+class Interval(eqx.Module):
+    """One sampling interval that has passed: the bed as it was, the state after, its segment and
+    that one's number, what a derivative `watched`, and whether (and with what) another begins."""
+
+    bed: Bed
+    after: BedState
+    segment: Segment
+    number: Array
+    watched: Any
+    ends: Array
+    following: Segment
+
+
 class AbstractDerivative(eqx.Module):
-    """How derivatives pass, from segment number `first` on; values stay what they are."""
+    """How derivatives pass, from segment number `first` on; values stay what they are.
+
+    They pass through `step`, or from one sampling interval to the next: then `held` keeps them
+    out of the steps, and `memory` carries them.
+    """
 
     first: eqx.AbstractVar[int]
 
     @property
-    def chord(self) -> int:
-        """Rows on either side of a sample over which a recorded curve's slope is taken."""
-        return 0
+    def window(self) -> float:
+        """Width in ln(force), to either side, over which a recorded curve is differentiated."""
+        return 0.0
 
     def programme(self, programme: Segment) -> Segment:
         """The programme, whose rates may have derivatives of their own."""
@@ -134,18 +151,35 @@ class AbstractDerivative(eqx.Module):
         """The force (N or N m) that the servo acts upon."""
         return force
 
-    @abc.abstractmethod
     def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
         """The state one time step later."""
+        return step(bed, state, command)
+
+    def held(self, tree: Any) -> Any:
+        """What an interval's steps are computed from."""
+        return tree
+
+    def watched(self, state: BedState) -> Any:
+        """What is summed up over an interval's steps: a tree of arrays."""
+        return ()
+
+    def memory(self, bed: Bed, state: BedState, capacity: int) -> Any:
+        """What derivatives are carried in, as segment `first` begins: a tree of arrays."""
+        return ()
+
+    def followed(self, memory: Any, interval: Interval, sample: Sample) -> tuple[Any, Sample]:
+        """The memory after an interval, and its sample."""
+        return memory, sample
+
+    def recorded(self, memory: Any, samples: Sample, state: BedState) -> tuple[Sample, BedState]:
+        """All samples and the state, as the programme has ended."""
+        return samples, state
 
 
 class Pathwise(AbstractDerivative):
     """Through every step as it is computed."""
 
     first: int = eqx.field(static=True, default=0)
-
-    def step(self, bed: Bed, state: BedState, command: Command) -> BedState:
-        return step(bed, state, command)
 
 
 class _Progress(eqx.Module):
@@ -156,6 +190,7 @@ class _Progress(eqx.Module):
     samples: Sample
     upkeep: Upkeep
     memory: Any
+    derivative: Any = ()
 
 
 def run(
@@ -190,15 +225,18 @@ def run(
         def shown(reading):
             return around.shown(reading, memory)
 
-        interval = (segment, steps_per_sample, shown, way)
-        state, sample, upkeep = _sampled((bed, present), before, progress.upkeep, *interval)
+        beds, before, segment = way.held(((bed, present), before, segment))
+        passing = (segment, steps_per_sample, shown, way)
+        state, sample, upkeep, watched = _sampled(beds, before, progress.upkeep, *passing)
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
         done = ended(segment, readings, elapsed)
         following = row_of(programme, jnp.minimum(number + 1, count - 1))
         changes = (done > 0) & (number + 1 < count)
-        changed = _prepared(bed, state, following).boundaries
+        interval = Interval(present, state, segment, number, watched, changes, following)
+        derivative, sample = way.followed(progress.derivative, interval, sample)
+        changed = _prepared(beds[0], state, following).boundaries
         changed = jax.tree.map(lambda a, b: jnp.where(changes, a, b), changed, state.boundaries)
         return _Progress(
             eqx.tree_at(lambda s: s.boundaries, state, changed),
@@ -208,14 +246,17 @@ def run(
             jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
             upkeep,
             around.later(memory, number, before, state),
+            derivative,
         )
 
     if way.first > 0:
         progress = _until(way.first, capacity, partial(advanced, Pathwise()), progress)
-    progress = eqx.tree_at(lambda p: p.state, progress, way.begun(progress.state))
+    state = way.begun(progress.state)
+    progress = replace(progress, state=way.held(state), derivative=way.memory(bed, state, capacity))
     final = _until(count, capacity, partial(advanced, way), progress)
     upkeep, finished = final.upkeep, final.segment >= count
-    return Record(final.samples, final.state, upkeep.demand, upkeep.largest, finished)
+    samples, state = way.recorded(final.derivative, final.samples, final.state)
+    return Record(samples, state, upkeep.demand, upkeep.largest, finished)
 
 
 def _until(
@@ -257,30 +298,33 @@ def _sampled(
     shown: Callable[[Array], Array],
     way: AbstractDerivative,
 ):
-    """The state after `steps` time steps, means over them, and the lists' upkeep.
+    """The state after `steps` time steps, means over them, the lists' upkeep, and what `way`
+    watched.
 
     `beds` are the one that lists are kept for and the one that it is at present.
     """
     listed, bed = beds
 
     def advance(_, carry):
-        state, sums = carry
+        state, sums, watched = carry
         with fenced():
             seen = way.seen(shown(state.reading))
             command = together(command_of, segment, seen, state.boundaries, bed.time_step)
             state = read(way.step(bed, state, command), segment, bed.time_step)
-            return state, sums + together(_probe, state.boundaries, state.loads, state.reading)
+            sums = sums + together(_probe, state.boundaries, state.loads, state.reading)
+            return state, sums, jax.tree.map(jnp.add, watched, way.watched(state))
 
     def piece(carry):
-        state, sums, upkeep, done = carry
+        (state, *sums), upkeep, done = carry
         state, upkeep, motion = refreshed(listed, state, upkeep)
         count = lasting(listed, state, motion, steps - done)
-        state, sums = jax.lax.fori_loop(0, count, advance, (state, sums))
-        return state, sums, checked(listed, state, upkeep, motion), done + count
+        state, *sums = jax.lax.fori_loop(0, count, advance, (state, *sums))
+        return (state, *sums), checked(listed, state, upkeep, motion), done + count
 
     sums = jnp.zeros_like(_probe(state.boundaries, state.loads, state.reading))
-    begun = (state, sums, upkeep, jnp.zeros_like(steps))
-    state, sums, upkeep, _ = jax.lax.while_loop(lambda carry: carry[3] < steps, piece, begun)
+    watched = jax.tree.map(jnp.zeros_like, way.watched(state))
+    begun = ((state, sums, watched), upkeep, jnp.zeros_like(steps))
+    (state, sums, watched), upkeep, _ = jax.lax.while_loop(lambda c: c[2] < steps, piece, begun)
     with fenced():
         means, count = together(jnp.divide, sums, steps), len(state.boundaries)
     places, loads, reading = jnp.split(means, [3 * count, (3 + LOADS) * count])
@@ -292,7 +336,7 @@ def _sampled(
         reading=reading[0],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
-    return state, sample, upkeep
+    return state, sample, upkeep, watched
 
 
 def _probe(boundaries: Boundaries, loads: Array, reading: Array) -> Array:

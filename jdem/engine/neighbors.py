@@ -172,11 +172,11 @@ def _packed(candidates, valid, stride, capacity, old: ContactList):
     key = jnp.sort(packed)
     alive = (key != _NO_KEY).astype(old.alive.dtype)
     used = jnp.where(key != _NO_KEY, key, 0)
-    history = _inherited(key, old)
+    history = inherited(key, old)
     return ContactList(key, used // stride, used % stride, alive, history), count
 
 
-def _inherited(key, old: ContactList) -> Memory:
+def inherited(key, old: ContactList) -> Memory:
     """Histories of the old entries with the same keys, zero for new entries."""
     place = jnp.clip(jnp.searchsorted(old.key, key), 0, old.key.shape[0] - 1)
     same = (old.key[place] == key) & (key != _NO_KEY)

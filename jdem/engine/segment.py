@@ -131,11 +131,17 @@ def read(state: BedState, segment: Segment, time_step: Real) -> BedState:
     return eqx.tree_at(lambda s: s.reading, state, reading)
 
 
-def _read(boundaries: Boundaries, loads: Array, before: Array, segment: Segment, time_step: Real):
+def served(boundaries: Boundaries, loads: Array, segment: Segment) -> Array:
+    """What the segment's servo acts upon (N or N m)."""
     table = resistances(boundaries, loads)
     force = table[0, 0]
     for place in np.ndindex(*table.shape):
         force = jnp.where(_served(segment, place), table[place], force)
+    return force
+
+
+def _read(boundaries: Boundaries, loads: Array, before: Array, segment: Segment, time_step: Real):
+    force = served(boundaries, loads, segment)
     return force + (before - force) * (segment.lag / (segment.lag + time_step))
 
 

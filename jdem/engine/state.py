@@ -14,10 +14,10 @@ GRAVITY = 9.81  # m/s2
 
 
 class TangentDrag(eqx.Module):
-    """What holds derivatives of the motion back, and no value (`jdem.sensitivity.overdamped`).
+    """What holds derivatives of the motion back, and no value (`jdem.engine.equilibrium`).
 
-    background (-) x 1/time step acts on each sphere's motion relative to the stretching that
-    `Bed.follows` imposes; contact (-) x m*/time step is the constant of dashpots in all contacts.
+    background (1/s) acts on each sphere's motion relative to the stretching that `Bed.follows`
+    imposes; contact (-) x m*/time step is the constant of dashpots in all contacts.
     """
 
     background: Real = quantity()

@@ -29,7 +29,6 @@ from jdem.core import smooth
 from jdem.core.fusion import fenced
 from jdem.core.kernel import entrywise, together
 from jdem.core.quantity import Real
-from jdem.core.tangents import slowed
 from jdem.core.vector import Vector
 from jdem.engine.energy import Ledger
 from jdem.engine.loads import pair_loads, wall_loads
@@ -105,15 +104,14 @@ def next_motion(
     `stretching` (1/s) is the rate of the affine motion along z that damping leaves alone.
     """
     damping = (command.damping, command.unloaded_damping)
-    share = None if bed.drag is None else 1 / (1 + bed.drag.background)
-    shared = (bed.time_step, bed.gravity, bed.roll_width, stretching, damping, share)
+    shared = (bed.time_step, bed.gravity, bed.roll_width, stretching, damping)
     moved, absorbed = entrywise(_moved, shared, (bed.spheres, motion, loads))
     return moved, jnp.sum(absorbed, axis=0)
 
 
 def _moved(shared, entries):
     """Each sphere's motion one step later, and what `_absorbed` says of it."""
-    dt, gravity, roll_width, stretching, (background, unloaded), kept = shared
+    dt, gravity, roll_width, stretching, (background, unloaded) = shared
     spheres, motion, loads = entries
     push = Vector.from_rows(loads[:, 0:3]) / spheres.mass
     impulse = Vector(push.x, push.y, push.z - gravity) * dt
@@ -127,20 +125,9 @@ def _moved(shared, entries):
     kick = Vector.from_rows(loads[:, 3:6]) * (dt / spheres.inertia)
     free_spin = (motion.spin + kick) * keep
     spin = _braked(free_spin, loads[:, 6] * dt / spheres.inertia, roll_width)
-    if kept is not None:
-        velocity, spin = _held_back(velocity, spin, affine, kept)
-
     moved = Motion(motion.position + velocity * dt, velocity, spin)
     absorbed = _absorbed(spheres, motion, moved, (impulse, kick), (free, free_spin))
     return moved, absorbed
-
-
-def _held_back(velocity: Vector, spin: Vector, affine: Array, kept: Real):
-    """Both, with the share `kept` of their derivatives relative to the affine motion."""
-    still = jnp.zeros_like(affine)
-    across = (slowed(velocity.x, still, kept), slowed(velocity.y, still, kept))
-    turned = (slowed(part, still, kept) for part in (spin.x, spin.y, spin.z))
-    return Vector(*across, slowed(velocity.z, affine, kept)), Vector(*turned)
 
 
 def _absorbed(spheres: Spheres, before: Motion, after: Motion, increments, free) -> Array:

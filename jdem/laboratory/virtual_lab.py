@@ -154,8 +154,8 @@ class VirtualLab(eqx.Module):
         state = start(bed, position, packing.height, packing.mould_radius)
         programme = cast(self._programme(), dtype)
         record = run(bed, state, programme, steps, self.capacity, around, self.derivative)
-        chord = 0 if self.derivative is None else self.derivative.chord
-        return outcome(self.tests, bed, record, cast(self.effects, dtype), chord)
+        window = 0.0 if self.derivative is None else self.derivative.window
+        return outcome(self.tests, bed, record, cast(self.effects, dtype), window)
 
     def _filled(self, packing: Packing) -> Packing:
         """The specimen that the effects put into the machine."""
@@ -190,13 +190,13 @@ def outcome(
     bed: Bed,
     record: Record,
     effects: Sequence[AbstractEffect] = (),
-    chord: int = 0,
+    window: float = 0.0,
 ) -> Outcome:
-    """Observables and curves of a finished record, as the instruments show them; `chord` as in
+    """Observables and curves of a finished record, as the instruments show them; `window` as in
     `jdem.observables.Curve`."""
     samples = record.samples
     time = nominal_time(tests, samples)
-    readings = Readings(-samples.platen_height, samples.reading, chord)
+    readings = Readings(-samples.platen_height, samples.reading, window)
     readings = recorded(effects, readings, samples.platen_force, time)
     found = {
         test.name: test.read(readings, samples.segment - tests.first_movement(number))
