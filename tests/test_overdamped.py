@@ -154,10 +154,8 @@ def test_the_system_is_the_derivative_of_the_balance():
     rates = jax.random.normal(jax.random.key(0), (2, len(position), 6)) * jnp.asarray([1e-3] * 6)
     histories = (state.pairs.history, state.wall_contacts.history)
     carried = Carried(state.motion.position, jnp.zeros_like(rates[0]), *histories, state.loads)
-    stretch = Stretch(
-        20 * bed.time_step, *map(Vector.from_rows, jnp.split(rates[0], 2, axis=1)),
-        state.pairs, state.wall_contacts,
-    )  # fmt: skip
+    velocity, spin = map(Vector.from_rows, jnp.split(rates[0], 2, axis=1))
+    stretch = Stretch(20 * bed.time_step, velocity, spin, state.pairs, state.wall_contacts)
 
     def balance(rates):
         found, limit = _balance(_dragged(bed, stretch), state.boundaries, carried, rates, stretch)

@@ -7,7 +7,8 @@ values at one point and the slopes of their mean over the packings.
 
 Strategies that differentiate the simulation itself are given it, not a response.  A tangent that
 has grown beyond all forces, or that leaves the specimen out of balance, is no derivative of a
-slowly loaded bed, so they also say for each test and parameter, over the test's largest force:
+slowly loaded bed, so they also say for each test and parameter, over the test's largest force and
+for samples in which the platen carries more than LOADED of it:
 
     growth       root mean square of dF/dp along the test
     imbalance    that of d(sum of all boundaries' axial forces)/dp, which is zero at rest
@@ -28,6 +29,7 @@ Simulate = Callable[[VirtualLab, Array], Outcome]  # at coordinates (p,)
 Read = Callable[[Outcome], Array]  # numbers (m,)
 
 AXIAL = 2  # column of a boundary's loads
+LOADED = 0.01  # of a test's largest force; below, the platen is about to leave the specimen
 
 
 class Sensitivity(eqx.Module):
@@ -140,7 +142,9 @@ def forward(
     found, _, force, total = (part[..., :count] + part[..., count:] @ implied for part in slopes)
     test = _test_of(lab, segment)
     chosen = [test == number for number in range(len(lab.tests.apparatus))]
-    largest = [jnp.max(jnp.abs(values[2]) * rows) for rows in chosen]
+    size = jnp.abs(values[2])
+    largest = [jnp.max(size * rows) for rows in chosen]
+    chosen = [rows & (size > LOADED * most) for rows, most in zip(chosen, largest, strict=True)]
     growth, imbalance = (
         [_size(part, rows) / most for rows, most in zip(chosen, largest, strict=True)]
         for part in (force, total)

@@ -259,10 +259,10 @@ class Overdamped(AbstractTraced):
     """
 
     background: Real = quantity(500.0)
-    contact: Real = quantity(0.15)
-    cost: float = eqx.field(static=True, default=0.6)
+    contact: Real = quantity(0.4)
+    cost: float = eqx.field(static=True, default=0.5)
     most_growth: float = eqx.field(static=True, default=1.0)
-    most_imbalance: float = eqx.field(static=True, default=0.3)
+    most_imbalance: float = eqx.field(static=True, default=0.01)
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
         programme = lab.tests.programme()
