@@ -17,7 +17,7 @@ import argparse
 import json
 import time
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import equinox as eqx
@@ -73,24 +73,29 @@ class Case:
 
     def derivatives(self, drag: float | None):
         """On each packing the force (N), the derivatives of force and depth, and segments."""
-        virtual, origin = self.plain, jnp.zeros(len(PARAMETERS))
+        virtual = self.plain
         if drag is not None:
-            virtual = Overdamped(contact=drag).laboratory(self.plain)
+            virtual = Overdamped(contact=jnp.asarray(drag)).laboratory(self.plain)
+        for packing in self.packings:
+            found = self._taken(virtual, packing, self.plain.time_step(packing, self.soil))
+            yield [np.asarray(part) for part in found]
+
+    @cached_property
+    def _taken(self):
+        """Compiled once for all drags."""
 
         @eqx.filter_jit
-        def taken(packing, time_step):
+        def taken(virtual, packing, time_step):
             def push(tangent):
                 run = partial(self.run, virtual, packing, time_step)
                 return jax.jvp(run, (origin,), (tangent,), has_aux=True)
 
-            (force, _), slopes, segment = jax.vmap(push, out_axes=(None, -1, None))(
-                jnp.eye(len(origin))
-            )
+            origin = jnp.zeros(len(PARAMETERS))
+            pushed = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(len(origin)))
+            (force, _), slopes, segment = pushed
             return force, *slopes, segment
 
-        for packing in self.packings:
-            found = taken(packing, self.plain.time_step(packing, self.soil))
-            yield [np.asarray(part) for part in found]
+        return taken
 
     def differences(self) -> list[float]:
         """Slopes of depth (mm) over +-STEP in each parameter, means over the packings."""
