@@ -296,6 +296,6 @@ class Overdamped(AbstractTraced):
 
     def describe(self) -> str:
         return (
-            "overdamped: forward mode through every step with a drag on the motion's derivative, "
+            "overdamped: forward mode from one equilibrium of the bed to the next, "
             "at the forces where the machine turned"
         )
