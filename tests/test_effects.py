@@ -28,7 +28,8 @@ from effect_lab import (
 )
 
 from jdem.core.quantity import Real, as_quantity, quantity
-from jdem.effects.base import FADING_STRAIN, About, AbstractEffect
+from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, with_contacts_scaled
+from jdem.effects.cementation import STRAIN
 from jdem.effects.composite import EFFECTS, Altered, with_strengths
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.observables import Curve, displacement_at
@@ -418,3 +419,30 @@ def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
     print(f"{name}: tangent {found}, difference {expected} (mm, N per typical strength)")
     np.testing.assert_allclose(found[0], expected[0], rtol=0.01, atol=1e-6)
     np.testing.assert_allclose(found[1], expected[1], rtol=0.01, atol=1e-4)
+
+
+# ------------------------------------------------------------------ the time step
+
+
+def test_the_time_step_is_that_of_the_stiffest_stage(packing):
+    """Forces times 1 + e in the second test: the step of a soil with these forces throughout."""
+    step = lab_with(EFFECTS["second_test_factor"](0.75)).time_step(packing, SOIL)
+    scaled = lab_with().time_step(packing, with_contacts_scaled(SOIL, jnp.asarray(1.75)))
+    assert float(step) == pytest.approx(float(scaled), rel=1e-12)
+    weaker = lab_with(EFFECTS["second_test_factor"](-0.5)).time_step(packing, SOIL)
+    assert float(weaker) == float(lab_with().time_step(packing, SOIL))
+
+
+def test_bonds_shorten_the_time_step_by_their_stiffness(packing):
+    """1/dt^2 grows by k/(4 m) in units of the limit, k = T/w of a bond, m that of sliding."""
+    numerics, stress = lab_with().numerics, 2e5
+    plain, bonded = (
+        float(lab_with(EFFECTS["cementation"](s)).time_step(packing, SOIL)) for s in (0.0, stress)
+    )
+    assert plain == float(lab_with().time_step(packing, SOIL))
+    smallest = int(np.argmin(np.asarray(packing.spheres.radius)))
+    radius = float(packing.spheres.radius[smallest])
+    sliding = 2 / 7 * 0.5 * float(packing.spheres.mass[smallest])
+    stiffness = stress * 2 * radius / STRAIN
+    added = bonded**-2 - plain**-2
+    assert added == pytest.approx(stiffness / (4 * sliding) / numerics.safety**2, rel=0.02)

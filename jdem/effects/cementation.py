@@ -21,6 +21,7 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.effects.base import About, AbstractEffect
 from jdem.laws.base import AbstractContactLaw, Memory
+from jdem.laws.composite import SLIPPING
 from jdem.mechanics.contact import Contact, NormalForce
 
 STRAIN = 0.005  # of the diameter; displacement at which a bond is strongest
@@ -32,7 +33,7 @@ class Cementation(AbstractEffect):
     Bonds join the spheres that touch in the rest between the tests (ageing of a moulded soil;
     a natural cement would be there from the start and is not this effect): compression in the mould
     is untouched; without the mould the specimen is stiffer and stronger, and softens more
-    abruptly once bonds break.  The time step bears T/(w k1) up to about 3.  Loess at rest for
+    abruptly once bonds break.  The time step knows their stiffness, T/w.  Loess at rest for
     160 days got stronger "by 1.75 times" (Wei et al. 2023, abstract), read here as times 1.75;
     10 to 100 kPa for T/d^2, and STRAIN, are assumptions.
     """
@@ -91,7 +92,9 @@ class Bonded(AbstractContactLaw):
         return force, BondedMemory(inner, bond)
 
     def longest_step(self, mass, radius):
-        return self.inner.longest_step(mass, radius)
+        bond = self.stress * 4 * radius / STRAIN  # N/m, of a whole one, in tension and in shear
+        inner = self.inner.longest_step(mass, radius)
+        return jnp.where(bond > 0, (inner**-2.0 + bond / (4 * SLIPPING * mass)) ** -0.5, inner)
 
     def memory(self, shape, dtype):
         zero = jnp.zeros(shape, dtype)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.apparatus.base import Readings
+from jdem.bodies.spheres import Spheres
 from jdem.core.quantity import Real, as_quantity, cast, quantity
 from jdem.core.smooth import Smoothing
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, Stage
@@ -27,7 +28,7 @@ from jdem.effects.rate import RateDependence
 from jdem.effects.seating import SeatingGap
 from jdem.effects.second_test import SecondTestFactor
 from jdem.effects.wall_friction import WallFriction
-from jdem.engine.bed import friction_of_walls
+from jdem.engine.bed import friction_of_walls, stable_time_step
 from jdem.engine.schedule import AbstractSurroundings
 from jdem.engine.step import Bed, BedState
 from jdem.materials.soil import SoilParameters, particle_law, wall_law
@@ -116,18 +117,31 @@ class Altered(AbstractSurroundings):
         return Clock(jnp.zeros((), dtype), jnp.ones((), dtype))
 
     def bed(self, bed: Bed, segment: Array, memory: Clock) -> Bed:
-        stage, soil = self.stage(segment, memory), self.soil
-        for effect in self.effects:
-            soil = effect.soil(soil, stage)
-        between = particle_law(soil, self.mean_diameter, self.smoothing)
-        for effect in self.effects:
-            between = effect.law(between, stage)
-        walls = wall_law(soil, self.mean_diameter, self.smoothing)
+        soil, between, walls = self._laws(self.stage(segment, memory))
         present = (between, walls, soil.static_friction, friction_of_walls(soil, bed.surfaces))
         present = cast(present, jnp.asarray(bed.time_step).dtype)
         return eqx.tree_at(
             lambda b: (b.particle_law, b.wall_law, b.friction, b.wall_friction), bed, present
         )
+
+    def time_step(self, spheres: Spheres, safety: float) -> Array:
+        """Time step (s) that is stable before the tests and in the last of them, where bonds have
+        grown and the soil has changed."""
+        off, on = jnp.zeros(()), jnp.ones(())
+        stages = (Stage(off, off, off), Stage(on, on, off))
+        laws = [self._laws(stage)[1:] for stage in stages]
+        first, last = (stable_time_step(spheres, *pair, safety) for pair in laws)
+        return jnp.minimum(first, last)
+
+    def _laws(self, stage: Stage):
+        """Soil, law between spheres, law at walls."""
+        soil = self.soil
+        for effect in self.effects:
+            soil = effect.soil(soil, stage)
+        between = particle_law(soil, self.mean_diameter, self.smoothing)
+        for effect in self.effects:
+            between = effect.law(between, stage)
+        return soil, between, wall_law(soil, self.mean_diameter, self.smoothing)
 
     def shown(self, reading: Array, memory: Clock) -> Array:
         touching = jnp.clip(reading / TOUCH, 0.0, 1.0)

@@ -19,7 +19,7 @@ class SecondTestFactor(AbstractEffect):
     35 from liquid to plastic limit (Vardanega and Haigh 2014, abstract), so by 5 to 15 % per
     per cent of water at plasticity indices of 71 to 24 %.  Ageing: times 1.75 in 160 days
     (loess; Wei et al. 2023, abstract).  Disturbance: lower (Horng et al. 2011, abstract);
-    by 10 to 50 % is an assumption.  The time step is that of e = 0 and good up to e of about 5.
+    by 10 to 50 % is an assumption.
     """
 
     strength: Real = quantity(0.0)

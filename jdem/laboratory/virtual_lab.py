@@ -182,6 +182,9 @@ class VirtualLab(eqx.Module):
         )
 
     def _bed(self, packing: Packing, soil: SoilParameters, time_step) -> Bed:
+        around = self._surroundings(packing, soil)
+        if time_step is None and isinstance(around, Altered):
+            time_step = around.time_step(packing.spheres, self.numerics.safety)
         return build_bed(packing.spheres, soil, self.grid, self.numerics, time_step)
 
 
