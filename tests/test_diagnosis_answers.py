@@ -13,14 +13,23 @@ import diagnosis_world as generator
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import quad
 
+from calibrate.discrepancy.comparison import next_test
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
 from calibrate.discrepancy.comparison.examples import generated_case
 from calibrate.discrepancy.comparison.fits import covariance_at, fitted_base
+from calibrate.discrepancy.comparison.further import (
+    FurtherTest,
+    LinearResponse,
+    Prediction,
+    predicted,
+    stacked,
+)
 from calibrate.discrepancy.comparison.generated import plan_of
 from calibrate.discrepancy.comparison.linear import EffectCandidate, simple
 from calibrate.discrepancy.comparison.localise import localise
-from calibrate.discrepancy.comparison.next_test import FurtherTest, next_tests
+from calibrate.discrepancy.comparison.next_test import Explanation, Outcome, next_tests, updated
 from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
 from calibrate.discrepancy.comparison.reduction import (
     distortions,
@@ -344,19 +353,84 @@ def test_distortions_of_displacement_act_alike_in_both_tests():
 
 
 def test_the_test_that_differs_between_explanations_is_proposed():
-    found = answered(2, 12.0, 41)
-    fits = {k: refit(KNOWN, KNOWN.mean + gap_of(k, 6.0), found.noise.mean, [k]) for k in (2, 5)}
-    blind = FurtherTest(
-        "blind", 1.0, ("x",), np.zeros(1), np.zeros((1, 5)), np.zeros((1, 8)), np.eye(1), 4
-    )
-    telling = np.zeros((1, 8))
-    telling[0, 2] = 30.0 / max(fits[2].strengths[2], 0.01)
-    sharp = replace(blind, name="sharp", cost=5.0, effect_slopes=telling)
-    proposals = next_tests(KNOWN, found.noise, found.base, fits, [blind, sharp])
+    found, sample, blind, sharp = offered()
+    proposals = next_tests(with_nulls(), found, sample.mean, [blind, sharp])
     assert [p.name for p in proposals] == ["sharp", "blind"]
     assert proposals[1].separation == pytest.approx(proposals[1].now, rel=1e-6)
-    assert proposals[0].separation > proposals[0].now
-    assert proposals[0].predicted["e2"][0] == pytest.approx(30.0, rel=1e-6)
+    assert proposals[1].gain == pytest.approx(0.0, abs=0.02)
+    assert proposals[0].gain > 0.2 and proposals[0].chance > proposals[0].chance_now + 0.1
+    assert proposals[0].predicted["e2"][0] == pytest.approx(TELLING, rel=1e-6)
+
+
+TELLING = 30.0
+
+
+def offered():
+    """A sample that two effects explain, a test that shows nothing, and one that shows one of them
+    alone."""
+    sample = generator.case(41, gap_of(2, 3.0))
+    found = compare(with_nulls(), sample)
+    none = LinearResponse(np.zeros(1), np.zeros((1, 5)), np.zeros((1, 8)))
+    blind = FurtherTest("blind", 1.0, ("x",), none, np.eye(1), 4)
+    telling = np.zeros((1, 8))
+    telling[0, 2] = TELLING / found.refits[(2,)].strengths[2]
+    response = replace(none, effect_slopes=telling)
+    return found, sample, blind, replace(blind, name="sharp", cost=5.0, response=response)
+
+
+def test_the_gain_of_a_test_is_what_it_tells_between_two_equal_explanations():
+    """ln 2 where outcomes lie far apart, 0 where they are the same; between, by quadrature."""
+    none = Prediction(np.zeros(1), np.eye(1))
+    fits = answered(2, 12.0, 41).base
+    likely = [Explanation(name, name, 0.5, fits) for name in ("none", "e1")]
+
+    def gain_at(distance: float) -> tuple[float, float]:
+        return next_test._worth(likely, [none, Prediction(np.array([distance]), np.eye(1))], 0)
+
+    assert gain_at(0.0)[0] == pytest.approx(0.0, abs=1e-9)
+    assert gain_at(1000.0) == pytest.approx((np.log(2), 1.0), abs=1e-3)
+    far = Prediction(np.array([2.0]), np.eye(1))
+
+    def term(y: float) -> float:
+        p, q = (np.exp(float(each.log_density(np.array([y])))) for each in (none, far))
+        return p * np.log(2 * p / (p + q))
+
+    exact = quad(term, -60, 60, points=[0, 2])[0]
+    assert gain_at(2.0)[0] == pytest.approx(exact, abs=0.05)
+
+
+def test_an_outcome_moves_the_answer_to_what_foresaw_it():
+    found, sample, blind, sharp = offered()
+    moved, learned = updated(
+        with_nulls(), found, sample.mean, [Outcome(sharp, np.array([TELLING]))]
+    )
+    assert learned.foreseen and moved.verdict == "e2"
+    assert sum(p for name, p in moved.probability.items() if "e2" in name) > 0.99
+    away, _ = updated(with_nulls(), found, sample.mean, [Outcome(sharp, np.zeros(1))])
+    assert away.probability["e2"] < found.probability["e2"]
+    same, _ = updated(with_nulls(), found, sample.mean, [Outcome(blind, np.zeros(1))])
+    listed = {n: p for n, p in found.probability.items() if n in learned.before}
+    total = sum(listed.values())
+    for name, p in listed.items():
+        assert same.probability[name] == pytest.approx(p / total, abs=1e-6)
+
+
+def test_an_outcome_that_nothing_foresees_is_called_unknown():
+    found, sample, blind, _ = offered()
+    moved, learned = updated(with_nulls(), found, sample.mean, [Outcome(blind, np.array([500.0]))])
+    assert not learned.foreseen
+    assert moved.verdict == "unknown" and moved.probability["unknown"] > 0.9
+
+
+def test_outcomes_of_one_soil_are_told_together():
+    """Two tests that see a base parameter alone: their difference is surer than either."""
+    found, _, blind, _ = offered()
+    seen = replace(blind.response, base_slopes=np.full((1, 5), 1e3))
+    both = stacked([replace(blind, response=seen)] * 2)
+    told = predicted(both, KNOWN, found.base)
+    difference = np.array([1.0, -1.0])
+    assert difference @ told.covariance @ difference == pytest.approx(2 * 1 / 4, rel=1e-6)
+    assert told.covariance[0, 0] > 100
 
 
 # ------------------------------------------------------------------ report and baselines

@@ -12,7 +12,7 @@ from calibrate.discrepancy.comparison.compare import compare
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
 from calibrate.discrepancy.infill import (
     FIRST_SEED,
-    MORE,
+    SIZES,
     InfillLocation,
     InfillPlan,
     leading_fits,
@@ -21,6 +21,7 @@ from calibrate.discrepancy.infill import (
     with_infill_runs,
 )
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.design import POROSITIES
 from calibrate.io.lab import load_lab
 
 OFFSET = 10.0  # N
@@ -62,10 +63,10 @@ def test_every_location_is_tried_on_every_packing():
 
 def test_a_packing_settles_once_and_sizes_alternate():
     points = scattered_about(places(), LIBRARY, range(4), seed=0)
-    preparation, number = WIDE + 1, WIDE + 2
-    assert len(set(points.base[:, preparation])) == 1
-    assert set(points.spheres) == {DESIGN.spheres, round(MORE * DESIGN.spheres)}
-    assert np.exp(points.base[:, number]) * DESIGN.spheres == pytest.approx(points.spheres)
+    porosity, size = WIDE + 1, WIDE + 2
+    assert set(points.base[:, porosity]) < set(POROSITIES)
+    assert set(points.spheres) == {round(factor * DESIGN.spheres) for factor in SIZES}
+    assert points.base[:, size] == pytest.approx([DESIGN.sphere_size(n) for n in points.spheres])
 
 
 def test_soils_scatter_about_their_location():
@@ -90,8 +91,8 @@ def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
 
 def test_infill_runs_lessen_the_emulator_s_error(emulated, lab, formulas, tmp_path):
     """At the hidden strength: nearer to the formula's mean over many packings, and surer."""
-    better = with_infill_runs(lab, emulated, 0, InfillPlan(24, tmp_path))
-    assert len(better.library.values) > len(LIBRARY.values) + 24
+    better = with_infill_runs(lab, emulated, 0, InfillPlan(32, tmp_path))
+    assert len(better.library.values) > len(LIBRARY.values) + 32
     assert np.array_equal(better.library.values[: len(LIBRARY.values)], LIBRARY.values)
     point = soil_prior_for(lab, LIBRARY)
     strengths = np.array([0.0, OFFSET, 0.0]) / DESIGN.typical()

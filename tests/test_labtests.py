@@ -241,8 +241,6 @@ PAIR += 'depression_depth = { mean = "3 mm", scatter = "0.2 mm", repeats = 4 }\n
 PAIR += '[[tests]]\ntype = "unconfined"\n'
 UNFIT = {
     "another type": ("unconfined", "relaxation", "tests[1]", "'relaxation', number 2, is of type"),
-    "one more": ('"unconfined"\n', '"unconfined"\n[[tests]]\ntype = "relaxation"\n',
-                 "tests[2]", "'relaxation' comes after"),
     "one less": ('[[tests]]\ntype = "unconfined"\n', "", "tests", "no test here is unconfined"),
     "a name": ('"unconfined"\n', '"unconfined"\nname = "b"\n', "tests[1]", "'b': leave out name"),
     "a protocol": ('"unconfined"\n', '"unconfined"\nprotocol = [{ step = "load", to = "9 N" }]\n',
@@ -259,6 +257,12 @@ def test_a_library_of_runs_takes_a_machine_beside_its_pair(folder):
     assert load_lab(folder / "lab.toml").pair().compression.force_high == 400.0
 
 
+def test_further_tests_may_come_after_the_pair(folder):
+    more = '[[tests]]\ntype = "relaxation"\n[[tests]]\ntype = "confined"\nname = "slow"\n'
+    (folder / "lab.toml").write_text(HEAD + PAIR + more)
+    assert load_lab(folder / "lab.toml").pair().crushing.called == "unconfined"
+
+
 @pytest.mark.parametrize("name", UNFIT)
 def test_what_a_library_does_not_hold_is_named_with_file_and_test(folder, name):
     old, new, field, words = UNFIT[name]
@@ -266,7 +270,7 @@ def test_what_a_library_does_not_hold_is_named_with_file_and_test(folder, name):
     with pytest.raises(InputError, match="a library of runs holds confined and then") as caught:
         load_lab(folder / "lab.toml").pair()
     assert (caught.value.file, caught.value.field) == (str(folder / "lab.toml"), field)
-    assert words in str(caught.value) and "give a lab file of these two" in caught.value.repair
+    assert words in str(caught.value) and "begins with these two" in caught.value.repair
     assert len(str(caught.value).splitlines()) == 1
 
 

@@ -19,7 +19,16 @@ from calibrate.discrepancy.library.cross_validation import (
     cross_validate,
 )
 from calibrate.discrepancy.library.description import EmulatedLibrary
-from calibrate.discrepancy.library.design import FURTHEST, LIMITS, MIXED, ROUNDED, WEAKEST, Design
+from calibrate.discrepancy.library.design import (
+    ACTIVE,
+    ALONE,
+    FURTHEST,
+    LIMITS,
+    OF,
+    POROSITIES,
+    WEAKEST,
+    Design,
+)
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, principal
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, declared
 from calibrate.io.lab import bundled_lab, load_lab
@@ -61,31 +70,37 @@ def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
     assert np.abs(base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
 
 
-def test_early_rows_carry_more_effects_than_later_ones():
-    _, strengths = Design(packings=200).rows()
-    active = (strengths != 0).mean(axis=1)
-    assert active[:500].mean() == pytest.approx(0.3, abs=0.03)
-    assert active[700:].mean() == pytest.approx(0.1, abs=0.03)
+def alone(design: Design) -> np.ndarray:
+    """Which packings show one effect at a time."""
+    return np.isin(np.arange(design.packings) % OF, ALONE)
 
 
-def test_late_packings_are_sharp_and_of_three_sizes():
-    design = Design(packings=ROUNDED + 64)
+def test_effects_are_at_work_together_where_rows_differ_in_everything():
+    design = Design(packings=200)
+    base, strengths = (part.reshape(200, design.rows_each, -1) for part in design.rows())
+    mixed = ~alone(design)
+    assert (strengths[mixed] != 0).mean() == pytest.approx(ACTIVE, abs=0.02)
+    assert not (base[mixed] == base[mixed, :1]).all(axis=(1, 2)).any()
+
+
+def test_every_size_of_spheres_meets_every_porosity():
+    design = Design(packings=48)
     base, _ = design.rows()
-    smoothing = base[:, design.base_names.index("smoothing")].reshape(-1, design.rows_each)
-    assert np.median(smoothing[:ROUNDED]) > -0.5 and np.median(smoothing[ROUNDED:]) < -0.8
-    sizes = {design.spheres_of(packing) for packing in range(ROUNDED, design.packings)}
-    assert sizes == {120, 150, 200}
+    smoothing, porosity, size = base[:: design.rows_each, -3:].T
+    pairs = {(design.spheres_of(j), porosity[j]) for j in range(48)}
+    assert pairs == {(n, p) for n in (500, 1000, 2500) for p in POROSITIES}
+    assert (1 + size) ** -3 * 1000 == pytest.approx([design.spheres_of(j) for j in range(48)])
+    assert np.median(smoothing) < -0.5 and smoothing.max() > 0
 
 
-def test_last_packings_show_each_effect_by_itself_on_one_soil():
-    design = Design(packings=MIXED + 26)
+def test_some_packings_show_each_effect_by_itself_on_one_soil():
+    design = Design(packings=65)
     base, strengths = (
-        part.reshape(design.packings, design.rows_each, -1) for part in design.rows()
+        part.reshape(design.packings, design.rows_each, -1)[alone(design)] for part in design.rows()
     )
-    assert (base[MIXED:] == base[MIXED:, :1]).all()
-    assert not (base[:MIXED] == base[:MIXED, :1]).all(axis=(1, 2)).any()
-    assert not strengths[MIXED:, 0].any()
-    single = strengths[MIXED:, 1:]
+    assert (base == base[:, :1]).all()
+    assert not strengths[:, 0].any()
+    single = strengths[:, 1:]
     assert ((single != 0).sum(axis=2) == 1).all()
     assert (single != 0).sum(axis=(0, 1)).tolist() == [10] * len(LIMITS)
     low, high = np.array(list(LIMITS.values())).T

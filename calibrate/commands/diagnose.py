@@ -30,6 +30,12 @@ def diagnose_command(
             help="Simulate the leading explanations on N more packings; 0: none.",
         ),
     ] = 0,
+    further: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--further", metavar="LAB.toml", help="Lab file of further tests; repeatable."
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
     ] = 0,
@@ -48,6 +54,7 @@ def diagnose_command(
     from calibrate.discrepancy.library.description import EmulatedLibrary
     from calibrate.discrepancy.library.store import bundled_library, load
     from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
+    from calibrate.io.lab import load_lab
     from calibrate.reports import diagnosis as report
     from calibrate.simulation.session import Session, origin_of
 
@@ -63,7 +70,8 @@ def diagnose_command(
     if simulate:
         plan = InfillPlan(simulate, out / RUNS, for_terminal())
         emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
-    found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say)
+    labs = [load_lab(path) for path in further or []]
+    found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say, further=labs)
     settings = {"library": source.name, **_size(simulated, emulated.library), "seed": seed}
     origin = {**origin_of(session), "preset": NO_PRESET, "settings": settings}
     report.show(report.write(out, found, origin, json), Console())

@@ -1,7 +1,7 @@
 """`calibrate library`: simulate a library of runs for labs of one kind, for `calibrate diagnose`.
 
-Takes some two to three seconds of one core for each simulation of 150 spheres, and can be
-stopped and resumed; what is there already is not simulated again.
+Takes some two, five and fifteen seconds of one core for each simulation of 500, 1000 and 2500
+spheres, and can be stopped and resumed; what is there already is not simulated again.
 """
 
 from dataclasses import replace
@@ -26,12 +26,14 @@ def library_command(
         Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: bundled soil.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="The library's file.")] = Path("library.nc"),
-    packings: Annotated[int, typer.Option("--packings", min=8, help=DESIGN)] = 136,
+    packings: Annotated[int, typer.Option("--packings", min=8, help=DESIGN)] = 160,
     onto: Annotated[
         Path | None,
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
     ] = None,
-    spheres: Annotated[int, typer.Option("--spheres", min=60, help="Spheres a packing.")] = 150,
+    spheres: Annotated[
+        int, typer.Option("--spheres", min=60, help="Spheres of the middle of three sizes.")
+    ] = 1000,
     centred: Annotated[
         bool, typer.Option("--centred/--bundled-centre", help="Centre on the lab's own soil.")
     ] = False,

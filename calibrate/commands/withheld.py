@@ -20,7 +20,7 @@ def withheld_command(
     library: LibraryFile = None,
     discrepancy: DiscrepancyFile = None,
     share: Annotated[
-        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 309 cases.")
+        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 200 cases.")
     ] = 1.0,
     fresh: Annotated[
         bool, typer.Option("--fresh/--no-fresh", help="Check shrinkage on fresh specimens.")

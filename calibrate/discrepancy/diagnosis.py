@@ -7,7 +7,7 @@ The calibration of probabilities was fitted once (`comparison.probability_calibr
 distributions depend on the plan of measurement and may be shared by labs with the same plan.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
 from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.localise import Localisation, localise
-from calibrate.discrepancy.comparison.next_test import Proposal, next_tests
+from calibrate.discrepancy.comparison.next_test import Learned, Proposal, next_tests, updated
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.outliers import robust, scatter_of
 from calibrate.discrepancy.comparison.probability_calibration import (
@@ -41,14 +41,12 @@ from calibrate.discrepancy.library.description import (
     describe,
     soil_prior_for,
 )
-from calibrate.discrepancy.library.further_tests import menu
+from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.instruments import with_forces_before_contact, with_instruments
 from calibrate.discrepancy.library.measurements import ScaledMeasurements, read_measurements
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
-LEADING = 4  # explanations between which a further test is to decide
-LEAST_LIKELY = 0.01  # probability of such an explanation, but for the likeliest
 Say = Callable[[str], None]
 
 
@@ -78,11 +76,18 @@ class Diagnosis:
     comparison: Comparison
     reduction: Reduction | None
     proposals: list[Proposal]
+    learned: Learned | None = None
+    unused: tuple[str, ...] = ()
 
     def as_json(self) -> dict:
         """The contract's keys."""
         return as_json(
-            self.prepared, self.localisation, self.comparison, self.reduction, self.proposals
+            self.prepared,
+            self.localisation,
+            self.comparison,
+            self.reduction,
+            self.proposals,
+            self.learned,
         )
 
 
@@ -136,14 +141,21 @@ def diagnosed(
     setup: InferenceSetup | None = None,
     discrepancy: ModelDiscrepancy | None = None,
     say: Say = lambda text: None,
+    further: Sequence[Lab] = (),
 ) -> Diagnosis:
-    """The whole diagnosis of one lab."""
+    """The whole diagnosis of one lab; `further`: lab files of further tests."""
     say("reading curves, fitting the base model")
     found, d, measured = described(lab, emulated, seed, discrepancy)
     say("simulating null distributions")
     prepared = prepared_diagnosis(d, measured, seed, setup)
     say("comparing explanations")
     comparison = compare(prepared, measured)
+    cylinder = emulated.library.cylinder
+    made, unused = outcomes(lab, further, cylinder, d, comparison.noise)
+    learned = None
+    if made:
+        say("taking in further tests")
+        comparison, learned = updated(prepared, comparison, measured.mean, made)
     localisation = localise(d, measured, comparison.noise, comparison.base, seed)
     reduction = None
     if comparison.best and comparison.verdict != NONE:
@@ -151,18 +163,10 @@ def diagnosed(
         reduction = estimate_reduction(
             d, measured, comparison.noise, comparison.base, comparison.refits[comparison.best], seed
         )
-    proposals = _proposals(d, comparison)
-    return Diagnosis(lab, found, measured, prepared, localisation, comparison, reduction, proposals)
-
-
-def _proposals(d: Linearised, comparison: Comparison) -> list[Proposal]:
-    """Further tests between the leading single explanations."""
-    single = {n: p for n, p in comparison.probability.items() if n in d.effect_names}
-    order = sorted(single, key=lambda n: -single[n])[:LEADING]
-    order = order[:1] + [n for n in order[1:] if single[n] >= LEAST_LIKELY]
-    keys = [d.effect_names.index(n) for n in order]
-    leading = {k: comparison.refits[(k,)] for k in keys if (k,) in comparison.refits}
-    leading = {k: fit for k, fit in leading.items() if fit.strengths[k] != 0}
-    if not leading:
-        return []
-    return next_tests(d, comparison.noise, comparison.base, leading, menu(d, comparison.noise))
+    say("weighing further tests")
+    offers = menu(d, comparison.noise, lab.pair().rates)
+    proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
+    return Diagnosis(
+        lab, found, measured, prepared, localisation, comparison, reduction, proposals, learned,
+        tuple(unused),
+    )  # fmt: skip

@@ -25,7 +25,7 @@ from calibrate.discrepancy.library.description import (
     SoilPrior,
     soil_prior_for,
 )
-from calibrate.discrepancy.library.design import SETTINGS, SHARP, SMOOTHING
+from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SMOOTHING
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -36,7 +36,7 @@ ROUNDS = 2
 DRAWS = 200  # of null distributions, to rank explanations
 SOIL_SPREAD = 0.25  # prior deviations by which soils scatter about a location
 STRENGTH_SPREAD = 0.25  # share by which strengths do
-FEWER, MORE = 1.0, 4 / 3  # spheres over the library's, in turn
+SIZES = (1.0, 1.0, 1.0, 2.5)  # spheres of packings over the design's, in turn
 FIRST_SEED = 900_000  # of packings, which no library has
 LEAST_STRENGTH = 0.05  # typical strengths; an effect below is off
 Say = Callable[[str], None]
@@ -134,11 +134,12 @@ def scattered_about(
     normal = np.clip(random.standard_normal((count, wide + strengths.shape[1])), -2, 2)
     base[:, :wide] += SOIL_SPREAD * normal[:, :wide] * np.array(list(design.soil_sd.values()))
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
-    factor = np.repeat([MORE if j % 2 else FEWER for j in packings], len(locations))
+    factor = np.repeat([SIZES[j % len(SIZES)] for j in packings], len(locations))
     spheres = np.round(design.spheres * factor).astype(int)
-    smoothing, preparation, number = (wide + SETTINGS.index(name) for name in SETTINGS)
-    base[:, smoothing] = np.clip(base[:, smoothing], SHARP[0], SMOOTHING[1])
-    base[:, preparation] = np.repeat(np.mean([p.base[preparation] for p in locations]), count)
-    base[:, number] = np.log(spheres / design.spheres)
+    smoothing, porosity, size = (wide + SETTINGS.index(name) for name in SETTINGS)
+    base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
+    looser = np.mean([location.base[porosity] for location in locations])
+    base[:, porosity] = min(POROSITIES, key=lambda level: abs(level - looser))
+    base[:, size] = [design.sphere_size(number) for number in spheres]
     seeds = FIRST_SEED + np.repeat(np.array(packings), len(locations))
     return RunPoints(base, strengths, spheres.tolist(), seeds)

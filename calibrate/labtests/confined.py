@@ -52,6 +52,7 @@ class ConfinedTest(AbstractLabTest):
     force_low: Force = 200.0
     force_high: Force = 400.0
     greased: bool = True
+    fresh_grease: bool = False
 
     @model_validator(mode="after")
     def _check_order(self) -> "ConfinedTest":

@@ -1,6 +1,7 @@
 """The pair of tests that the diagnosis compares: confined, then unconfined compression.
 
-Its library of runs holds both tests on one specimen, so a lab has to have just these.
+Its library of runs holds both tests on one specimen, so a lab has to begin with these.  What comes
+after them are further tests (`calibrate.discrepancy.library.further_tests`).
 """
 
 from collections.abc import Sequence
@@ -29,8 +30,8 @@ class Pair:
 
 
 def pair_of(tests: Sequence[AbstractLabTest]) -> Pair:
-    """Both tests of a lab; `BadValue` names the first that a library of runs does not hold."""
-    for place, test in enumerate(tests):
+    """The first two tests of a lab; `BadValue` says why a library of runs does not hold them."""
+    for place, test in enumerate(tests[: len(KINDS)]):
         misfit = _misfit(test, place)
         if misfit:
             problem = f"a library of runs holds {HELD}, but {misfit}"
@@ -42,13 +43,11 @@ def pair_of(tests: Sequence[AbstractLabTest]) -> Pair:
 
 
 HELD = f"{KINDS[0]} and then {KINDS[1]} compression of one specimen"
-REPAIR = "give a lab file of these two alone, the rest is for simulate, fit, audit and doe"
+REPAIR = "give a lab file that begins with these two; others may come after them"
 
 
 def _misfit(test: AbstractLabTest, place: int) -> str:
     """Why a library does not hold the test at this place of a lab; "" if it does."""
-    if place >= len(KINDS):
-        return f"test {shown(test.called)} comes after them"
     if test.type_name != KINDS[place]:
         return f"test {shown(test.called)}, number {place + 1}, is of type {test.type_name}"
     if test.protocol:

@@ -43,6 +43,8 @@ class UnconfinedTest(AbstractLabTest):
 
     rate: Speed = 1e-5
     rest: Duration = 1.0
+    lubricated: bool = False
+    at_once: bool = False
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         rows = 2 * int(PEAK_WINDOW / (pace.free * pace.sample_time) / 2) + 1

@@ -14,7 +14,6 @@ from pydantic import model_validator as check
 from calibrate.discrepancy.comparison.compare import label
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.discrepancy.library.further_tests import menu
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.base import Curve, Number, Origin, Record, Test
@@ -88,17 +87,29 @@ class ReductionRecord(Record):
 
 
 class ProposalRow(Record):
-    """A further test with its cost (hours) and how far it separates the leading explanations."""
+    """A further test with its cost (hours, fresh specimens), what it tells (nats), the chance to
+    name the right explanation with it, and how far it separates the leading ones; files of earlier
+    versions have the last one only."""
 
     name: str
     cost: Number
     separation: Number
+    specimens: int = 0
+    gain_nats: Number = float("nan")
+    chance: Number = float("nan")
 
 
 class NextTestRecord(Record):
-    """The further test that separates the leading explanations best."""
+    """The further test that tells most; `stop`: why none need be made."""
 
     name: str
+    gain_nats: Number = float("nan")
+    chance_now: Number = float("nan")
+    chance: Number = float("nan")
+    stop: str = ""
+    cost: Number = float("nan")
+    specimens: int = 0
+    entries: dict[str, str | bool] = Field(default_factory=dict)
     separation_now: Number
     separation: Number
     settles: bool
@@ -107,6 +118,16 @@ class NextTestRecord(Record):
     all: list[ProposalRow]
     labels: list[str]
     deviation: list[Number]
+
+
+class FurtherTestsRecord(Record):
+    """Further tests that were taken in: probabilities before by explanation, the chance of such an
+    outcome under each, and whether any of them foresaw it."""
+
+    tests: list[str]
+    before: dict[str, Number]
+    chance: dict[str, Number]
+    foreseen: bool
 
 
 class FeatureRow(Record):
@@ -170,6 +191,8 @@ class DiagnosisRecord(Origin):
     which: ComparisonRecord
     how_far: ReductionRecord | None
     next_test: NextTestRecord | None
+    further_tests: FurtherTestsRecord | None = None
+    unused_tests: list[str] = Field(default_factory=list)
     features: list[FeatureRow]
     specimens: list[dict[Test, Curve]]
     specimen_weights: list[Number] = Field(default_factory=list)
@@ -200,7 +223,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
     return {
         **origin,
         **found,
-        "next_test": _labelled(diagnosis, found["next_test"]),
+        "unused_tests": list(diagnosis.unused),
         "features": _features(diagnosis),
         "specimens": [_aligned(diagnosis, curves) for curves in diagnosis.found.specimens],
         "specimen_weights": diagnosis.measured.weight.tolist(),
@@ -223,16 +246,6 @@ def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
         )
         for test in TESTS
     }
-
-
-def _labelled(diagnosis: Diagnosis, found: dict | None) -> dict | None:
-    """The proposed test with labels of what it would show, and their deviations."""
-    if found is None:
-        return None
-    best = diagnosis.proposals[0]
-    tests = menu(diagnosis.prepared.description, diagnosis.comparison.noise)
-    labels = next((list(test.labels) for test in tests if test.name == best.name), [])
-    return {**found, "labels": labels, "deviation": best.deviation.tolist()}
 
 
 def _features(diagnosis: Diagnosis) -> list[dict]:

@@ -236,9 +236,18 @@ def _offers(found: DiagnosisRecord) -> Table | None:
     test = found.next_test
     if test is None:
         return None
-    rows = [[o.name, f"{number(o.cost, 2)} h", number(o.separation, 2)] for o in test.all]
-    rows.append(["these data alone", "", number(test.separation_now, 2)])
-    return Table(["further test", "cost, a guess", "separation (2.8 settles)"], rows)
+    rows = [
+        [
+            o.name, f"{number(o.cost, 2)} h", str(o.specimens), number(o.gain_nats, 2),
+            percent(o.chance), number(o.separation, 2),
+        ]
+        for o in test.all
+    ]  # fmt: skip
+    now = number(test.separation_now, 2)
+    rows.append(["these data alone", "", "", "", percent(test.chance_now), now])
+    columns = ["further test", "time, a guess", "fresh specimens", "tells (nats)",
+               "chance to name the cause", "separation (2.8 settles)"]  # fmt: skip
+    return Table(columns, rows)
 
 
 def _predicted(found: DiagnosisRecord) -> Table | None:

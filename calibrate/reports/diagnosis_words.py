@@ -8,7 +8,7 @@ interval reaches zero is not called one, and numbers without curves are said to 
 
 from collections.abc import Sequence
 
-from calibrate.discrepancy.comparison.classes import SEPARABLE, TOGETHER
+from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import ALPHA, NONE, UNKNOWN
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord, ReductionRecord, SegmentRow
@@ -18,7 +18,6 @@ from calibrate.reports.html import number
 SURE, LIKELY = 0.8, 0.5
 ODD = 0.6  # weight of a specimen below which the reader is told
 FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
-GAIN = 1.1  # of separation, below which a further test adds next to nothing
 
 
 def label_of(test: str) -> str:
@@ -28,7 +27,10 @@ def label_of(test: str) -> str:
 
 def sentence(found: DiagnosisRecord) -> str:
     """The whole answer in one paragraph."""
-    parts = [verdict(found), localisation(found), shrinkage(found), todo(found), caution(found)]
+    parts = [
+        verdict(found), further(found), localisation(found), shrinkage(found), todo(found),
+        caution(found),
+    ]  # fmt: skip
     return " ".join(part for part in parts if part)
 
 
@@ -198,13 +200,28 @@ def _proposed(test: NextTestRecord) -> str:
     what = f"{test.name} (about {number(cost, 2)} h)"
     pair = [plain(name).name for name in test.hardest_pair]
     between = f"“{pair[0]}” from “{pair[1]}”"
-    if test.separation < GAIN * test.separation_now:
+    if test.stop == "sure":
+        return f"Nothing more need be measured to name it; to confirm it: {what}."
+    if test.stop:
         return f"No further test on the list would tell {between} better than these data do."
-    if test.separation_now >= SEPARABLE:
-        return f"Next, to confirm it: {what}."
-    if test.settles:
-        return f"Next: {what}; it would settle which of the leading explanations is right."
-    return f"Next: {what}; it helps most, but would not yet tell {between} for certain."
+    now, then = percent(test.chance_now), percent(test.chance)
+    return (
+        f"Next: {what}; with it the chance to name the right cause goes from {now} to {then}. "
+        "`calibrate next` lists all tests and writes a lab file for the answer."
+    )
+
+
+def further(found: DiagnosisRecord) -> str:
+    """What further tests have changed."""
+    learned = found.further_tests
+    if learned is None:
+        return ""
+    made = ", ".join(learned.tests)
+    if not learned.foreseen:
+        return f"Further tests ({made}) showed what no explanation foresees."
+    name = max(learned.before, key=lambda one: found.which.probability.get(one, 0.0))
+    then, now = learned.before[name], found.which.probability.get(name, 0.0)
+    return f"Further tests ({made}) took “{title(name)}” from {percent(then)} to {percent(now)}."
 
 
 def _undetectable(found: DiagnosisRecord) -> str:

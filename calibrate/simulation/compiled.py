@@ -20,7 +20,7 @@ from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing, Specimen
 
-KEPT = 16  # compiled programs; the oldest makes room
+KEPT = 32  # compiled programs; the oldest makes room
 
 
 class Programs:

@@ -32,13 +32,13 @@ STRATA: dict[str, tuple[float, float]] = {
     "2-6": (2.0, 6.0),
     "above 6": (6.0, 15.0),
 }
-COUNTS = {"none": 104, "0.5-2": 30, "2-6": 50, "above 6": 60, "outside": 40, "two": 25}
+COUNTS = {"none": 60, "0.5-2": 20, "2-6": 40, "above 6": 40, "outside": 25, "two": 15}
 SPECIMENS = 4
 PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specimens held back
-SPHERES = (130, 190)  # other numbers than the library's
-PREPARATIONS = (-0.2, 0.0, 0.2)  # ln of the settling friction's factor
+SPHERES = (1100, 1100, 1100, 2200)  # other numbers than the library's
+POROSITIES = (-0.01, 0.005)  # over the usual one; others than the library's
 SMOOTHING = -0.95  # roundings nearly gone
-POOL = 60  # packings of each number and preparation, from which cases draw
+POOL = 24  # packings of each number and porosity, from which cases draw
 FIRST_SEED = 1_900_000  # of packings
 ATTEMPTS = 6
 STARTS = 3  # of fits beside that from the soil itself
@@ -66,7 +66,7 @@ class WithheldCase:
     hidden: tuple[Hidden, ...]
     soil: dict[str, float]
     spheres: int
-    preparation: float
+    porosity: float
     packings: tuple[int, ...]
     seed: int
     nonce: str
@@ -117,7 +117,7 @@ class Planner:
             hidden=hidden,
             soil=soil,
             spheres=int(self.random.choice(SPHERES)),
-            preparation=float(self.random.choice(PREPARATIONS)),
+            porosity=float(self.random.choice(POROSITIES)),
             packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
             seed=int(self.random.integers(2**31)),
             nonce=self.random.bytes(16).hex(),

@@ -210,11 +210,7 @@ def _answer(
 ) -> Comparison:
     probability, by_class = probabilities(summary, prepared.classes, prepared.calibration)
     verdict, value = likeliest_verdict(by_class), summary.evidence.by_key()
-    size = verdict.count(TOGETHER) + 1
-    of_verdict = [
-        key for key in refits if len(key) == size
-        and label(prepared.classes, tuple(summary.names[k] for k in key)) == verdict
-    ]  # fmt: skip
+    of_verdict = _fits_of(prepared, refits, verdict)
     return Comparison(
         verdict=verdict,
         refits=refits,
@@ -225,6 +221,38 @@ def _answer(
         summary=summary,
         **rest,
     )
+
+
+def answered_with(
+    prepared: Prepared, comparison: Comparison, probability: dict[str, float]
+) -> Comparison:
+    """The same comparison with other probabilities of explanations, by name."""
+    by_class: dict[str, float] = {}
+    for name, p in probability.items():
+        of_class = label(prepared.classes, tuple(name.split(TOGETHER)))
+        by_class[of_class] = by_class.get(of_class, 0.0) + p
+    every = {name: 0.0 for name in comparison.probability} | probability
+    verdict, names = likeliest_verdict(by_class), prepared.description.effect_names
+    of_verdict = _fits_of(prepared, comparison.refits, verdict)
+    best = max(
+        of_verdict,
+        key=lambda key: every.get(TOGETHER.join(names[k] for k in sorted(key)), 0.0),
+        default=comparison.best,
+    )
+    likely = explanations(by_class, prepared.calibration.smallest)
+    return replace(
+        comparison, verdict=verdict, best=best, probability=every, by_class=by_class,
+        likely_set=likely,
+    )  # fmt: skip
+
+
+def _fits_of(prepared: Prepared, refits: dict, verdict: str) -> list[tuple[int, ...]]:
+    """The refitted explanations that a verdict names."""
+    names, size = prepared.description.effect_names, verdict.count(TOGETHER) + 1
+    return [
+        key for key in refits if len(key) == size
+        and label(prepared.classes, tuple(names[k] for k in key)) == verdict
+    ]  # fmt: skip
 
 
 def probabilities(

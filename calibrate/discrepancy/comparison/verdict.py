@@ -13,7 +13,7 @@ import numpy as np
 from calibrate.discrepancy.comparison.classes import SEPARABLE
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared
 from calibrate.discrepancy.comparison.localise import Localisation
-from calibrate.discrepancy.comparison.next_test import Proposal
+from calibrate.discrepancy.comparison.next_test import Learned, Proposal, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.reduction import Reduction
 from calibrate.discrepancy.comparison.score import admissible
@@ -73,8 +73,9 @@ def as_json(
     comparison: Comparison,
     reduction: Reduction | None,
     proposals: list[Proposal],
+    learned: Learned | None = None,
 ) -> dict:
-    """The keys where, which, how_far and next_test."""
+    """The keys where, which, how_far, next_test and further_tests."""
     return {
         "where": [
             {
@@ -102,6 +103,9 @@ def as_json(
         "which": _which(prepared, comparison),
         "how_far": _how_far(reduction),
         "next_test": _next(comparison, proposals),
+        "further_tests": None
+        if learned is None
+        else {**asdict(learned), "foreseen": learned.foreseen},
     }
 
 
@@ -144,13 +148,29 @@ def _how_far(reduction: Reduction | None) -> dict | None:
 def _next(comparison: Comparison, proposals: list[Proposal]) -> dict | None:
     if not proposals or comparison.verdict == NONE:
         return None
-    best = proposals[0]
+    best = proposed(proposals[0], why_stop(comparison, proposals))
+    return {**best, "all": [offered(one) for one in proposals]}
+
+
+def offered(proposal: Proposal) -> dict:
+    """One line of a list of further tests."""
     return {
-        "name": best.name,
-        "separation_now": best.now,
-        "separation": best.separation,
-        "settles": best.settles,
-        "hardest_pair": list(best.hardest),
-        "predicted": {name: curve.tolist() for name, curve in best.predicted.items()},
-        "all": [{"name": p.name, "cost": p.cost, "separation": p.separation} for p in proposals],
+        "name": proposal.name, "cost": proposal.cost, "specimens": proposal.specimens,
+        "gain_nats": proposal.gain, "chance": proposal.chance, "separation": proposal.separation,
+    }  # fmt: skip
+
+
+def proposed(proposal: Proposal, stop: str) -> dict:
+    """A further test with all that is said of it."""
+    return {
+        **offered(proposal),
+        "chance_now": proposal.chance_now,
+        "stop": stop,
+        "separation_now": proposal.now,
+        "settles": proposal.settles,
+        "hardest_pair": list(proposal.hardest),
+        "predicted": {name: curve.tolist() for name, curve in proposal.predicted.items()},
+        "labels": list(proposal.labels),
+        "deviation": proposal.deviation.tolist(),
+        "entries": dict(proposal.entries),
     }

@@ -1,7 +1,7 @@
 """Errors of the emulator by cross-validation: packings are left out in turn, in blocks.
 
     e = y - f(x, s)        of a held-out row, in a standardised component
-    e ~ N(0, w v(x, s) + q n)        n = packing + soil block + rest
+    e ~ N(0, w v(x, s) + q n(x))     n = packing + soil block + rest, for spheres of their size
 
 w widens the variance v that the process states of itself, q the scatter n of specimens; both
 by maximum likelihood over rows with at most one effect, w with a weak pull to 1, as a few
@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from calibrate.discrepancy.library.design import SIZES
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator, principal
 
-FOLDS, BLOCK = 4, 4  # packings are left out in turn, by blocks
+FOLDS, BLOCK = 4, len(SIZES)  # packings are left out in turn, by blocks
 FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance
 FEWEST = 20  # rows with an effect, for its directions
 MOST = 5  # directions of an effect
@@ -67,14 +68,15 @@ class EmulatorErrors:
 
 def cross_validate(points: TrainingPoints) -> EmulatorErrors:
     """Errors of the emulator of all points with these kernels."""
-    errors, stated, whole, strengths = [], [], [], []
+    errors, stated, whole, strengths, size = [], [], [], [], []
     for emulator, x, s, value in _held_out_rows(points):
         warped = np.arcsinh(value / points.scale)
         errors.append(emulator.basis.components(warped) - emulator.of_components(x, s))
         stated.append(emulator.variances(x, s))
         whole.append(warped - emulator.warped(x, s))
         strengths.append(s)
-    noise = np.array([k.scatter for k in points.kernels])
+        size.append(x[-1])
+    noise = [k.scatter * k.larger(np.array(size)) ** 2 for k in points.kernels]
     by_component = zip(np.array(errors).T, np.array(stated).T, noise, strict=True)
     widening, scatter = np.array([_factors(*parts) for parts in by_component]).T
     directions = by_effects(np.array(whole), np.array(strengths))
@@ -120,7 +122,7 @@ def _held_out_rows(
     points: TrainingPoints,
 ) -> Iterator[tuple[FeatureEmulator, np.ndarray, np.ndarray, np.ndarray]]:
     """Each row with at most one effect, with an emulator fitted without its packing; folds
-    are blocks of packings; of all but the last ones each block holds all numbers of spheres."""
+    are blocks of packings; each block holds all numbers of spheres."""
     few = (points.s != 0).sum(axis=1) <= 1
     basis = principal(np.arcsinh(points.values / points.scale))
     for fold in range(FOLDS):
@@ -133,8 +135,8 @@ def _held_out_rows(
             yield emulator, points.x[row], points.s[row], points.values[row]
 
 
-def _factors(errors: np.ndarray, stated: np.ndarray, noise: float) -> tuple[float, float]:
-    """w and q that make the errors (n,) likeliest, given stated variances (n,) and noise."""
+def _factors(errors: np.ndarray, stated: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
+    """w and q that make the errors (n,) likeliest, given stated variances and noise (n,)."""
 
     def loss(ln_factors: np.ndarray) -> float:
         w, q = np.exp(ln_factors)

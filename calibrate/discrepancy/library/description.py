@@ -16,7 +16,7 @@ import numpy as np
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import SHARP, Design
+from calibrate.discrepancy.library.design import SMOOTHING, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
@@ -24,8 +24,9 @@ from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
 from jdem.effects.composite import EFFECTS
 
-SETTING_PRIOR_MEAN = (SHARP[0], 0.0, 0.15)  # soil has no roundings and more particles
-SETTING_PRIOR_SD = (0.1, 0.2, 0.3)
+# A soil has no roundings and finer grains; another simulator's bed may have either.
+SETTING_PRIOR_MEAN = (SMOOTHING[0], 0.0, -0.3)
+SETTING_PRIOR_SD = (0.4, 0.012, 0.35)
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0

@@ -3,16 +3,19 @@
 A row is a point x of
 
     soil      ln p - ln p_centre                 as far as 2.2 prior deviations, normal
-    settings  smoothing (factor - 1), preparation friction (ln factor), spheres (ln factor);
-              packings after the first ROUNDED crowd where roundings are small, as soils have none
-    effects   strengths, uniform within their limits where they are at work: each in MANY of the
-              rows of the first CROWDED packings (so that pairs occur), then in FEW; the rows of
-              packings after the first MIXED share one soil, the first has no effect at work and
-              the others one each, strong, in turn
+    settings  smoothing (factor - 1), denser where roundings are small, as soils have none;
+              porosity less the usual one (-); size of the spheres over that of the design, less 1
+    effects   strengths, uniform within their limits where they are at work: each in ACTIVE of the
+              rows (so that pairs occur); on two packings of five all rows share one soil, the
+              first has no effect at work and the others one each, strong, in turn
 
 drawn from a Sobol sequence, so that every beginning of the list is a smaller library.  Rows of one
 packing differ in all else, or in an effect alone: what packings have in common drops out of the
 slopes (common random numbers), and what they differ by is sampled PACKINGS times.
+
+Numbers of spheres take turns, so that what resolution changes is learned with all else: most rows
+are cheap, enough are dear.  The size of spheres is the coordinate, d/D ~ N^(-1/3): walls and the
+ends of a specimen count in proportion to it, and the limit of fine grains lies at -1.
 """
 
 from collections.abc import Mapping
@@ -24,21 +27,15 @@ from scipy.stats import norm, qmc
 from jdem.effects.composite import EFFECTS
 from jdem.materials.catalogue import CATALOGUE
 
-MANY, FEW = 0.3, 0.1  # shares of rows in which an effect is at work
-CROWDED = 96  # packings
+ACTIVE = 0.12  # share of rows in which an effect is at work
+ALONE, OF = (1, 4), 5  # packings of five on which effects are at work one at a time
 FURTHEST = 2.2  # prior deviations of a soil parameter
-ROUNDED = 136  # packings whose rows spread over all of
-SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1; rows of later packings
-SHARP = (-0.95, -0.5)  # crowd at the lower end of this
-PREPARATION_SD = 0.3  # of ln of the settling friction's factor
-LARGER = 4 / 3  # spheres of every fourth packing over those of the others
-SMALLER = 0.8  # the same of one in four after the first ROUNDED
-CROSSED = 390  # packings of which every fourth has one size, and so one half of the settling
-# frictions, as points of a Sobol sequence lie; later ones bring each size to all of them
-MIXED = 300  # packings whose rows differ in everything
+SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1
+SIZES = (0.5, 1.0, 0.5, 1.0, 2.5, 0.5, 1.0, 0.5)  # spheres of packings over the design's, in turn
+POROSITIES = (0.0, -0.02, 0.01)  # over the usual one of spheres of their size, in turn
 WEAKEST = 0.3  # of its limit, an effect by itself
-SETTINGS = ("smoothing", "preparation", "spheres")
-SETTING_SPREAD = (0.5, 0.2, 0.3)
+SETTINGS = ("smoothing", "porosity", "sphere_size")
+SETTING_SPREAD = (0.5, 0.02, 0.3)
 
 SOIL = (  # parameters that are varied, in the order of a point's coordinates
     "shear_modulus",
@@ -98,10 +95,10 @@ class Design:
     packings x rows_each simulations of specimens of `spheres` spheres.
     """
 
-    packings: int = 422
+    packings: int = 160
     rows_each: int = 6
-    spheres: int = 150
-    seed: int = 20
+    spheres: int = 1000
+    seed: int = 40
     centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
     soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
@@ -128,13 +125,12 @@ class Design:
         return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
 
     def spheres_of(self, packing: int) -> int:
-        """Number of spheres of a packing: every fourth more, every fourth after ROUNDED fewer; of
-        the last ones four have fewer, four more, in turn."""
-        if packing >= CROSSED:
-            return round(self.spheres * (LARGER if packing // 4 % 2 else SMALLER))
-        later = packing >= ROUNDED
-        factor = {3: LARGER, 1: SMALLER if later else 1.0}.get(packing % 4, 1.0)
-        return round(self.spheres * factor)
+        """Number of spheres of a packing."""
+        return round(self.spheres * SIZES[packing % len(SIZES)])
+
+    def sphere_size(self, spheres: int) -> float:
+        """The coordinate of a number of spheres: their size over that of the design's, less 1."""
+        return (spheres / self.spheres) ** (-1 / 3) - 1
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Base coordinates (n, p) and strengths in SI (n, k), packing by packing."""
@@ -142,15 +138,19 @@ class Design:
         wide = len(self.soil_names) + 1 + len(self.effect_names)
         unit = _sobol(wide, count, self.seed)
         of_packing = np.repeat(np.arange(self.packings), self.rows_each)
-        preparation = _normal(_sobol(1, self.packings, self.seed + 1)) * PREPARATION_SD
         soil = self._soil(unit[:, : len(self.soil_names)])
-        smoothing = _smoothing(unit[:, len(self.soil_names)], of_packing >= ROUNDED)
-        number = np.log([self.spheres_of(j) / self.spheres for j in range(self.packings)])
-        settings = [smoothing, preparation[of_packing, 0], number[of_packing]]
-        base, strengths = np.column_stack([soil, *settings]), unit[:, -len(self.limits) :]
-        alone = of_packing >= MIXED
+        low, high = SMOOTHING
+        smoothing = low + (high - low) * unit[:, len(self.soil_names)] ** 2
+        porosity = np.array(POROSITIES)[of_packing % len(POROSITIES)]
+        size = [self.sphere_size(self.spheres_of(int(j))) for j in of_packing]
+        base, strengths = np.column_stack([soil, smoothing, porosity, size]), unit[:, -self._k :]
+        alone = np.isin(of_packing % OF, ALONE)
         base[alone] = base[of_packing[alone] * self.rows_each]
         return base, np.where(alone[:, None], self._single(strengths), self._strengths(strengths))
+
+    @property
+    def _k(self) -> int:
+        return len(self.limits)
 
     def _soil(self, unit: np.ndarray) -> np.ndarray:
         log = _normal(unit) * np.array(list(self.soil_sd.values()))
@@ -162,16 +162,15 @@ class Design:
 
     def _strengths(self, unit: np.ndarray) -> np.ndarray:
         low, high = np.array(list(self.limits.values())).T
-        crowded = np.arange(len(unit)) < CROWDED * self.rows_each
-        active = np.where(crowded, MANY, FEW)[:, None]
-        share = np.minimum(unit / active, 1.0)
-        return np.where(unit < active, low + (high - low) * share, 0.0)
+        share = np.minimum(unit / ACTIVE, 1.0)
+        return np.where(unit < ACTIVE, low + (high - low) * share, 0.0)
 
     def _single(self, unit: np.ndarray) -> np.ndarray:
         """Strengths (n, k) of rows with one effect each, in turn, but none in a packing's first."""
         row, found = np.arange(len(unit)), np.zeros_like(unit)
-        number, of_packing = row % self.rows_each - 1, row // self.rows_each - MIXED
-        which = (of_packing * (self.rows_each - 1) + number) % unit.shape[1]
+        number, of_packing = row % self.rows_each - 1, row // self.rows_each
+        turn = of_packing // OF * len(ALONE) + (of_packing % OF == ALONE[1])
+        which = (turn * (self.rows_each - 1) + number) % unit.shape[1]
         low, high = np.array(list(self.limits.values()))[which].T
         drawn = unit[row, which]
         downward = (low < 0) & (drawn < 0.5)
@@ -179,12 +178,6 @@ class Design:
         strength = np.where(downward, low, high) * (WEAKEST + (1 - WEAKEST) * share)
         found[row, which] = np.where(number >= 0, strength, 0.0)
         return found
-
-
-def _smoothing(unit: np.ndarray, later: np.ndarray) -> np.ndarray:
-    """Smoothing of rows: evenly over all, for the later packings dense where it is least."""
-    (low, high), (least, most) = SMOOTHING, SHARP
-    return np.where(later, least + (most - least) * unit**2, low + (high - low) * unit)
 
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:

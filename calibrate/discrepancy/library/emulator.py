@@ -11,7 +11,8 @@ hyperbolic sine makes factors of force and stiffness add up and scatter alike fo
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
 slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
 (soil blocks within it, whose rows differ in effects alone): the less is left, the better an effect
-is estimated.
+is estimated.  Coarse beds scatter more: all three deviations go with exp(g x), x being the size of
+the spheres, the last base coordinate.  Residuals are given for x = 0.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
@@ -34,10 +35,12 @@ MOST_ROWS = 700  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 JITTER = 1e-6
+COARSE = 0.36  # where its fit starts: deviations go with about N^-0.4 (benchmarks/resolution.py)
 
 
 class Kernel(NamedTuple):
-    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then ()."""
+    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then ();
+    coarse: the slope g of the logarithm of deviations with the size of the spheres."""
 
     linear: Any
     length: Any
@@ -49,10 +52,11 @@ class Kernel(NamedTuple):
     packing: Any
     soil_block: Any
     rest: Any
+    coarse: Any
 
     @property
     def scatter(self) -> float:
-        """Variance of one specimen about the process."""
+        """Variance of one specimen about the process, at the size 0 of spheres."""
         return float(np.exp(2 * self.packing) + np.exp(2 * self.soil_block) + np.exp(2 * self.rest))
 
     @staticmethod
@@ -61,21 +65,28 @@ class Kernel(NamedTuple):
         return Kernel(
             np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
             np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.2),
-            np.log(0.2),
+            np.log(0.2), COARSE,
         )  # fmt: skip
+
+    def larger(self, size):
+        """Deviations at scaled sizes of spheres over those at 0."""
+        return np.exp(self.coarse * size)
 
 
 class Blocks(NamedTuple):
-    """Which rows share a packing, and which also a soil, as ones in matrices (n, n)."""
+    """Which rows share a packing, and which also a soil, as ones in matrices (n, n); the scaled
+    size of their spheres (n,)."""
 
     packing: np.ndarray
     soil_block: np.ndarray
+    size: np.ndarray
 
     @staticmethod
     def of(x: np.ndarray, packing: np.ndarray) -> "Blocks":
         soil = np.unique(x, axis=0, return_inverse=True)[1].ravel()
         same = packing[:, None] == packing
-        return Blocks(same.astype(float), (same & (soil[:, None] == soil)).astype(float))
+        one_soil = same & (soil[:, None] == soil)
+        return Blocks(same.astype(float), one_soil.astype(float), x[:, -1])
 
 
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
@@ -102,7 +113,8 @@ def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
 def _noise(kernel: Kernel, blocks: Blocks, xp=np):
     """Covariance (n, n) of what packings, soils in them and rest add."""
     rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
-    return (
+    larger = xp.exp(kernel.coarse * blocks.size)
+    return (larger[:, None] * larger) * (
         xp.exp(2 * kernel.packing) * blocks.packing
         + xp.exp(2 * kernel.soil_block) * blocks.soil_block
         + rest
@@ -217,7 +229,7 @@ class FeatureEmulator:
     """Features (m,) and slopes at any point of a library.
 
     x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
-    residuals (n, m) are what is left of the warped simulated features.
+    residuals (n, m) are what is left of the warped simulated features, as at the size 0 of spheres.
     """
 
     x: np.ndarray
@@ -293,16 +305,26 @@ def fit_emulator(
         kernel = given or fit_kernel(x[few], s[few], packing[few], y[few])
         factor = np.ones(len(y)) if noise is None else noise[:, c]
         parts.append(_component(kernel, x, s, blocks, y, factor))
-    left = np.array([_as_large_as_stated(c.kernel, c.left) for c in parts])
-    dropped = warped - basis.mean - scores @ basis.carried.T
+    left = np.array([_as_large_as_stated(c.kernel, c.left, x[:, -1]) for c in parts])
+    dropped = _at_size_0(warped - basis.mean - scores @ basis.carried.T, x[:, -1])
     residuals = dropped + left.T @ basis.carried.T
     return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals)
 
 
-def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray) -> np.ndarray:
-    """Residuals (n,) of a component with the variance that its process gives to packings,
-    soils in them and rest: those of a fit are smaller, as some of the scatter is fitted."""
-    return residuals * np.sqrt(kernel.scatter / max(float(residuals.var()), 1e-300))
+def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Residuals (n,) of a component at sizes of spheres (n,) with the variance that its process
+    gives to packings, soils in them and rest at size 0: those of a fit are smaller, as some of the
+    scatter is fitted."""
+    alike = residuals / kernel.larger(size)
+    return alike * np.sqrt(kernel.scatter / max(float(alike.var()), 1e-300))
+
+
+def _at_size_0(dropped: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """What no component holds (n, m), as large as at the size 0 of spheres."""
+    if np.ptp(size) == 0:
+        return dropped
+    level = 0.5 * np.log(np.maximum((dropped**2).mean(axis=1), 1e-300))
+    return dropped / np.exp(np.polyfit(size, level, 1)[0] * size)[:, None]
 
 
 def _spread(packing: np.ndarray) -> np.ndarray:

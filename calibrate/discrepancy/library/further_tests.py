@@ -1,106 +1,254 @@
-"""Further tests that a laboratory can make, with what each explanation predicts for them.
+"""Further tests that a laboratory can make, what each explanation predicts for them, and what a
+lab file holds of them.
 
-Checks of the machine follow from the effects' own equations; repeats of the two tests under
-other conditions from the slopes that a library has.  Costs are hours of a laboratory technician,
-a guess that `calibrate diagnose` prints beside each test.
+    test again     f(delta + decades rho, c e)     the same emulator, under another condition: c
+                                                   keeps effects away or scales them by the rate
+    machine alone  the effects' own equations      no soil, so nothing of the base parameters
+    hold           -F rho decades + drift          what is lost at rest
+
+Over decades of rate, rate dependence rho multiplies contact forces by exp(rho decades): stiffness
+and surface energy move alike.  Costs are hours of a laboratory technician, a guess.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 
+from calibrate.discrepancy.comparison.further import FurtherTest, LinearResponse
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.next_test import FurtherTest
+from calibrate.discrepancy.comparison.next_test import Outcome
 from calibrate.discrepancy.comparison.noise import Noise
-from calibrate.labtests.diagnosis.base import Variation
-from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS, tests_of
+from calibrate.discrepancy.library.run_library import Cylinder
+from calibrate.io.lab import Lab
+from calibrate.labtests.base import AbstractLabTest
+from calibrate.labtests.diagnosis.base import APART, Condition, Variation
+from calibrate.labtests.diagnosis.contact import force_before_contact
+from calibrate.labtests.diagnosis.curves import (
+    TEST_FEATURES,
+    TESTS,
+    recorded_feature_values,
+    tests_of,
+)
+from calibrate.labtests.machine import MachineTest
+from calibrate.labtests.measured import Curve
+from calibrate.labtests.measured import Cylinder as LabCylinder
+from calibrate.labtests.relaxation import RelaxationTest
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
 
-BLOCK_FORCES = (20.0, 50.0, 100.0, 200.0, 400.0)  # N
+FORCE = 400.0  # N, of a machine alone and of a hold
+FROM = 0.025  # share of the force from which displacement counts on the bare machine
+SHARES = (0.05, 0.125, 0.25, 0.5, 0.95)  # of the force, where it is read
 BLOCK_SD = 5e-3  # mm
-FORCE_SD = 0.3  # N, of a mean of many readings
-WEIGHT = 98.1  # N, of 10 kg
-WAITING = 1200.0  # s, of an empty run
+AT_REST_SD = 0.3  # N, of a mean of many readings
 HOLD = 60.0  # s
-HOLD_SD = 1.5  # N
+HOLD_SD = 4.0  # N; spheres settle a little
 DECADES_OF_A_HOLD = 2.7  # of the rate that the soil feels, from 8 mm/s to a minute of rest
 REPEATS = 2
+RATE, GAP, COMPLIANCE = "rate_dependence", "seating_gap", "load_frame_compliance"
+OFFSET, DRIFT = "load_cell_offset", "load_cell_drift"
 OF_NAME: Mapping[str, Callable[..., AbstractEffect]] = EFFECTS
 
 
-def menu(d: Linearised, noise: Noise) -> list[FurtherTest]:
-    """All further tests that apply to a description."""
+@dataclass(frozen=True, eq=False)
+class Varied:
+    """The response of a test of the description under another condition: `rows` of its features."""
+
+    description: Linearised
+    rows: np.ndarray
+    condition: Condition
+
+    def __call__(self, delta: np.ndarray, strengths: np.ndarray):
+        d, decades = self.description, self.condition.decades
+        values, base, effects = d.at(*self._moved(delta, strengths))
+        effects = effects * self._factors
+        if decades and RATE in d.effect_names:
+            per_decade = self._per_strength * base[:, self._forces].sum(axis=1)
+            effects[:, d.effect_names.index(RATE)] += decades * per_decade
+        return values[self.rows], base[self.rows], effects[self.rows]
+
+    def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        return self.description.wrong_at(*self._moved(delta, strengths))[self.rows]
+
+    def _moved(self, delta, strengths):
+        shift = np.zeros_like(delta)
+        if self.condition.decades and RATE in self.description.effect_names:
+            strength = strengths[self.description.effect_names.index(RATE)]
+            shift[self._forces] = self.condition.decades * self._per_strength * strength
+        return delta + shift, strengths * self._factors
+
+    @property
+    def _factors(self) -> np.ndarray:
+        factors = self.condition.factors
+        return np.array([factors.get(name, 1.0) for name in self.description.effect_names])
+
+    @property
+    def _forces(self) -> list[int]:
+        names = self.description.base_names
+        return [names.index(n) for n in ("shear_modulus", "surface_energy") if n in names]
+
+    @property
+    def _per_strength(self) -> float:
+        d = self.description
+        return d.effects[d.effect_names.index(RATE)].typical
+
+
+def menu(d: Linearised, noise: Noise, rates: Mapping[str, float]) -> list[FurtherTest]:
+    """All further tests that apply to a description; rates (m/s) of the tests made so far."""
     present = [test for test in TESTS if (tests_of(d.features) == test).any()]
-    again = [_again(d, noise, t, v) for t in present for v in TEST_FEATURES[t].variations]
-    return [_block(d), _weight_and_empty_run(d), _hold(d), *again]
+    again = [
+        replace(
+            _again(d, noise, test, TEST_FEATURES[test].varied(v.faster, v.entries), v.name, v.cost),
+            entries=_entries(test, v, rates[test]),
+        )
+        for test in present
+        for v in TEST_FEATURES[test].variations
+    ]
+    return [machine_alone(d, FORCE, REPEATS), _hold(d, FORCE, HOLD, REPEATS), *again]
 
 
-def _machine(d: Linearised, name: str, cost: float, labels, columns, sd) -> FurtherTest:
-    """A check of the machine: no soil, so nothing of the base parameters."""
+def _entries(test: str, variation: Variation, rate: float) -> dict[str, str | bool]:
+    """The table of a test again, in a lab file."""
+    speed = f"{1e3 * rate * variation.faster:g} mm/s"
+    return {"type": test, "name": variation.name, "rate": speed,
+            **dict.fromkeys(variation.entries, True)}  # fmt: skip
+
+
+def outcomes(lab: Lab, further: Sequence[Lab], cylinder: Cylinder, d: Linearised, noise: Noise):
+    """What the lab's own tests after the first two, and those of further lab files, have shown;
+    and the names of tests that say nothing here."""
+    first = {t.type_name: t for t in (lab.pair().compression, lab.pair().crushing)}
+    found: list[Outcome] = []
+    unused: list[str] = []
+    for file, test in _after_the_pair(lab, further):
+        curves = [curve for curve in file.curves if curve.test == test.called]
+        one = _outcome(test, curves, file, first, cylinder, d, noise) if curves else None
+        unused += [] if one else [test.called]
+        found += [one] if one else []
+    return found, unused
+
+
+def _after_the_pair(lab: Lab, further: Sequence[Lab]) -> Iterator[tuple[Lab, AbstractLabTest]]:
+    pair = (lab.pair().compression.called, lab.pair().crushing.called)
+    yield from ((lab, test) for test in lab.tests if test.called not in pair)
+    yield from ((file, test) for file in further for test in file.tests)
+
+
+def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, noise: Noise):
+    """The outcome of one test; None where the library knows nothing of it."""
+    if isinstance(test, MachineTest):
+        longer, wider = _to_library(file.specimen, cylinder)
+        block = machine_alone(d, wider * test.force, len(curves))
+        rows = [_of_machine(test.force, c) * _scale(longer, wider) for c in curves]
+        return Outcome(block, np.mean(rows, axis=0))
+    if isinstance(test, RelaxationTest) and not test.protocol:
+        wider = _to_library(file.cylinder_of(test.called), cylinder)[1]
+        held = _hold(d, wider * test.force, test.hold, len(curves))
+        loss = [c.force_n[-1] - c.force_n.max() for c in curves]
+        return Outcome(held, wider * np.mean(loss, keepdims=True))
+    if test.type_name in first and not test.protocol:
+        condition = TEST_FEATURES[test.type_name].condition(first[test.type_name], test)
+        again = _again(d, noise, test.type_name, condition, test.called, 0.0)
+        rows = np.array([_of_soil(again, test.type_name, d, c, file, cylinder) for c in curves])
+        return _known(again, rows)
+    return None
+
+
+def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
+    """The outcome of features that every repeat (n, m) shows; None if there are none."""
+    keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    if not len(keep):
+        return None
+    assert test.rows is not None and isinstance(test.response, Varied)
+    of = test.rows[keep]
+    response = Varied(test.response.description, of, test.response.condition)
+    labels = tuple(test.labels[i] for i in keep)
+    some = FurtherTest(
+        test.name, test.cost, labels, response, test.specimen[np.ix_(keep, keep)], len(rows),
+        len(rows), of,
+    )  # fmt: skip
+    return Outcome(some, rows[:, keep].mean(axis=0))
+
+
+def _of_soil(again: FurtherTest, name: str, d: Linearised, curve: Curve, file: Lab, cylinder):
+    """Features (m,) of a curve at the library's size."""
+    longer, wider = _to_library(file.cylinder_of(curve.test), cylinder)
+    features = [d.features[i] for i in (again.rows if again.rows is not None else ())]
+    scaled = {name: (curve.displacement_mm * longer, curve.force_n * wider)}
+    return recorded_feature_values(features, scaled)
+
+
+def _to_library(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:
+    """What takes displacements and forces of a specimen to the library's size."""
+    return cylinder.height / own.height, (cylinder.diameter / own.diameter) ** 2
+
+
+def _scale(longer: float, wider: float) -> np.ndarray:
+    return np.array([wider, *[longer] * len(SHARES)])
+
+
+def _of_machine(force: float, curve: Curve) -> np.ndarray:
+    """What a bare machine shows: reading at rest (N), displacements (mm) on loading from the first
+    of its forces on."""
+    at_rest = force_before_contact(curve.force_n)
+    at_rest = float(curve.force_n[0]) if not np.isfinite(at_rest) else at_rest
+    top = int(np.argmax(curve.force_n)) + 1
+    way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top])
+    places = np.interp(force * np.array([FROM, *SHARES]), up, way)
+    return np.array([at_rest, *(places[1:] - places[0])])
+
+
+def machine_alone(d: Linearised, force: float, repeats: int) -> FurtherTest:
+    """Loading on a steel block or the bare base to a force (N)."""
+    forces = jnp.asarray([FROM * force, *(share * force for share in SHARES)])
+    columns = {}
+    for name in (COMPLIANCE, GAP):
+        way = 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(forces))
+        columns[name] = np.array([0.0, *(way[1:] - way[0])])
+    columns[OFFSET] = np.array([1.0, *np.zeros(len(SHARES))])
+    labels = [f"displacement at {share * force:g} N, mm" for share in SHARES]
+    sd = np.array([AT_REST_SD, *[BLOCK_SD] * len(SHARES)])
+    found = _without_soil(
+        d, "steel block in the machine", 1.0, ["reading at rest, N", *labels], columns, sd, repeats
+    )
+    entries = {"type": MachineTest.type_name, "name": found.name, "force": f"{force:g} N"}
+    return replace(found, entries=entries)
+
+
+def _without_soil(d, name: str, cost: float, labels, columns, sd, repeats: int) -> FurtherTest:
     m = len(labels)
     slopes = np.zeros((m, len(d.effects)))
     for k, effect in enumerate(d.effects):
         if effect.name in columns:
             slopes[:, k] = columns[effect.name] * effect.typical
-    return FurtherTest(
-        name, cost, tuple(labels), np.zeros(m), np.zeros((m, len(d.base_names))), slopes,
-        np.diag(np.broadcast_to(np.asarray(sd, float) ** 2, (m,))), REPEATS,
-    )  # fmt: skip
+    response = LinearResponse(np.zeros(m), np.zeros((m, len(d.prior_sd))), slopes)
+    noise = np.diag(np.broadcast_to(np.asarray(sd, float) ** 2, (m,)))
+    return FurtherTest(name, cost, tuple(labels), response, noise, repeats)
 
 
-def _block(d: Linearised) -> FurtherTest:
-    force = jnp.asarray(BLOCK_FORCES)
-    columns = {
-        name: 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(force))
-        for name in ("load_frame_compliance", "seating_gap")
-    }
-    labels = [f"displacement at {f:g} N, mm" for f in BLOCK_FORCES]
-    return _machine(d, "steel block in the machine", 1.0, labels, columns, BLOCK_SD)
+def _hold(d: Linearised, force: float, hold: float, repeats: int) -> FurtherTest:
+    """A hold in the mould; what it loses is not seen by the other effects."""
+    decades = DECADES_OF_A_HOLD + np.log10(hold / HOLD)
+    columns = {RATE: np.array([-force * decades]), DRIFT: np.array([hold])}
+    label = f"change of force in a hold of {hold:g} s at {force:g} N, N"
+    found = _without_soil(
+        d, f"hold at {force:g} N for {hold:g} s", 1.0, [label], columns, HOLD_SD, repeats
+    )
+    entries = {"type": RelaxationTest.type_name, "name": found.name, "force": f"{force:g} N",
+               "hold": f"{hold:g} s"}  # fmt: skip
+    return replace(found, specimens=repeats, entries=entries)
 
 
-def _weight_and_empty_run(d: Linearised) -> FurtherTest:
-    columns = {
-        "load_cell_gain": np.array([WEIGHT, 0.0, 0.0]),
-        "load_cell_offset": np.array([0.0, 1.0, 1.0]),
-        "load_cell_drift": np.array([0.0, 0.0, WAITING]),
-    }
-    labels = ["10 kg, N beyond 98.1", "nothing on the cell, N", "the same 20 min later, N"]
-    return _machine(d, "10 kg on the load cell, and an empty run", 1.0, labels, columns, FORCE_SD)
-
-
-def _hold(d: Linearised) -> FurtherTest:
-    columns = {
-        "rate_dependence": np.array([-400.0 * DECADES_OF_A_HOLD]),
-        "load_cell_drift": np.array([HOLD]),
-    }
-    labels = ["change of force in a minute's hold at 400 N, N"]
-    return _machine(d, "hold at 400 N for a minute", 1.0, labels, columns, HOLD_SD)
-
-
-def _again(d: Linearised, noise: Noise, test: str, variation: Variation) -> FurtherTest:
+def _again(
+    d: Linearised, noise: Noise, test: str, condition: Condition, name: str, cost: float
+) -> FurtherTest:
     """A test repeated on fresh specimens under another condition."""
-    mine = np.flatnonzero(tests_of(d.features) == test)
+    mine = np.flatnonzero(
+        (tests_of(d.features) == test) & np.array([f.kind not in APART for f in d.features])
+    )
     labels = tuple(d.features[i].name for i in mine)
     covariance = noise.specimen[np.ix_(mine, mine)]
-    return FurtherTest(
-        variation.name, variation.cost, labels, d.mean[mine], d.base_slopes[mine],
-        _varied(d, variation)[mine], covariance, REPEATS,
-    )  # fmt: skip
-
-
-def _varied(d: Linearised, variation: Variation) -> np.ndarray:
-    """Slopes (m, k) of the effects under another condition; over decades of rate, rate dependence
-    multiplies contact forces by exp(rho decades)."""
-    slopes = d.effect_slopes.copy()
-    for name, factor in variation.factors.items():
-        if name in d.effect_names:
-            k = d.effect_names.index(name)
-            slopes[:, k] = factor * slopes[:, k] if factor else 0.0
-    if variation.decades and "rate_dependence" in d.effect_names:
-        k = d.effect_names.index("rate_dependence")
-        forces = [d.base_names.index(n) for n in ("shear_modulus", "surface_energy")]
-        per_decade = d.effects[k].typical * d.base_slopes[:, forces].sum(axis=1)
-        slopes[:, k] += variation.decades * per_decade
-    return slopes
+    response = Varied(d, mine, condition)
+    return FurtherTest(name, cost, labels, response, covariance, REPEATS, REPEATS, mine)

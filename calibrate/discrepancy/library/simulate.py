@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import SMOOTHING, Design
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign, Run, side_by_side
@@ -26,9 +26,11 @@ from jdem.effects.cementation import Cementation
 from jdem.effects.composite import EFFECTS, with_strengths
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import neutral_soil
+from jdem.packing.specimen import Specimen
 
 Numbers = Sequence[float] | np.ndarray
+# Twice as fast as the preset standard: the same depth within 0.3 % and force within 1.5 %.
+PACE = replace(PRESETS["standard"], name="library", rate_in_mould=0.16, rate_free=0.10)
 COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
 
 
@@ -36,8 +38,8 @@ COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories
 class Simulator:
     """Runs single specimens of a lab's tests with effects and settings of any strength.
 
-    One compiled program serves all that have the same number of spheres, a second one those
-    without costly effects: strength 0 changes no bit.
+    One compiled program serves all that have the same number of spheres and porosity, a second one
+    those without costly effects: strength 0 changes no bit.
     """
 
     lab: Lab
@@ -45,7 +47,7 @@ class Simulator:
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
     dtype: str = "float32"
-    _campaigns: dict[tuple[int, bool], Campaign] = field(default_factory=dict)
+    _campaigns: dict[tuple[int, float, bool], Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
         self.effects = self.effects or switched_off(EFFECTS)
@@ -56,31 +58,31 @@ class Simulator:
     ) -> Run:  # fmt: skip
         """One specimen through both tests.
 
-        setting: smoothing factor - 1 and ln of the preparation friction's factor; strengths
-        in SI in the order of `effects`; seed of the packing.
+        setting: smoothing factor - 1 and porosity less the usual one; strengths in SI in the
+        order of `effects`; seed of the packing.
         """
         pairs = list(zip(self.effects, map(float, strengths), strict=True))
         lean = not any(strength and isinstance(effect, self.costly) for effect, strength in pairs)
-        shared = self._campaign(spheres, lean)
+        shared = self._campaign(spheres, round(float(setting[1]), 4), lean)
         smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
         numerics = replace(shared.lab.numerics, smoothing=smoothing)
         kept = [s for effect, s in pairs if not (lean and isinstance(effect, self.costly))]
         changed = with_strengths(shared.lab.effects, kept)
         lab = replace(shared.lab, numerics=numerics, effects=changed)
-        settling = prepared_with(setting[1])
-        one = replace(shared, lab=lab, preparation=settling, progress=Silent(), workers=1)
+        one = replace(shared, lab=lab, progress=Silent(), workers=1)
         return one.each([[soil]], [seed], "")[0][0]
 
-    def _campaign(self, spheres: int, lean: bool) -> Campaign:
-        if (spheres, lean) not in self._campaigns:
-            preset = replace(PRESETS["quick"], spheres=spheres)
-            cylinder = specimen(self.lab, preset)
-            plain = virtual_lab(self.lab, preset, numerics_for(cylinder, dtype=self.dtype))
+    def _campaign(self, spheres: int, loose: float, lean: bool) -> Campaign:
+        if (spheres, loose, lean) not in self._campaigns:
+            preset = replace(PACE, spheres=spheres)
+            cylinder = loosened(specimen(self.lab, preset), loose)
+            numerics = numerics_for(cylinder, dtype=self.dtype)
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
-            lab = VirtualLab.of(cylinder, plain.tests, plain.numerics, kept)
+            tests = virtual_lab(self.lab, preset, numerics).tests
+            lab = VirtualLab.of(cylinder, tests, numerics, kept)
             folder = self.folder / str(spheres)
-            self._campaigns.setdefault((spheres, lean), Campaign(lab, cylinder, folder))
-        return self._campaigns[spheres, lean]
+            self._campaigns.setdefault((spheres, loose, lean), Campaign(lab, cylinder, folder))
+        return self._campaigns[spheres, loose, lean]
 
 
 def switched_off(
@@ -90,11 +92,10 @@ def switched_off(
     return tuple(effect(0.0) for effect in effects.values())
 
 
-def prepared_with(ln_friction: float) -> SoilParameters:
-    """The neutral soil that beds settle with, its friction times exp(ln_friction)."""
-    soil = neutral_soil()
-    friction = float(soil.static_friction) * math.exp(round(float(ln_friction), 6))
-    return with_values(soil, {"static_friction": friction})
+def loosened(cylinder: Specimen, loose: float) -> Specimen:
+    """A specimen of a porosity that is larger by `loose`."""
+    usual = cylinder.porosity or 0.0
+    return replace(cylinder, porosity=round(usual + loose, 4)) if loose else cylinder
 
 
 def run_design(
@@ -133,7 +134,8 @@ def run_points(
     centre = with_values(base_soil(simulator.lab), dict(design.centre))
     wide = len(design.soil_names)
 
-    def one(row: int) -> Run:
+    def one(place: int) -> Run:
+        row = order[place]
         values = {
             name: design.centre[name] * math.exp(points.base[row, i])
             for i, name in enumerate(design.soil_names)
@@ -143,11 +145,20 @@ def run_points(
             points.strengths[row], points.spheres[row], int(points.seeds[row]),
         )  # fmt: skip
 
-    return side_by_side(one, len(points.base), progress, "simulating", workers)
+    order = _two_packings_in_turn(points.seeds)
+    made = side_by_side(one, len(points.base), progress, "simulating", workers)
+    return [made[place] for place in np.argsort(order)]
+
+
+def _two_packings_in_turn(seeds: np.ndarray) -> np.ndarray:
+    """The order (n,) in which two workers never wait for the same packing to be prepared."""
+    _, packing = np.unique(seeds, return_inverse=True)
+    number = np.array([int((packing[:i] == one).sum()) for i, one in enumerate(packing)])
+    return np.lexsort((packing % 2, number, packing // 2))
 
 
 def reference_run(design: Design, simulator: Simulator) -> Run:
     """The centre's soil on the first packing, without effects."""
     soil = with_values(base_soil(simulator.lab), dict(design.centre))
     none = [0.0] * len(simulator.effects)
-    return simulator.run(soil, (0.0, 0.0), none, design.spheres, 1000 * design.seed)
+    return simulator.run(soil, (SMOOTHING[0], 0.0), none, design.spheres, 1000 * design.seed + 1)

@@ -67,8 +67,8 @@ def save(library: RunLibrary, path: Path) -> None:
 
 
 def bundled_library() -> Path:
-    """The file that comes with the package: the bundled soil's tests with 150 spheres."""
-    return Path(str(resources.files("calibrate.discrepancy.library") / "data" / "quick.nc"))
+    """The file that comes with the package: the bundled soil's tests, resolved beds."""
+    return Path(str(resources.files("calibrate.discrepancy.library") / "data" / "resolved.nc"))
 
 
 def load(path: Path) -> RunLibrary:
@@ -123,7 +123,7 @@ def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
     if not parts:
         return ()
     parts.setdefault("soil_block", np.full_like(parts["rest"], NO_SOIL_BLOCKS))
-    scalars = ("curved", "packing", "soil_block", "rest")
+    scalars = ("curved", "packing", "soil_block", "rest", "coarse")
     return tuple(
         Kernel(**{n: v[c, 0] if n in scalars else v[c] for n, v in parts.items()})
         for c in range(len(parts["linear"]))

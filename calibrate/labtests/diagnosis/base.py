@@ -9,7 +9,7 @@ looked at, for a soil and not for a specimen, and reads them off a curve.
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -53,15 +53,30 @@ class UsualSizes:
     peak_n: float
 
 
+class PlatenTest(Protocol):
+    """What conditions need of a test's table."""
+
+    rate: float
+
+
 @dataclass(frozen=True)
 class Variation:
-    """The test again under another condition: its cost (h), factors on the slopes of effects, and
-    the decades of rate by which it is faster."""
+    """The test again under another condition: its cost (h), by what factor it is faster, and the
+    entries of its table in a lab file that are true then."""
 
     name: str
     cost: float
+    faster: float = 1.0
+    entries: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How a test differs from the first of its type: factors on the strengths of effects, and the
+    decades of rate by which it is faster."""
+
     factors: Mapping[str, float]
-    decades: float = 0.0
+    decades: float
 
 
 class AbstractTestFeatures(abc.ABC):
@@ -71,7 +86,7 @@ class AbstractTestFeatures(abc.ABC):
     segments: words for each segment; target: the scalar observable of the test; branches: kinds
     that follow the curve, by abscissa; tared: kinds that are read without the force before
     contact (None: all); read_at_forces: whether abscissae are forces; variations: of the test that
-    would separate explanations.
+    would separate explanations; switches: entries of its table that keep an effect away.
     """
 
     name: ClassVar[str]
@@ -83,6 +98,24 @@ class AbstractTestFeatures(abc.ABC):
     tared: ClassVar[tuple[str, ...] | None]
     read_at_forces: ClassVar[bool]
     variations: ClassVar[tuple[Variation, ...]]
+    switches: ClassVar[Mapping[str, str]]
+
+    @abc.abstractmethod
+    def with_rate(self, faster: float) -> Mapping[str, float]:
+        """Factors on the strengths of effects in a test that is faster by a factor."""
+
+    def condition(self, first: PlatenTest, other: PlatenTest) -> Condition:
+        """How `other` differs from the first test of this type."""
+        on = [
+            entry for entry in self.switches
+            if getattr(other, entry) and not getattr(first, entry)
+        ]  # fmt: skip
+        return self.varied(other.rate / first.rate, on)
+
+    def varied(self, faster: float, entries: Sequence[str]) -> Condition:
+        """The condition of a test that is faster by a factor, with these entries true."""
+        away = dict.fromkeys((self.switches[entry] for entry in entries), 0.0)
+        return Condition({**self.with_rate(faster), **away}, float(np.log10(faster)))
 
     @abc.abstractmethod
     def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:

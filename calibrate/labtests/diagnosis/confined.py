@@ -5,6 +5,7 @@ from the one at half of it on loading, as a laboratory is free to choose its zer
 """
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -46,8 +47,8 @@ SEGMENTS = {  # in words
     "before contact": "reading before contact in the confined test",
 }
 VARIATIONS = (
-    Variation("confined test in a freshly greased mould", 3.0, {"wall_friction": 0.0}),
-    Variation("confined test at a tenth of the speed", 2.0, {"acquisition_lag": 0.1}, -1.0),
+    Variation("confined test in a freshly greased mould", 3.0, entries=("fresh_grease",)),
+    Variation("confined test at a tenth of the speed", 2.0, faster=0.1),
 )
 
 
@@ -63,6 +64,10 @@ class ConfinedFeatures(AbstractTestFeatures):
     tared = ("loading",)
     read_at_forces = True
     variations = VARIATIONS
+    switches: ClassVar = {"fresh_grease": "wall_friction"}
+
+    def with_rate(self, faster: float) -> dict[str, float]:
+        return {"acquisition_lag": faster}  # it moves curves by speed times lag
 
     def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:
         high = usual.force_high

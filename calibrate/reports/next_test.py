@@ -1,0 +1,113 @@
+"""What to measure next: a table for the terminal, a picture, and a lab file for the answer."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as Terminal
+
+from calibrate.core.files import write_json, write_text
+from calibrate.discrepancy.comparison.next_test import Proposal, why_stop
+from calibrate.discrepancy.comparison.verdict import proposed
+from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.figures import diagnosis as plots
+from calibrate.figures.style import svg
+from calibrate.io.lab import Lab
+from calibrate.records.base import record
+from calibrate.records.diagnosis import NextTestRecord
+from calibrate.reports.diagnosis_words import percent
+from calibrate.reports.effects import title
+from calibrate.reports.html import number
+
+ANSWER = "next_lab.toml"
+WHY = {
+    "sure": "Nothing more need be measured: the explanation is as good as certain.",
+    "nothing helps": "No test on the list would tell more than these data do.",
+    "": "",
+}
+HEAD = """# What `{command}` proposes: {name}.
+# Put the curve of each repeat beside this file, then: calibrate diagnose LAB.toml --further {file}
+
+[soil]
+name = "{soil}"
+
+[specimen]
+diameter = "{diameter:g} mm"
+height = "{height:g} mm"
+
+[[tests]]
+{entries}
+"""
+CURVE = """
+[[tests.curves]]
+file = "next_{number}.csv"
+displacement = {{ column = "displacement", unit = "mm" }}
+force = {{ column = "force", unit = "N" }}
+"""
+
+
+def write(out: Path, diagnosis: Diagnosis, path: Path | None, console: Console) -> None:
+    """next.json (and `--json`), figures/next_test.svg and a lab file for the answer; the table."""
+    stop = why_stop(diagnosis.comparison, diagnosis.proposals)
+    content = {
+        "stop": stop, "probability_by_class": diagnosis.comparison.by_class,
+        "tests": [proposed(proposal, stop) for proposal in diagnosis.proposals],
+    }  # fmt: skip
+    for place in (out / "next.json", path):
+        if place is not None:
+            write_json(place, content)
+    _leading(diagnosis.comparison.by_class, console)
+    if diagnosis.proposals:
+        best = diagnosis.proposals[0]
+        write_text(out / ANSWER, answer_file(diagnosis.lab, best))
+        write_text(out / "figures" / "next_test.svg", _picture(best, stop))
+        console.print(_table(diagnosis.proposals))
+        if not stop:
+            console.print(f"Next: {best.name}. Record it as {out / ANSWER} shows.")
+    if stop:
+        console.print(WHY[stop])
+
+
+def answer_file(lab: Lab, proposal: Proposal) -> str:
+    """A lab file that waits for the curves of a proposed test."""
+    size = {"diameter": 1e3 * lab.specimen.diameter, "height": 1e3 * lab.specimen.height}
+    entries = "\n".join(f"{key} = {_toml(value)}" for key, value in proposal.entries.items())
+    head = HEAD.format(
+        command="calibrate next", name=proposal.name, file=ANSWER, soil=lab.name.replace('"', "'"),
+        entries=entries, **size,
+    )  # fmt: skip
+    return head + "".join(CURVE.format(number=n) for n in range(1, REPEATS + 1))
+
+
+REPEATS = 2
+
+
+def _toml(value: str | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else f'"{value}"'
+
+
+def _leading(by_class: Mapping[str, float], console: Console) -> None:
+    order = sorted(by_class, key=lambda name: -by_class[name])
+    shown = [f"{title(name)} {percent(by_class[name])}" for name in order[:4]]
+    console.print("So far: " + ", ".join(shown) + ".")
+
+
+def _table(proposals: Sequence[Proposal]) -> Terminal:
+    table = Terminal("further test", "time", "fresh specimens", "tells (nats)", "chance to name it")
+    for one in proposals:
+        table.add_row(
+            one.name, f"{number(one.cost, 2)} h", str(one.specimens), number(one.gain, 2),
+            percent(one.chance),
+        )  # fmt: skip
+    table.add_row("these data alone", "", "", "", percent(proposals[0].chance_now))
+    return table
+
+
+def _picture(proposal: Proposal, stop: str) -> str:
+    found = record(NextTestRecord, {**proposed(proposal, stop), "all": []})
+    units = {label: "mm" if _is_length(label) else "N" for label in proposal.labels}
+    return svg(plots.next_figure(found, units, title))
+
+
+def _is_length(label: str) -> bool:
+    return label.endswith(", mm") or label.startswith(("displacement", "travel"))

@@ -1,0 +1,195 @@
+"""`calibrate next` and what becomes of its answer: responses, the bare machine, lab files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jax
+import numpy as np
+import pytest
+import toy_library
+from test_diagnose_verb import call
+
+from calibrate.discrepancy.comparison.compare import compare
+from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.further_tests import (
+    SHARES,
+    Varied,
+    _of_machine,
+    machine_alone,
+    menu,
+    outcomes,
+)
+from calibrate.io.lab import Lab, load_lab
+from calibrate.labtests.diagnosis.base import Condition
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES
+from calibrate.labtests.measured import Curve
+from calibrate.reports.next_test import ANSWER
+from jdem.apparatus.platen_on_base import PlatenOnBase
+from jdem.effects.composite import EFFECTS
+from jdem.laboratory.bare_machine import BareMachine
+from jdem.laboratory.virtual_lab import TestSequence
+
+jax.config.update("jax_enable_x64", True)
+
+OFFSET = 10.0  # N
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("next")
+    toy_library.write_library(folder / "library.nc")
+    toy_library.write_lab(folder / "lab", "toy", OFFSET)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def lab(place) -> Lab:
+    return load_lab(place / "lab" / "lab.toml")
+
+
+@pytest.fixture(scope="module")
+def known(lab):
+    """Description, measured sample and comparison of the toy laboratory."""
+    emulated = EmulatedLibrary.of(toy_library.library())
+    _, d, measured = described(lab, emulated, 0)
+    prepared = prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
+    return d, measured, compare(prepared, measured)
+
+
+def block(readings: np.ndarray) -> Curve:
+    """A curve of the bare machine: columns mm, N."""
+    return Curve("steel block", readings[:, 0], readings[:, 1], "block.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [("load_frame_compliance", 2e-7), ("seating_gap", 3e-4), ("load_cell_offset", 7.0)],
+)
+def test_a_bare_machine_shows_what_its_response_predicts(name, strength, known):
+    """The virtual machine, whose equations are those of `jdem.laboratory.bare_machine`."""
+    d, _, _ = known
+    press = PlatenOnBase(force=400.0, loading=60.0)
+    (reading,) = BareMachine(TestSequence((press,)), (EFFECTS[name](strength),)).run().values()
+    curve = np.column_stack([1e3 * reading.curve.displacement, reading.curve.force])
+    candidate = replace(d.effects[0], name=name, typical=1.0)
+    alone = replace(d, effects=(candidate,), effect_slopes=d.effect_slopes[:, :1], emulator=None)
+    told = machine_alone(alone, 400.0, 1).response(np.zeros(len(d.prior_sd)), np.array([strength]))
+    found = _of_machine(400.0, block(curve))
+    assert found == pytest.approx(told[0], abs=0.02 if name == "load_cell_offset" else 2e-3)
+    assert np.abs(told[0]).max() > 0.02 and len(found) == 1 + len(SHARES)
+
+
+def test_slopes_under_another_condition_are_derivatives(known):
+    d, _, _ = known
+    rows = np.arange(0, len(d.features), 5)
+    again = Varied(d, rows, Condition({"load_cell_gain": 0.5}, 0.0))
+    delta = 0.1 * np.arange(len(d.prior_sd)) / len(d.prior_sd)
+    strengths, step = np.array([0.3, 0.2, 0.1]), 1e-4
+    values, base, effects = again(delta, strengths)
+    assert values == pytest.approx(d.at(delta, strengths * [0.5, 1, 1])[0][rows])
+    for k in range(3):
+        ahead, back = (again(delta, strengths + s * step * np.eye(3)[k])[0] for s in (1, -1))
+        scale = np.abs(effects[:, k]).max()
+        assert effects[:, k] == pytest.approx((ahead - back) / (2 * step), abs=2e-3 * scale)
+    ahead, back = (again(delta + s * step * np.eye(len(delta))[0], strengths)[0] for s in (1, -1))
+    assert base[:, 0] == pytest.approx((ahead - back) / (2 * step), rel=1e-3, abs=1e-3)
+
+
+def test_conditions_follow_from_tables_of_tests(lab):
+    first = lab.pair().compression
+    slower = first.model_copy(update={"rate": 0.1 * first.rate, "fresh_grease": True})
+    found = TEST_FEATURES["confined"].condition(first, slower)
+    assert found.factors == {"acquisition_lag": pytest.approx(0.1), "wall_friction": 0.0}
+    assert found.decades == pytest.approx(-1.0)
+    crushing = lab.pair().crushing
+    quick = crushing.model_copy(update={"rate": 10 * crushing.rate})
+    assert TEST_FEATURES["unconfined"].condition(crushing, quick).factors == {
+        "load_cell_drift": pytest.approx(0.1)
+    }
+
+
+def test_every_offer_can_come_back(known, lab):
+    d, _, comparison = known
+    for offer in menu(d, comparison.noise, lab.pair().rates):
+        assert {"type", "name"} <= set(offer.entries), offer.name
+
+
+def test_a_run_of_the_first_test_again_reads_as_the_first(known, lab):
+    """The same curves as a further test: their outcome is the measured mean."""
+    d, measured, comparison = known
+    curves = tuple(replace(c, test="again") for c in lab.curves if c.test == "confined")
+    again = lab.pair().compression.model_copy(update={"name": "again"})
+    more = replace(lab, tests=(again,), curves=curves)
+    (found,), unused = outcomes(lab, [more], toy_library.library().cylinder, d, comparison.noise)
+    assert not unused and found.test.repeats == 4
+    assert found.found == pytest.approx(measured.specimens[:, found.test.rows].mean(axis=0))
+
+
+@pytest.fixture(scope="module")
+def proposed(place) -> Path:
+    out = place / "proposed"
+    options = ("--library", place / "library.nc", "--out", out)
+    assert call("next", place / "lab" / "lab.toml", *options) == 0
+    return out
+
+
+def test_next_writes_a_list_a_drawing_and_a_lab_file(proposed):
+    found = json.loads((proposed / "next.json").read_text())
+    gains = [test["gain_nats"] for test in found["tests"]]
+    assert gains == sorted(gains, reverse=True) and gains[0] >= 0
+    assert all(0 <= test["chance"] <= 1 and test["cost"] > 0 for test in found["tests"])
+    drawn = ElementTree.parse(proposed / "figures" / "next_test.svg").getroot()
+    assert drawn.tag.endswith("svg")
+    for number in (1, 2):
+        rows = [f"{0.1 * k:.1f},{50 * k}" for k in range(10)]
+        (proposed / f"next_{number}.csv").write_text("\n".join(["displacement,force", *rows]))
+    assert load_lab(proposed / ANSWER).tests[0].called == found["tests"][0]["name"]
+
+
+BLOCK = """[soil]
+name = "toy"
+[specimen]
+diameter = "50 mm"
+height = "100 mm"
+[[tests]]
+type = "machine"
+name = "steel block"
+force = "400 N"
+[[tests.curves]]
+file = "block.csv"
+displacement = { column = "mm", unit = "mm" }
+force = { column = "N", unit = "N" }
+"""
+
+
+def offset_after(place: Path, reading: float) -> dict:
+    """What a diagnosis says with a bare machine that shows a reading (N) at rest."""
+    folder = place / f"block_{reading:g}"
+    folder.mkdir()
+    (folder / "block.toml").write_text(BLOCK)
+    force = np.concatenate([np.full(40, reading), np.linspace(reading, 400, 80)])
+    way = np.concatenate([np.linspace(-0.5, 0, 40), np.zeros(80)])
+    rows = [f"{x:.4f},{f:.2f}" for x, f in zip(way, force, strict=True)]
+    (folder / "block.csv").write_text("\n".join(["mm,N", *rows]))
+    options = ("--library", place / "library.nc", "--out", folder / "out")
+    more = ("--further", folder / "block.toml")
+    assert call("diagnose", place / "lab" / "lab.toml", *options, *more) == 0
+    return json.loads((folder / "out" / "result.json").read_text())
+
+
+def test_an_answer_comes_back_as_a_lab_file_and_moves_the_verdict(place):
+    """A machine that reads the offset at rest without soil, and one that reads nothing."""
+    seen, unseen = offset_after(place, OFFSET), offset_after(place, 0.0)
+    assert seen["further_tests"]["tests"] == ["steel block in the machine"]
+    assert seen["further_tests"]["foreseen"]
+
+    def share(found: dict) -> float:
+        every = found["which"]["probability"]
+        return sum(p for name, p in every.items() if "load_cell_offset" in name)
+
+    assert share(seen) > 0.95 > 0.05 > share(unseen)
+    page = (place / f"block_{OFFSET:g}" / "out" / "diagnosis.html").read_text()
+    assert "Further tests (steel block in the machine)" in page
