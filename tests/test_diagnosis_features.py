@@ -142,6 +142,20 @@ def test_targets_alone_are_a_sample_too():
     assert sample.scatter[UNCONFINED].products[0, 0] == pytest.approx(3 * 20.0**2)
 
 
+def test_recording_adds_nothing_where_the_typical_specimen_ends():
+    """The same but for the last third of crushing: 0 there, finite everywhere."""
+    channels = {CONFINED: Channel(0.3, 0.5, 0.002), UNCONFINED: Channel(0.3, 0.5, 0.002)}
+    whole = both()
+    displacement, force = whole[UNCONFINED]
+    ends = displacement < 0.6 * displacement.max()
+    short = {**whole, UNCONFINED: (displacement[ends], force[ends])}
+    missing = np.isnan(feature_values(FEATURES, short))
+    assert missing.any() and not np.isnan(feature_values(FEATURES, whole)).any()
+    shift, covariance, either = recording(FEATURES, short, channels, np.random.default_rng(0))
+    assert not shift[missing].any() and not either[missing].any()
+    assert np.isfinite(covariance).all() and np.diag(covariance)[~missing].all()
+
+
 def test_recording_misses_the_peak_and_scatters():
     channels = {CONFINED: Channel(0.3, 0.5, 0.002), UNCONFINED: Channel(0.3, 0.5, 0.002)}
     shift, covariance, either = recording(FEATURES, both(), channels, np.random.default_rng(0))

@@ -58,9 +58,7 @@ class ContactLaw(AbstractContactLaw):
         A force at the surface of a sphere turns it too, so that slip sees less inertia:
         1/m_t = 1/m* (1 + m r^2/I) = 7/2 1/m*.
         """
-        sliding = self.tangential_multiplier * self.shear.tangential(
-            radius, DEEPEST * radius
-        )
+        sliding = self.tangential_multiplier * self.shear.tangential(radius, DEEPEST * radius)
         return jnp.minimum(
             longest_step(mass, self.normal.stiffness_bound(radius), self.normal.damping_ratio()),
             longest_step(mass * SLIPPING, sliding, self.tangential.damping_ratio() / SLIPPING**0.5),

@@ -69,7 +69,8 @@ def recording(
     air: ways (mm) before contact that are recorded too.  What is recorded is read as that of a
     laboratory is (`recorded_feature_values`).
     """
-    moments, means = _departures(features, curves, channels, rng, repeats, air or {})
+    departures = _departures(features, curves, channels, rng, repeats, air or {})
+    moments, means = map(np.nan_to_num, departures)  # nothing where the typical specimen ends
     centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
     shift, either = _middle(moments, means)
     return shift, best_shape(centred).of(centred), either

@@ -74,7 +74,7 @@ def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
     one row where there are no lags."""
     if not rows:
         return shift[None], either[None]
-    shifts, halves = (_filled(np.array(part)) for part in zip(*rows, strict=True))
+    shifts, halves = (np.nan_to_num(_filled(np.array(part))) for part in zip(*rows, strict=True))
     return shifts - shifts[0] + shift, halves - halves[0] + either
 
 
