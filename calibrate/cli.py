@@ -6,6 +6,7 @@ field and repair), 1 anything else.
 
 import atexit
 import gc
+import os
 import sys
 from typing import NoReturn
 
@@ -13,6 +14,10 @@ import typer
 
 from calibrate import commands
 from calibrate.core.errors import CalibrationError, InputError, one_line
+
+# Before numpy is loaded: its matrices here are small, and threads that wait for each other beside
+# those of simulations made a diagnosis four times as long.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     add_completion=False,

@@ -25,6 +25,10 @@ WHY = {
     "nothing helps": "No test on the list would tell more than these data do.",
     "": "",
 }
+LEGEND = (
+    "Hours of a technician and fresh specimens are a guess; nats say how far the outcome is "
+    "expected to narrow down the explanations; chance: that the right one is then the first."
+)
 HEAD = """# What `{command}` proposes: {name}.
 # Put the curve of each repeat beside this file, then: calibrate diagnose LAB.toml --further {file}
 
@@ -62,6 +66,7 @@ def write(out: Path, diagnosis: Diagnosis, path: Path | None, console: Console) 
         write_text(out / ANSWER, answer_file(diagnosis.lab, best))
         write_text(out / "figures" / "next_test.svg", _picture(best, stop))
         console.print(_table(diagnosis.proposals))
+        console.print(LEGEND)
         if not stop:
             console.print(f"Next: {best.name}. Record it as {out / ANSWER} shows.")
     if stop:
@@ -93,10 +98,10 @@ def _leading(by_class: Mapping[str, float], console: Console) -> None:
 
 
 def _table(proposals: Sequence[Proposal]) -> Terminal:
-    table = Terminal("further test", "time", "fresh specimens", "tells (nats)", "chance to name it")
+    table = Terminal("further test", "hours", "fresh", "nats", "chance")
     for one in proposals:
         table.add_row(
-            one.name, f"{number(one.cost, 2)} h", str(one.specimens), number(one.gain, 2),
+            one.name, number(one.cost, 2), str(one.specimens), number(one.gain, 2),
             percent(one.chance),
         )  # fmt: skip
     table.add_row("these data alone", "", "", "", percent(proposals[0].chance_now))
