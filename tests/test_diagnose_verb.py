@@ -248,3 +248,10 @@ def test_a_damaged_result_is_refused(done, tmp_path):
     (tmp_path / "result.json").write_text(json.dumps(broken))
     with pytest.raises(InputError, match="features are empty"):
         report.page(tmp_path / "result.json")
+
+
+def test_tests_that_the_library_does_not_know_are_named(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    more = found.model_copy(update={"unused_tests": ["oedometer"]})
+    assert "does not know them: oedometer." in caution(more)
+    assert "does not know" not in caution(found)

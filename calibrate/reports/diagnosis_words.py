@@ -246,6 +246,10 @@ def caution(found: DiagnosisRecord) -> str:
                      "taken mostly from simulations.")  # fmt: skip
     if absent:
         parts.append(f"Nothing of the {' and the '.join(absent)} was given.")
+    if found.unused_tests:
+        parts.append(
+            f"Not used, as the library does not know them: {', '.join(found.unused_tests)}."
+        )
     absorbed = {n for group in members(found.which.verdict) for n in group}
     absorbed &= set(found.which.absorbed_by_calibration)
     if absorbed:
