@@ -253,5 +253,5 @@ def test_a_damaged_result_is_refused(done, tmp_path):
 def test_tests_that_the_library_does_not_know_are_named(done):
     found = read(done / "result.json", DiagnosisRecord)
     more = found.model_copy(update={"unused_tests": ["oedometer"]})
-    assert "does not know them: oedometer." in caution(more)
-    assert "does not know" not in caution(found)
+    assert "not in the library: oedometer." in caution(more)
+    assert "Not used" not in caution(found)

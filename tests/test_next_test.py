@@ -128,6 +128,16 @@ def test_a_run_of_the_first_test_again_reads_as_the_first(known, lab):
     assert found.found == pytest.approx(measured.specimens[:, found.test.rows].mean(axis=0))
 
 
+def test_a_further_specimen_of_another_shape_is_not_used(known, lab):
+    d, _, comparison = known
+    curves = tuple(replace(c, test="again") for c in lab.curves if c.test == "confined")
+    again = lab.pair().compression.model_copy(update={"name": "again"})
+    short = replace(lab.specimen, height=0.5 * lab.specimen.height)
+    more = replace(lab, tests=(again,), curves=curves, specimen=short)
+    cylinder = toy_library.library().cylinder
+    assert outcomes(lab, [more], cylinder, d, comparison.noise) == ([], ["again"])
+
+
 @pytest.fixture(scope="module")
 def proposed(place) -> Path:
     out = place / "proposed"

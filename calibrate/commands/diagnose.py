@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibrate.commands.options import DiscrepancyFile, LibraryFile
+from calibrate.commands.options import DiscrepancyFile, FurtherLabs, LibraryFile, StatisticsSeed
 
 if TYPE_CHECKING:
     from calibrate.discrepancy.library.run_library import RunLibrary
@@ -30,15 +30,8 @@ def diagnose_command(
             help="Simulate the leading explanations on N more packings; 0: none.",
         ),
     ] = 0,
-    further: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--further", metavar="LAB.toml", help="Lab file of further tests; repeatable."
-        ),
-    ] = None,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
-    ] = 0,
+    further: FurtherLabs = None,
+    seed: StatisticsSeed = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path(
         "results/diagnose"
     ),

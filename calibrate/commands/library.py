@@ -1,6 +1,6 @@
 """`calibrate library`: simulate a library of runs for labs of one kind, for `calibrate diagnose`.
 
-Takes some two, five and fifteen seconds of one core for each simulation of 500, 1000 and 2500
+Takes some 2, 6 and 18 seconds of one core of two for each simulation of 500, 1000 and 2500
 spheres, and can be stopped and resumed; what is there already is not simulated again.
 """
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calibrate.commands.options import DiscrepancyFile, LibraryFile
+from calibrate.commands.options import DiscrepancyFile, FurtherLabs, LibraryFile, StatisticsSeed
 
 
 def register(app: typer.Typer) -> None:
@@ -17,13 +17,8 @@ def next_command(
     lab: Annotated[Path, typer.Argument(metavar="LAB.toml", help="Lab file with curves.")],
     library: LibraryFile = None,
     discrepancy: DiscrepancyFile = None,
-    further: Annotated[
-        list[Path] | None,
-        typer.Option("--further", metavar="LAB.toml", help="Further tests made; repeatable."),
-    ] = None,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
-    ] = 0,
+    further: FurtherLabs = None,
+    seed: StatisticsSeed = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("results/next"),
     json: Annotated[Path | None, typer.Option("--json", help="Write the result here.")] = None,
 ) -> None:

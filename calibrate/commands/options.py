@@ -33,6 +33,13 @@ LibraryFile = Annotated[
     Path | None,
     typer.Option("--library", "--bank", help="Library of runs; default: the bundled one."),
 ]
+FurtherLabs = Annotated[
+    list[Path] | None,
+    typer.Option("--further", metavar="LAB.toml", help="Lab file of further tests; repeatable."),
+]
+StatisticsSeed = Annotated[
+    int, typer.Option("--seed", min=0, max=10_000_000, help="Of simulated statistics.")
+]
 DiscrepancyFile = Annotated[
     Path | None,
     typer.Option("--discrepancy", "--mismatch", help="What `calibrate discrepancy` wrote."),

@@ -248,7 +248,7 @@ def caution(found: DiagnosisRecord) -> str:
         parts.append(f"Nothing of the {' and the '.join(absent)} was given.")
     if found.unused_tests:
         parts.append(
-            f"Not used, as the library does not know them: {', '.join(found.unused_tests)}."
+            f"Not used, without curves or not in the library: {', '.join(found.unused_tests)}."
         )
     absorbed = {n for group in members(found.which.verdict) for n in group}
     absorbed &= set(found.which.absorbed_by_calibration)

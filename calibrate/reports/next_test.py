@@ -10,6 +10,7 @@ from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.comparison.next_test import Proposal, why_stop
 from calibrate.discrepancy.comparison.verdict import proposed
 from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.discrepancy.library.further_tests import REPEATS
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.io.lab import Lab
@@ -82,9 +83,6 @@ def answer_file(lab: Lab, proposal: Proposal) -> str:
         entries=entries, **size,
     )  # fmt: skip
     return head + "".join(CURVE.format(number=n) for n in range(1, REPEATS + 1))
-
-
-REPEATS = 2
 
 
 def _toml(value: str | bool) -> str:

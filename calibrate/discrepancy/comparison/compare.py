@@ -227,10 +227,7 @@ def answered_with(
     prepared: Prepared, comparison: Comparison, probability: dict[str, float]
 ) -> Comparison:
     """The same comparison with other probabilities of explanations, by name."""
-    by_class: dict[str, float] = {}
-    for name, p in probability.items():
-        of_class = label(prepared.classes, tuple(name.split(TOGETHER)))
-        by_class[of_class] = by_class.get(of_class, 0.0) + p
+    by_class = _by_class(prepared.classes, probability)
     every = {name: 0.0 for name in comparison.probability} | probability
     verdict, names = likeliest_verdict(by_class), prepared.description.effect_names
     of_verdict = _fits_of(prepared, comparison.refits, verdict)
@@ -259,12 +256,18 @@ def probabilities(
     summary: EvidenceSummary, classes_: Classes, calibration: ProbabilityCalibration
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Probabilities by explanation and by class."""
-    every, values = hypotheses(summary), np.exp(log_probabilities(summary, calibration)).tolist()
-    by_class: dict[str, float] = {}
-    for hypothesis, p in zip(every, values, strict=True):
-        name = label(classes_, hypothesis)
-        by_class[name] = by_class.get(name, 0.0) + p
-    return dict(zip(map(TOGETHER.join, every), values, strict=True)), by_class
+    values = np.exp(log_probabilities(summary, calibration)).tolist()
+    every = dict(zip(map(TOGETHER.join, hypotheses(summary)), values, strict=True))
+    return every, _by_class(classes_, every)
+
+
+def _by_class(classes_: Classes, probability: Mapping[str, float]) -> dict[str, float]:
+    """Probabilities by class from those of explanations."""
+    found: dict[str, float] = {}
+    for name, p in probability.items():
+        of_class = label(classes_, tuple(name.split(TOGETHER)))
+        found[of_class] = found.get(of_class, 0.0) + p
+    return found
 
 
 def likeliest_verdict(by_class: Mapping[str, float]) -> str:

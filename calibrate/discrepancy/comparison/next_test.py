@@ -182,8 +182,8 @@ def updated(
         {one.name: one.probability for one in every}, chance,
     )  # fmt: skip
     if not learned.foreseen:
-        odd = max(chance.values()) / UNFORESEEN
-        after = odd * after + (1 - odd) * np.array([one.name == UNKNOWN for one in every])
+        foreseen = max(chance.values()) / UNFORESEEN
+        after = foreseen * after + (1 - foreseen) * np.array([one.name == UNKNOWN for one in every])
     probability = {one.name: float(p) for one, p in zip(every, after, strict=True)}
     return answered_with(prepared, comparison, probability), learned
 

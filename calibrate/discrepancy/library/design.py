@@ -143,14 +143,11 @@ class Design:
         smoothing = low + (high - low) * unit[:, len(self.soil_names)] ** 2
         porosity = np.array(POROSITIES)[of_packing % len(POROSITIES)]
         size = [self.sphere_size(self.spheres_of(int(j))) for j in of_packing]
-        base, strengths = np.column_stack([soil, smoothing, porosity, size]), unit[:, -self._k :]
+        base = np.column_stack([soil, smoothing, porosity, size])
+        strengths = unit[:, -len(self.limits) :]
         alone = np.isin(of_packing % OF, ALONE)
         base[alone] = base[of_packing[alone] * self.rows_each]
         return base, np.where(alone[:, None], self._single(strengths), self._strengths(strengths))
-
-    @property
-    def _k(self) -> int:
-        return len(self.limits)
 
     def _soil(self, unit: np.ndarray) -> np.ndarray:
         log = _normal(unit) * np.array(list(self.soil_sd.values()))

@@ -68,9 +68,9 @@ class Kernel(NamedTuple):
             np.log(0.2), COARSE,
         )  # fmt: skip
 
-    def larger(self, size):
+    def larger(self, size, xp=np):
         """Deviations at scaled sizes of spheres over those at 0."""
-        return np.exp(self.coarse * size)
+        return xp.exp(self.coarse * size)
 
 
 class Blocks(NamedTuple):
@@ -113,7 +113,7 @@ def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
 def _noise(kernel: Kernel, blocks: Blocks, xp=np):
     """Covariance (n, n) of what packings, soils in them and rest add."""
     rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
-    larger = xp.exp(kernel.coarse * blocks.size)
+    larger = kernel.larger(blocks.size, xp)
     return (larger[:, None] * larger) * (
         xp.exp(2 * kernel.packing) * blocks.packing
         + xp.exp(2 * kernel.soil_block) * blocks.soil_block

@@ -20,6 +20,7 @@ from calibrate.discrepancy.comparison.further import FurtherTest, LinearResponse
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.next_test import Outcome
 from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.library.measurements import SHAPE_TOLERANCE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
@@ -44,7 +45,7 @@ SHARES = (0.05, 0.125, 0.25, 0.5, 0.95)  # of the force, where it is read
 BLOCK_SD = 5e-3  # mm
 AT_REST_SD = 0.3  # N, of a mean of many readings
 HOLD = 60.0  # s
-HOLD_SD = 4.0  # N; spheres settle a little
+HOLD_SD = 1.5  # N
 DECADES_OF_A_HOLD = 2.7  # of the rate that the soil feels, from 8 mm/s to a minute of rest
 REPEATS = 2
 RATE, GAP, COMPLIANCE = "rate_dependence", "seating_gap", "load_frame_compliance"
@@ -148,7 +149,7 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
         held = _hold(d, wider * test.force, test.hold, len(curves))
         loss = [c.force_n[-1] - c.force_n.max() for c in curves]
         return Outcome(held, wider * np.mean(loss, keepdims=True))
-    if test.type_name in first and not test.protocol:
+    if test.type_name in first and not test.protocol and _of_shape(file, test, cylinder):
         condition = TEST_FEATURES[test.type_name].condition(first[test.type_name], test)
         again = _again(d, noise, test.type_name, condition, test.called, 0.0)
         rows = np.array([_of_soil(again, test.type_name, d, c, file, cylinder) for c in curves])
@@ -183,6 +184,13 @@ def _of_soil(again: FurtherTest, name: str, d: Linearised, curve: Curve, file: L
 def _to_library(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:
     """What takes displacements and forces of a specimen to the library's size."""
     return cylinder.height / own.height, (cylinder.diameter / own.diameter) ** 2
+
+
+def _of_shape(file: Lab, test: AbstractLabTest, cylinder: Cylinder) -> bool:
+    """Whether a test's specimen is as slender as the library's."""
+    own = file.cylinder_of(test.called)
+    slender = own.height / own.diameter / (cylinder.height / cylinder.diameter)
+    return bool(abs(np.log(slender)) <= SHAPE_TOLERANCE)
 
 
 def _scale(longer: float, wider: float) -> np.ndarray:
