@@ -1,11 +1,11 @@
 """Derivatives that JAX takes, against the slope of the response: tables from `calibrate audit`.
 
     python benchmarks/overdamped.py --spheres 500 --packings 8 --seed 11
-    python benchmarks/overdamped.py --spheres 1000 --packings 4 --seed 12
+    python benchmarks/overdamped.py --spheres 1000 --packings 8 --seed 12
 
-The first takes some 30 minutes on two cores, the second 40.  Audits are kept in
-results/benchmarks/overdamped; one that is there is only tabulated.  Writes
-benchmarks/results/overdamped.json and .md, all audits that are there.
+Audits are kept in results/benchmarks/overdamped; one that is there is only tabulated.  Writes
+benchmarks/results/overdamped.json and .md: all audits that are there, and all that the results
+file has already.
 """
 
 import argparse
@@ -26,6 +26,11 @@ CURVES = (
     "confined curve: mean square error over that of the slope",
 )
 BELIEVED = ("spheres", "seed", "test", "accepted packings and parameters", "largest growth")
+POOLED = ("spheres", "packings", "parameter", "reference", "overdamped", "error",
+          "packings wrong by more than 30 %")  # fmt: skip
+WRONG = 0.3
+LARGE = 0.1  # of the largest slope: smaller ones are not asked for
+DEPTH = "depression_depth_mm"
 
 
 def audited(spheres: int, packings: int, seed: int, folder: Path) -> None:
@@ -72,8 +77,43 @@ def certified(audit: dict) -> list[list[str]]:
     ]
 
 
+def pooled(audits: list[dict]) -> list[list[str]]:
+    """Depth's slopes that are asked for, over all accepted packings of one size; errors are those
+    of the difference, packing by packing."""
+    found = []
+    for spheres in sorted({audit["spheres"] for audit in audits}):
+        of_size = [audit for audit in audits if audit["spheres"] == spheres]
+        pairs = {row["parameter"]: [] for row in of_size[0]["strategies"][STRATEGY]["rows"]}
+        for row in (row for audit in of_size for row in audit["strategies"][STRATEGY]["rows"]):
+            if row["observable"] == DEPTH and row.get("estimate_by_packing"):
+                columns = row["reference_by_packing"], row["estimate_by_packing"]
+                pairs[row["parameter"]] += np.array(columns, float).T.tolist()
+        slopes = {name: np.array(rows) for name, rows in pairs.items() if rows}
+        slopes = {name: rows[np.isfinite(rows).all(axis=1)] for name, rows in slopes.items()}
+        largest = max((abs(rows[:, 0].mean()) for rows in slopes.values()), default=0.0)
+        for name, rows in slopes.items():
+            if abs(rows[:, 0].mean()) > max(LARGE * largest, 3 * _error(rows[:, 0])):
+                found.append([str(spheres), str(len(rows)), name, *_compared(*rows.T)])
+    return found
+
+
+def _compared(reference: np.ndarray, estimate: np.ndarray) -> list[str]:
+    mean, wrong = reference.mean(), np.abs(estimate / reference - 1) > WRONG
+    bias, error = (estimate - reference).mean() / mean, _error(estimate - reference) / abs(mean)
+    return [
+        f"{mean:.3g} ± {_error(reference):.2g}",
+        f"{estimate.mean():.3g} ± {_error(estimate):.2g}",
+        f"{bias:+.1%} ± {error:.1%}",
+        f"{wrong.sum()} of {len(wrong)}",
+    ]
+
+
+def _error(values: np.ndarray) -> float:
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
 def markdown(audits: list[dict], origin: dict) -> str:
-    """Three tables: slopes, curves, certificates."""
+    """Tables: slopes by audit and over all packings, curves, certificates."""
 
     def named(audit: dict) -> list[str]:
         return [str(audit["spheres"]), str(min(audit["seeds"]) // 100)]
@@ -90,7 +130,12 @@ def markdown(audits: list[dict], origin: dict) -> str:
         "errors of the reference.\n\n"
         + "\n\n".join(
             reporting.table(*both)
-            for both in ((HEADER, judged), (CURVES, curves), (BELIEVED, believed))
+            for both in (
+                (POOLED, pooled(audits)),
+                (HEADER, judged),
+                (CURVES, curves),
+                (BELIEVED, believed),
+            )
         )
         + reporting.footer(origin)
     )
@@ -114,10 +159,11 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=reporting.CACHE / "overdamped")
     chosen = parser.parse_args()
     audited(chosen.spheres, chosen.packings, chosen.seed, chosen.folder)
-    paths = sorted(
-        chosen.folder.glob("*/audit.json"), key=lambda p: int(p.parent.name.split("-")[0])
-    )
-    audits = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    paths = sorted(chosen.folder.glob("*/audit.json"))
+    known = json.loads(reporting.file_of("overdamped").read_text(encoding="utf-8"))["audits"]
+    known += [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    audits = list({(audit["spheres"], min(audit["seeds"])): audit for audit in known}.values())
+    audits.sort(key=lambda audit: (audit["spheres"], min(audit["seeds"])))
     origin = reporting.provenance()
     reporting.write("overdamped", {**origin, "audits": audits}, markdown(audits, origin))
 

@@ -81,11 +81,12 @@ def footer(origin: dict) -> str:
 
 
 def _arguments() -> list[str]:
-    """The command's options without --folder, which changes no number."""
+    """The command's options without the folder of what is kept, which changes no number."""
     options = sys.argv[1:]
-    if "--folder" in options:
-        place = options.index("--folder")
-        del options[place : place + 2]
+    for name in ("--folder", "--work"):
+        if name in options:
+            place = options.index(name)
+            del options[place : place + 2]
     return options
 
 

@@ -1,22 +1,23 @@
-"""Growth of pathwise derivatives along both tests, before and after each change of numerics.
+"""Growth of a derivative along both tests: pathwise, and with more or less drag in contacts.
 
-One tangent, d/d ln (shear modulus), is carried through every step of both tests on a few
-packings of 300 spheres.  A derivative of the platen force that grows beyond the force
-itself belongs to the path that this computer took, not to the soil.  Variants:
+Derivatives with respect to three parameters are carried through both tests, on beds of several
+sizes.  A derivative of the platen's force that grows beyond the force itself is none of the soil.
+Too little drag lets it grow; too much holds contacts that slide, and then depth's slope in the
+tangential multiplier is too large.  Differences of runs over +-20 % stand beside it.
 
-    as first built      dashpot beside the friction limit, rattling spheres hardly damped
-    dashpot limited     spring and dashpot share the friction limit
-    rattlers damped     the same, and spheres that carry no load are damped
-    sharp friction      the same with stick-slip rounded ten times less (the default)
+    python benchmarks/tangents.py               some 30 minutes on two cores
 
-    python benchmarks/tangents.py               about 5 minutes on two cores
+What values with seven derivatives cost, in forward runs, is measured in turn with values alone.
 
-Writes notebooks/data/tangents.json, benchmarks/results/tangents.md and docs/images/tangents.png.
+Each size and drag is kept once it is there (results/benchmarks/tangents).  Writes
+notebooks/data/tangents.json, benchmarks/results/tangents.md and docs/images/tangents.png.
 """
 
 import argparse
-from concurrent.futures import ThreadPoolExecutor
+import json
+import time
 from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import equinox as eqx
@@ -28,163 +29,211 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import reporting
-from jax import Array
 
+from calibrate.core.files import write_text
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.labtests.pair import KINDS
 from calibrate.simulation import Campaign
-from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
-from jdem.core import smooth
-from jdem.core.smooth import Smoothing
-from jdem.engine.bed import build_bed, steps_per_sample
-from jdem.engine.loop import run, start
-from jdem.engine.step import Bed
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from jdem.laboratory.virtual_lab import VirtualLab
-from jdem.laws.coulomb import CoulombSpring
-from jdem.mechanics.dashpot import dashpot_constant
 from jdem.packing.specimen import Packing
+from jdem.sensitivity.overdamped import Overdamped
 
-PARAMETER = "shear_modulus"
-SPHERES = 300
-AWAY = -5.0  # log10 N; smaller derivatives mean that the platen touches nothing
-
-
-class UnlimitedDashpot(CoulombSpring):
-    """As first built: the dashpot acts beside the limited spring while that one sticks."""
-
-    def force(self, contact, normal, stiffness, history):
-        limit = contact.friction * normal.frictional_load
-        loaded = jnp.where(limit > 0, 1.0, 0.0)
-        stretch = history.without(contact.normal) + contact.slip * contact.time_step
-        stretch = self._shortened(stretch, stiffness, limit) * loaded
-        load = smooth.divide(stiffness * smooth.norm(stretch), limit)
-        saturated = smooth.saturate(load, self.smoothing.slip)
-        secant = jnp.where(load > 0, smooth.divide(saturated, load), 1.0)
-        beta = dashpot_constant(self.restitution, contact.mass, jnp.maximum(stiffness, 1e-30))
-        sticking = smooth.saturate_slope(load, self.smoothing.slip) * loaded
-        return stretch * (-stiffness * secant), contact.slip * (-beta * sticking), stretch
+SEVEN = ("restitution", "static_friction", "rolling_friction", "surface_energy", "plasticity_ratio",
+         "tangential_multiplier", "shear_modulus")  # fmt: skip
+PARAMETERS = ("shear_modulus", "tangential_multiplier", "rolling_friction")
+SIZES = (150, 500, 1000, 2500)
+DRAGS = (None, 0.05, 0.15, 0.4)  # in contacts; None: pathwise
+SHOWN = 500  # spheres of the picture's left half
+STEP = 0.2  # in ln p, of differences
+STAGES = ("loading", "unloading", "crushing")
+COLOURS, LINES, MARKS = ("#9fb7c9", "#7a7a7a", "#20344f", "#c4622d"), (":", "--", "-", "-."), "osD^"
+POINTS = 200
+ROUNDS = 3
 
 
-VARIANTS = {
-    "as first built": {"unlimited": True, "unloaded": 0.0, "slip": 0.5},
-    "dashpot limited": {"unlimited": False, "unloaded": 0.0, "slip": 0.5},
-    "rattlers damped": {"unlimited": False, "unloaded": 4000.0, "slip": 0.5},
-    "sharp friction (default)": {"unlimited": False, "unloaded": 4000.0, "slip": 0.05},
-}
-STAGES = ("loading", "unloading", "resting", "crushing")
-LINES = {0: ("#9fb7c9", ":"), 1: ("#7a7a7a", "--"), 2: ("#20344f", "-"), 3: ("#c4622d", "-.")}
+class Case:
+    """Both tests of the bundled soil on packings of one size."""
+
+    def __init__(self, spheres: int, packings: int, folder: Path):
+        lab = load_lab(bundled_lab())
+        preset = replace(PRESETS["standard"], spheres=spheres)
+        self.soil, self.plain = base_soil(lab), virtual_lab(lab, preset)
+        campaign = Campaign(self.plain, specimen(lab, preset), folder)
+        self.packings = campaign.packings(range(packings))
+
+    def run(self, virtual: VirtualLab, packing: Packing, time_step, x, names=PARAMETERS):
+        """The platen's force (N), depth (mm), and the segments of the samples."""
+        old = [getattr(self.soil, name) for name in names]
+        changed = {n: jnp.exp(v) * p for n, v, p in zip(names, x, old, strict=True)}
+        found = virtual.run(packing, with_values(self.soil, changed), time_step)
+        depth = 1e3 * found.observables["confined"]["depression_depth"]
+        samples = found.record.samples
+        return (samples.platen_force, depth), samples.segment
+
+    def derivatives(self, drag: float | None):
+        """On each packing the force (N), the derivatives of force and depth, and segments."""
+        virtual = self.plain
+        if drag is not None:
+            virtual = Overdamped(contact=jnp.asarray(drag)).laboratory(self.plain)
+        for packing in self.packings:
+            found = self._taken(virtual, packing, self.plain.time_step(packing, self.soil))
+            yield [np.asarray(part) for part in found]
+
+    @cached_property
+    def _taken(self):
+        """Compiled once for all drags."""
+
+        @eqx.filter_jit
+        def taken(virtual, packing, time_step):
+            def push(tangent):
+                run = partial(self.run, virtual, packing, time_step)
+                return jax.jvp(run, (origin,), (tangent,), has_aux=True)
+
+            origin = jnp.zeros(len(PARAMETERS))
+            pushed = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(len(origin)))
+            (force, _), slopes, segment = pushed
+            return force, *slopes, segment
+
+        return taken
+
+    def differences(self) -> list[float]:
+        """Slopes of depth (mm) over +-STEP in each parameter, means over the packings."""
+
+        @eqx.filter_jit
+        def depth(packing, time_step, x):
+            return self.run(self.plain, packing, time_step, x)[0][1]
+
+        rows = []
+        for packing in self.packings:
+            time_step = self.plain.time_step(packing, self.soil)
+            moved = STEP * jnp.eye(len(PARAMETERS))
+            pairs = [[depth(packing, time_step, s * x) for s in (1, -1)] for x in moved]
+            rows.append([float(up - down) / (2 * STEP) for up, down in pairs])
+        return np.mean(rows, axis=0).tolist()
 
 
-def laboratory(lab, slip: float, unloaded: float) -> VirtualLab:
-    """The bundled soil's tests at quick's rates with 300 spheres."""
-    preset = replace(PRESETS["quick"], spheres=SPHERES)
-    smoothing = replace(Smoothing(), slip=jnp.asarray(slip))
-    numerics = numerics_for(specimen(lab, preset), smoothing=smoothing)
-    virtual = virtual_lab(lab, preset, numerics)
-    return eqx.tree_at(
-        lambda v: [v.tests[kind].damping.unloaded for kind in KINDS],
-        virtual,
-        [jnp.asarray(unloaded)] * len(KINDS),
-    )
+def cost(case: Case) -> dict:
+    """Forward runs that values with seven derivatives take: of both tests and of the first alone;
+    the median of some rounds, each with both ways in turn, one packing, compiled before."""
+    packing, origin, found = case.packings[0], jnp.zeros(len(SEVEN)), {}
+    for name, count in (("confined", 1), ("both tests", 2)):
+        tests = replace(case.plain.tests, apparatus=case.plain.tests.apparatus[:count])
+        plain = replace(case.plain, tests=tests)
+        time_step = plain.time_step(packing, case.soil)
+
+        @eqx.filter_jit
+        def values(virtual, time_step, x):
+            return case.run(virtual, packing, time_step, x, SEVEN)[0]
+
+        @eqx.filter_jit
+        def slopes(virtual, time_step, x):
+            def push(tangent):
+                return jax.jvp(partial(values, virtual, time_step), (x,), (tangent,))
+
+            return jax.vmap(push, out_axes=(None, -1))(jnp.eye(len(SEVEN)))
+
+        overdamped = Overdamped().laboratory(plain)
+        ratios = []
+        for _ in range(ROUNDS + 1):
+            taken = [_seconds(values, plain, time_step, origin),
+                     _seconds(slopes, overdamped, time_step, origin)]  # fmt: skip
+            ratios.append(taken[1] / taken[0])
+        found[name] = float(np.median(ratios[1:]))
+    return found
 
 
-def with_dashpot(bed: Bed) -> Bed:
-    """The bed with the tangential law as first built."""
-    for where in (lambda b: b.particle_law.tangential, lambda b: b.wall_law.tangential):
-        law = where(bed)
-        bed = eqx.tree_at(where, bed, UnlimitedDashpot(law.restitution, law.smoothing))
-    return bed
+def _seconds(function, *arguments) -> float:
+    begun = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    return time.perf_counter() - begun
 
 
-@eqx.filter_jit
-def derivative(
-    virtual: VirtualLab, packing: Packing, soil, time_step: Array, unlimited: bool
-) -> tuple[Array, Array, Array]:
-    """Platen force (N), its derivative (N) and the segment of every sample."""
+def measured(case: Case, drag: float | None) -> dict:
+    """Sizes over the largest force, by stage: the median and largest of packings and parameters;
+    depth's slopes; and how the size goes along the tests."""
+    names, sizes, depths, traces = case.plain.tests.names, [], [], []
+    for force, slope, depth, segment in case.derivatives(drag):
+        share = slope / np.abs(force).max()
+        sizes.append([[_rms(column[segment == names.index(stage)]) for stage in STAGES]
+                      for column in share.T])  # fmt: skip
+        depths.append(depth)
+        traces.append(_trace(share[segment >= 0]))
+    by_stage = np.array(sizes).reshape(-1, len(STAGES))
+    rows = (np.median(by_stage, axis=0), by_stage.max(axis=0))
+    keyed = [dict(zip(STAGES, map(_number, row), strict=True)) for row in rows]
+    trace = [np.linspace(0, 1, POINTS).tolist(), [*map(_number, np.median(traces, axis=0))]]
+    return {"typical": keyed[0], "worst": keyed[1], "depth": np.mean(depths, axis=0).tolist(),
+            "trace": trace}  # fmt: skip
 
-    def force(x: Array):
-        changed = with_values(soil, {PARAMETER: jnp.exp(x) * getattr(soil, PARAMETER)})
-        bed = build_bed(packing.spheres, changed, virtual.grid, virtual.numerics, time_step)
-        bed = with_dashpot(bed) if unlimited else bed
-        state = start(bed, packing.position, packing.height, packing.mould_radius)
-        steps = steps_per_sample(bed, virtual.numerics)
-        record = run(bed, state, virtual.tests.programme(), steps, virtual.capacity)
-        return record.samples.platen_force, record.samples.segment
 
-    value, slope, segment = jax.jvp(force, (jnp.zeros(()),), (jnp.ones(()),), has_aux=True)
-    return value, slope, segment
+def _number(value: float) -> float | None:
+    """None for what is too large to be computed."""
+    return float(value) if np.isfinite(value) else None
 
 
-def measured(variant: dict, packings: int, folder: Path) -> dict:
-    """Sizes of the derivative along the tests: median over packings of each stage's rms."""
-    lab = load_lab(bundled_lab())
-    soil, virtual = base_soil(lab), laboratory(lab, variant["slip"], variant["unloaded"])
-    preset = replace(PRESETS["quick"], spheres=SPHERES)
-    beds = Campaign(virtual, specimen(lab, preset), folder).packings(range(packings))
-
-    def one(packing: Packing):
-        time_step = virtual.time_step(packing, soil)
-        found = derivative(virtual, packing, soil, time_step, variant["unlimited"])
-        return [np.asarray(part) for part in found]
-
-    one(beds[0])
-    with ThreadPoolExecutor(2) as pool:
-        curves = list(pool.map(one, beds))
-    names = virtual.tests.names
-    sizes = [
-        {stage: _rms(slope[segment == names.index(stage)]) for stage in STAGES}
-        for _, slope, segment in curves
-    ]
-    typical = {stage: float(np.median([size[stage] for size in sizes])) for stage in STAGES}
-    worst = {stage: float(max(size[stage] for size in sizes)) for stage in STAGES}
-    return {"typical": typical, "worst": worst, "trace": _trace(curves)}
+def _shown(value: float | None) -> str:
+    return "overflow" if value is None else f"{value:.2g}"
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _trace(curves: list, points: int = 200) -> list[list[float]]:
-    """Median over packings of |derivative|, along the samples, on a common axis of 0 to 1."""
-    axis = np.linspace(0, 1, points)
-    rows = []
-    for _, slope, segment in curves:
-        size = np.abs(slope[segment >= 0])
-        smoothed = np.sqrt(np.convolve(size**2, np.ones(15) / 15, mode="same"))
-        rows.append(np.interp(axis, np.linspace(0, 1, len(size)), np.log10(smoothed + 1e-16)))
-    return [axis.tolist(), np.median(rows, axis=0).tolist()]
+def _trace(shares: np.ndarray) -> np.ndarray:
+    """log10 of the size of shares (samples, parameters), over a common axis from 0 to 1."""
+    squares = np.convolve(np.mean(shares**2, axis=1), np.ones(15) / 15, mode="same")
+    axis = np.linspace(0, 1, len(squares))
+    return np.interp(np.linspace(0, 1, POINTS), axis, 0.5 * np.log10(squares + 1e-16))
+
+
+def label(drag: float | None) -> str:
+    """What tables and pictures call a variant."""
+    if drag is None:
+        return "pathwise"
+    default = " (default)" if drag == float(Overdamped().contact) else ""
+    return f"drag {drag:g}{default}"
 
 
 def figure(found: dict, path: Path) -> None:
-    """Size of the derivative along both tests, one line a variant."""
-    drawn, axis = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
-    for number, (name, entry) in enumerate(found.items()):
-        colour, line = LINES[number]
-        share, size = (np.array(column) for column in entry["trace"])
-        size = np.where(size > AWAY, size, np.nan)
-        axis.plot(share, size, line, color=colour, lw=1.6, label=name)
-    axis.axhspan(1, 3, color="0.92", zorder=0)
-    axis.text(0.41, 2, "size of the forces", fontsize=8, ha="center", va="center")
-    axis.text(0.41, 30, "platen away:\nmould removed, rest", fontsize=8, ha="center")
-    axis.set(
-        xlabel="share of both tests that has passed (-)",
-        ylabel=f"log10 |d force / d ln {PARAMETER.replace('_', ' ')}|  (N)",
-    )
-    axis.legend(frameon=False)
+    """Left: along the tests, one line a drag; right: the largest while loading, over the size."""
+    drawn, (along, over) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    for drag, colour, line, mark in zip(DRAGS, COLOURS, LINES, MARKS, strict=True):
+        name = label(drag)
+        share, size = (np.array(c, float) for c in found[str(SHOWN)]["variants"][name]["trace"])
+        along.plot(share, np.where(size > -6, size, np.nan), line, color=colour, label=name)
+        sizes = [int(n) for n in found if name in found[n]["variants"]]
+        worst = [found[str(n)]["variants"][name]["worst"]["loading"] for n in sizes]
+        over.loglog(sizes, worst, line, marker=mark, color=colour, label=name)
+    along.axhline(0, color="0.7", lw=3, zorder=0)
+    along.set(xlabel="share of both tests that has passed (-)", ylim=(-4, 12),
+              ylabel="log10 of |dF/d ln p| over the largest force (-)",
+              title=f"{SHOWN} spheres")  # fmt: skip
+    over.axhline(1, color="0.7", lw=3, zorder=0)
+    over.set(xlabel="spheres (-)", title="loading in the mould, worst of all",
+             ylabel="|dF/d ln p| over the largest force (-)")  # fmt: skip
+    over.legend(frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     drawn.savefig(path, dpi=130)
 
 
 def markdown(found: dict, packings: int, origin: dict) -> str:
-    rows = [
-        [name, *(f"{e['typical'][s]:.0e} ({e['worst'][s]:.0e})" for s in STAGES)]
-        for name, e in found.items()
-    ]
+    rows = []
+    for spheres, entry in found.items():
+        for name, each in entry["variants"].items():
+            sizes = [f"{_shown(each['typical'][s])} ({_shown(each['worst'][s])})" for s in STAGES]
+            rows.append([spheres, name, *sizes, *(f"{slope:.3g}" for slope in each["depth"])])
+        blank = [""] * len(STAGES)
+        rows.append([spheres, "differences", *blank, *(f"{s:.3g}" for s in entry["differences"])])
+    costs = ", ".join(f"{name} {runs:.1f}" for name, runs in found[str(SHOWN)]["cost"].items())
+    slopes = [f"dH/d ln {name} (mm)" for name in PARAMETERS]
     return (
-        f"# Growth of tangents\n\nRoot mean square of d(platen force)/d ln({PARAMETER}) in N over "
-        f"each stage, {SPHERES} spheres, float64: median of {packings} packings (worst).\n\n"
-        + reporting.table(("numerics", *STAGES), rows)
+        "# Growth of derivatives\n\nRoot mean square of d(platen force)/d ln p along each stage, "
+        f"over the largest force; {len(PARAMETERS)} parameters, {packings} packings: "
+        "median (largest). "
+        "Depth's slopes are means over the packings.\n\n"
+        + reporting.table(("spheres", "drag in contacts", *STAGES, *slopes), rows)
+        + f"\nValues with {len(SEVEN)} derivatives, {SHOWN} spheres, in forward runs: {costs}.\n"
         + reporting.footer(origin)
     )
 
@@ -193,16 +242,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--packings", type=int, default=4)
-    parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="stored packings")
+    parser.add_argument("--packings", type=int, default=2)
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="what is kept")
     chosen = parser.parse_args()
     reporting.configure()
-    found = {}
-    for name, variant in VARIANTS.items():
-        found[name] = measured(variant, chosen.packings, chosen.folder)
-        print(name, found[name]["typical"], flush=True)
+    kept = chosen.folder / "tangents" / f"{chosen.packings}.json"
+    found = json.loads(kept.read_text()) if kept.exists() else {}
+    for spheres in chosen.sizes:
+        case = Case(spheres, chosen.packings, chosen.folder / "tangents")
+        entry = found.setdefault(str(spheres), {"variants": {}})
+        for drag in DRAGS:
+            if label(drag) not in entry["variants"]:
+                entry["variants"][label(drag)] = measured(case, drag)
+                write_text(kept, json.dumps(found))
+                print(spheres, label(drag), entry["variants"][label(drag)]["typical"], flush=True)
+        if "differences" not in entry:
+            entry["differences"] = case.differences()
+            write_text(kept, json.dumps(found))
+        if spheres == SHOWN and "cost" not in entry:
+            entry["cost"] = cost(case)
+            write_text(kept, json.dumps(found))
     origin = reporting.provenance()
-    content = {**origin, "seed": 0, "packings": chosen.packings, "variants": found}
+    content = {**origin, "seed": 0, "packings": chosen.packings, "sizes": found,
+               "variants": found[str(SHOWN)]["variants"]}  # fmt: skip
     figure(found, Path("docs/images/tangents.png"))
     reporting.write("tangents", content, markdown(found, chosen.packings, origin))
 

@@ -58,7 +58,7 @@ def displacement_at(loading: Curve, force) -> Array:
         for rows in (curve.displacement, highest)
     )
     if curve.window > 0:
-        return with_derivative_of(travel, travel * _stretched(curve, force))
+        return with_derivative_of(travel, jax.lax.stop_gradient(travel) * _stretched(curve, force))
     way = curve.displacement[after] - curve.displacement[before]
     slope = jax.lax.stop_gradient(smooth.divide(rise, way))
     return with_derivative_of(travel, travel + smooth.divide(force - reached, slope))

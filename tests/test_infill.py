@@ -21,7 +21,7 @@ from calibrate.discrepancy.infill import (
     with_infill_runs,
 )
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
-from calibrate.discrepancy.library.design import POROSITIES
+from calibrate.discrepancy.library.design import POROSITIES, SPEEDS
 from calibrate.io.lab import load_lab
 
 OFFSET = 10.0  # N
@@ -63,7 +63,8 @@ def test_every_location_is_tried_on_every_packing():
 
 def test_a_packing_settles_once_and_sizes_alternate():
     points = scattered_about(places(), LIBRARY, range(4), seed=0)
-    porosity, size = WIDE + 1, WIDE + 2
+    porosity, pace, size = WIDE + 1, WIDE + 2, WIDE + 3
+    assert set(points.base[:, pace]) == {SPEEDS[1] / SPEEDS[0]}
     assert set(points.base[:, porosity]) < set(POROSITIES)
     assert set(points.spheres) == {round(factor * DESIGN.spheres) for factor in SIZES}
     assert points.base[:, size] == pytest.approx([DESIGN.sphere_size(n) for n in points.spheres])

@@ -22,6 +22,7 @@ from jdem.bodies.spheres import Motion, Spheres
 from jdem.boundaries.base import FAR
 from jdem.boundaries.composite import PLATEN
 from jdem.core.vector import Vector
+from jdem.effects.gain import LoadCellGain
 from jdem.engine.equilibrium import Carried, Stretch, _balance, _dragged, _motion
 from jdem.engine.loads import pair_loads, wall_loads
 from jdem.engine.loop import run, start
@@ -171,30 +172,34 @@ def test_the_system_is_the_derivative_of_the_balance():
         assert np.linalg.norm(found[:, part] - expected[:, part]) < 1e-5 * size
 
 
-def test_a_turn_at_a_force():
-    """F = k s: at a given force the platen stands higher by s per unit of ln k, and F is F."""
+@pytest.mark.parametrize("coordinate", ["ln k", "gain"])
+def test_a_turn_at_a_force(coordinate):
+    """F = k s, and the machine sees (1 + g) F: at the force G that it sees, F = G/(1 + g) and the
+    platen stands higher by s, per unit of ln k as per unit of g."""
     position, height = row()
     target, width = 8.0, 0.5
+    direction = jnp.eye(3)[[MODULUS, 2][coordinate == "gain"]]
 
     def simulated(x):
-        bed = bed_at(x, position.shape[0], 0.0)
+        bed = bed_at(x[:2], position.shape[0], 0.0)
         state = start(bed, Vector.from_rows(position), height, FAR)
         loading = cell_segment(
             platen_speed=SPEED, force_target=target, servo_width=width, tolerance=width,
             duration=1.0, damping=500.0,
         )  # fmt: skip
         legs = [loading, cell_segment(duration=40 * bed.time_step, damping=500.0)]
-        way = OverdampedMotion(DRAG, turning=(0,))
+        way = OverdampedMotion(DRAG, (LoadCellGain(x[2]),), turning=(0,))
         record = run(bed, state, stack(legs), jnp.asarray(20), CAPACITY, derivative=way)
         return record.samples.reading, record.samples.platen_height, record.samples.segment
 
     (force, height_now, segment), (force_slope, height_slope, _) = quickly(
         lambda x, t: jax.jvp(simulated, (x,), (t,))
-    )(jnp.zeros(2), jnp.asarray([1.0, 0.0]))
+    )(jnp.zeros(3), direction)
     held, pressed_by = np.asarray(segment) == 1, height - float(height_now[segment == 1][-1])
     assert held.sum() >= 2
     np.testing.assert_allclose(force[held], target, atol=2 * width)
-    assert np.abs(force_slope[held]).max() < 0.02 * target  # dashpots act while it loads
+    expected = -target if coordinate == "gain" else 0.0
+    np.testing.assert_allclose(force_slope[held], expected, atol=0.02 * target)  # dashpots act
     np.testing.assert_allclose(height_slope[held], pressed_by, rtol=0.02)
 
 

@@ -26,10 +26,12 @@ from calibrate.discrepancy.library.design import (
     LIMITS,
     OF,
     POROSITIES,
+    SPEEDS,
+    TURN,
     WEAKEST,
     Design,
 )
-from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, principal
+from calibrate.discrepancy.library.emulator import Blocks, FeatureEmulator, fit_emulator, leading
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, declared
 from calibrate.io.lab import bundled_lab, load_lab
 
@@ -62,8 +64,10 @@ def emulator() -> FeatureEmulator:
 def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
     small, large = Design(packings=8), Design(packings=16)
     base, strengths = large.rows()
-    assert np.array_equal(small.rows()[0], base[: 8 * small.rows_each])
-    assert np.array_equal(small.rows()[1], strengths[: 8 * small.rows_each])
+    beginning = len(small.of_packing)
+    assert np.array_equal(small.rows()[0], base[:beginning])
+    assert np.array_equal(small.rows()[1], strengths[:beginning])
+    assert np.array_equal(small.of_packing, large.of_packing[:beginning])
     low, high = np.array(list(LIMITS.values())).T
     assert (strengths >= low).all() and (strengths <= high).all()
     wide = len(large.soil_names)
@@ -76,17 +80,30 @@ def alone(design: Design) -> np.ndarray:
 
 
 def test_effects_are_at_work_together_where_rows_differ_in_everything():
-    design = Design(packings=200)
+    design = Design(packings=200, slow_in=0)
     base, strengths = (part.reshape(200, design.rows_each, -1) for part in design.rows())
     mixed = ~alone(design)
     assert (strengths[mixed] != 0).mean() == pytest.approx(ACTIVE, abs=0.02)
     assert not (base[mixed] == base[mixed, :1]).all(axis=(1, 2)).any()
 
 
+def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing():
+    design = Design(packings=2 * TURN, slow_in=2)
+    base, strengths = design.rows()
+    pace = base[:, design.base_names.index("pace")]
+    slow, packing = pace < 1, design.of_packing
+    assert set(pace) == {1.0, SPEEDS[1] / SPEEDS[0]}
+    assert set(packing[slow]) == set(range(TURN)) and len(set(packing)) == 2 * TURN
+    rest = np.delete(base, design.base_names.index("pace"), axis=1)
+    twice = (packing < TURN) & ~slow
+    assert np.array_equal(rest[slow], rest[twice])
+    assert np.array_equal(strengths[slow], strengths[twice])
+
+
 def test_every_size_of_spheres_meets_every_porosity():
-    design = Design(packings=48)
+    design = Design(packings=48, slow_in=0)
     base, _ = design.rows()
-    smoothing, porosity, size = base[:: design.rows_each, -3:].T
+    smoothing, porosity, _, size = base[:: design.rows_each, -4:].T
     pairs = {(design.spheres_of(j), porosity[j]) for j in range(48)}
     assert pairs == {(n, p) for n in (500, 1000, 2500) for p in POROSITIES}
     assert (1 + size) ** -3 * 1000 == pytest.approx([design.spheres_of(j) for j in range(48)])
@@ -94,7 +111,7 @@ def test_every_size_of_spheres_meets_every_porosity():
 
 
 def test_some_packings_show_each_effect_by_itself_on_one_soil():
-    design = Design(packings=65)
+    design = Design(packings=65, slow_in=0)
     base, strengths = (
         part.reshape(design.packings, design.rows_each, -1)[alone(design)] for part in design.rows()
     )
@@ -159,6 +176,12 @@ def test_soil_blocks_show_an_effect_that_scatter_between_soils_hides():
     assert errors[0] < 0.05 and errors[0] < 0.2 * errors[1]
 
 
+def test_rows_of_one_soil_may_differ_in_pace():
+    x = np.array([[1.0, 2.0, 1.0, 0.5], [1.0, 2.0, 0.3, 0.5], [1.1, 2.0, 1.0, 0.5]])
+    blocks = Blocks.of(x, np.array([0, 0, 0]))
+    assert blocks.soil_block.tolist() == [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
+
+
 def test_a_file_without_soil_blocks_has_none(tmp_path: Path):
     path = tmp_path / "library.nc"
     store.save(toy_library.library(), path)
@@ -176,10 +199,22 @@ def test_emulator_is_less_certain_far_away(emulator):
 
 def test_components_carry_back_to_the_features():
     warped = np.arcsinh(formula(X, S) / SCALE)
-    basis = principal(warped)
+    basis = leading(warped, X, S)
     back = basis.mean + basis.components(warped) @ basis.carried.T
     assert np.allclose(back, warped)
     assert np.allclose(basis.components(warped).std(axis=0), 1.0)
+
+
+def test_components_hold_what_hardly_scatters():
+    """Nine features scatter by 1, a tenth varies by 0.1 with the soil and hardly scatters."""
+    rng = np.random.default_rng(8)
+    x, s = rng.normal(size=(300, 2)), np.zeros((300, 1))
+    warped = rng.normal(size=(300, 10))
+    warped[:, :9] += np.outer(x[:, 0], np.ones(9))
+    warped[:, 9] = 0.1 * x[:, 1] + 1e-3 * rng.normal(size=300)
+    basis = leading(warped, x, s, count=2)
+    back = basis.mean + basis.components(warped) @ basis.carried.T
+    assert np.std(warped[:, 9] - back[:, 9]) < 0.02
 
 
 def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
@@ -191,8 +226,9 @@ def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
 def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
     honest = cross_validate(points(emulator))
     sure = cross_validate(points(emulator, packing=np.log(0.01)))  # forgets that packings differ
-    assert 1 / 3 < honest.scatter[0] < 3.0  # 22 packings in one sample and 22 in the other
-    assert sure.scatter[0] > 3 * honest.scatter[0]
+    most = int(np.argmax([component.kernel.packing for component in emulator.components]))
+    assert 1 / 3 < honest.scatter[most] < 3.0  # 22 packings in one sample and 22 in the other
+    assert sure.scatter[most] > 3 * honest.scatter[most]
 
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
@@ -259,9 +295,19 @@ def small_library() -> RunLibrary:
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(
         design, Cylinder(0.05, 0.1, 200.0, 400.0), "engine", base, strengths,
-        np.repeat(np.arange(8), design.rows_each), values,
+        design.of_packing, values,
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
+
+
+def test_a_library_without_the_pace_of_its_runs_is_refused(tmp_path: Path):
+    path = tmp_path / "library.nc"
+    store.save(small_library(), path)
+    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+        older = stored.load().drop_sel(coordinate="pace")
+    older.to_netcdf(path, engine=store.NETCDF)
+    with pytest.raises(InputError, match="do not state pace"):
+        store.load(path)
 
 
 def test_a_library_survives_its_file(tmp_path: Path):

@@ -25,6 +25,7 @@ CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BA
 DESIGN = Design(
     packings=PACKINGS,
     rows_each=ROWS,
+    slow_in=0,
     centre=CENTRE,
     soil_sd={"shear_modulus": 0.35, "surface_energy": 0.45},
     limits={

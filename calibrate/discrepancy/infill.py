@@ -25,7 +25,7 @@ from calibrate.discrepancy.library.description import (
     SoilPrior,
     soil_prior_for,
 )
-from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SMOOTHING
+from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SMOOTHING, SPEEDS
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -136,10 +136,11 @@ def scattered_about(
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
     factor = np.repeat([SIZES[j % len(SIZES)] for j in packings], len(locations))
     spheres = np.round(design.spheres * factor).astype(int)
-    smoothing, porosity, size = (wide + SETTINGS.index(name) for name in SETTINGS)
+    smoothing, porosity, pace, size = (wide + SETTINGS.index(name) for name in SETTINGS)
     base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
     looser = np.mean([location.base[porosity] for location in locations])
     base[:, porosity] = min(POROSITIES, key=lambda level: abs(level - looser))
+    base[:, pace] = SPEEDS[1] / SPEEDS[0]
     base[:, size] = [design.sphere_size(number) for number in spheres]
     seeds = FIRST_SEED + np.repeat(np.array(packings), len(locations))
     return RunPoints(base, strengths, spheres.tolist(), seeds)

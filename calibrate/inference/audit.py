@@ -82,8 +82,14 @@ class Audit:
                 "estimate_se": float(found.standard_error[m, p]),
                 "reference": float(self.reference.slopes[m, p]),
                 "reference_se": float(self.reference.standard_error[m, p]),
+                "estimate_by_packing": _by_packing(found, m, p),
+                "reference_by_packing": _by_packing(self.reference, m, p),
             }
         )
+
+
+def _by_packing(found: Sensitivity, m: int, p: int) -> list[float] | None:
+    return None if found.by_packing is None else np.asarray(found.by_packing[:, m, p]).tolist()
 
 
 def judged(row: dict) -> dict:

@@ -1,7 +1,7 @@
 """Slopes that JAX takes of a campaign's runs, packing by packing, and their certificates."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,9 @@ from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space
 from calibrate.simulation import Campaign, side_by_side
 from jdem.core.program import program
+from jdem.effects.composite import with_strengths
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
+from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
 from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
 
@@ -71,6 +73,29 @@ def traced(
         def simulated(lab: VirtualLab, asked: Array) -> Outcome:
             values = space.start() * jnp.exp(asked - point)  # at the point exactly the base soil's
             return lab.run(packing, space.soil(values), time_step)
+
+        return strategy.traced(lab, simulated, points.traced, point)
+
+    return slopes
+
+
+def traced_strengths(
+    strategy: AbstractTraced, lab: VirtualLab, soil: SoilParameters, points: CurvePoints
+) -> Callable[[Packing, Array], Traced]:
+    """A compiled function of one packing and its time step (s), at the strengths of the effects of
+    a campaign's `lab`; slopes are per typical strength.
+
+    Slopes lack what the load cell's lag and drift do to where the machine turns.
+    """
+    typical = jnp.asarray([max(map(abs, effect.about.typical)) for effect in lab.effects])
+    point = jnp.stack([jnp.asarray(effect.strength, float) for effect in lab.effects]) / typical
+
+    @program
+    def slopes(packing: Packing, time_step: Array) -> Traced:
+        def simulated(lab: VirtualLab, asked: Array) -> Outcome:
+            changed = with_strengths(lab.effects, list(asked * typical))
+            altered = strategy.laboratory(replace(lab, effects=changed))
+            return altered.run(packing, soil, time_step)
 
         return strategy.traced(lab, simulated, points.traced, point)
 

@@ -13,7 +13,8 @@ Strategy = Literal[
 
 
 class Slope(Record):
-    """One slope per unit of ln p (mm or N) by a strategy and by the reference."""
+    """One slope per unit of ln p (mm or N) by a strategy and by the reference; on each packing
+    where the strategy has it."""
 
     parameter: Parameter
     observable: Observable
@@ -21,6 +22,8 @@ class Slope(Record):
     estimate_se: Number
     reference: Number
     reference_se: Number
+    estimate_by_packing: list[Number] | None = None
+    reference_by_packing: list[Number] | None = None
     judged: bool
     passed: bool | None
 

@@ -1,9 +1,9 @@
 """The laboratory of withheld cases: simulates specimens, measures them, writes their files.
 
-Reality here is this project's simulator with other numbers of spheres, other packings, next to
-no roundings and another porosity than any library of runs; specimens of a case differ in packing,
-density and moisture.  What leaves the laboratory are records as machines write them:
-a way through the air before contact, any zero of displacement, noise, few digits.
+Reality here is this project's simulator with other numbers of spheres, other packings, next to no
+roundings, another porosity and another pace than any library of runs; specimens of a case differ in
+packing, density and moisture.  What leaves the laboratory are records as machines write them: a way
+through the air before contact, any zero of displacement, noise, few digits.
 """
 
 from dataclasses import dataclass, replace
@@ -23,6 +23,7 @@ from calibrate.validation.outside import CARRIED, AggregateCrushing, air_force
 from calibrate.validation.plan import (
     ACCEPTED_CRUSHING,
     ACCEPTED_DEPTH,
+    PACE,
     POROSITIES,
     SMOOTHING,
     SPECIMENS,
@@ -143,7 +144,8 @@ class Laboratory:
         pool = len(POROSITIES) * SPHERES.index(case.spheres) + POROSITIES.index(case.porosity)
         seed = case.first_seed + 1000 * pool + case.packings[number]
         given = [strengths.get(name, 0.0) for name in self._effects]
-        return self._simulator.run(soil, (SMOOTHING, case.porosity), given, case.spheres, seed)
+        setting = (SMOOTHING, case.porosity, PACE)
+        return self._simulator.run(soil, setting, given, case.spheres, seed)
 
     def _with_air(self, case: WithheldCase, number: int, values, strengths, run: Run) -> Run:
         """Turned where soil and air together reach the target, air's force added."""

@@ -38,6 +38,7 @@ PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specim
 SPHERES = (1100, 1100, 1100, 2200)  # other numbers than the library's
 POROSITIES = (-0.01, 0.005)  # over the usual one; others than the library's
 SMOOTHING = -0.95  # roundings nearly gone
+PACE = 0.3125  # the platen's speed in the mould over the library's fast one: 50 mm/s
 POOL = 24  # packings of each number and porosity, from which cases draw
 FIRST_SEED = 1_900_000  # of packings
 ATTEMPTS = 6

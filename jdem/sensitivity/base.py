@@ -33,11 +33,13 @@ LOADED = 0.01  # of a test's largest force; below, the platen is about to leave 
 
 
 class Sensitivity(eqx.Module):
-    """Values (n, m) on each packing, slopes (m, p) of their mean, standard errors (m, p)."""
+    """Values (n, m) on each packing, slopes (m, p) of their mean, standard errors (m, p), and
+    slopes (n, m, p) on each packing where the strategy has them."""
 
     values: Array
     slopes: Array
     standard_error: Array
+    by_packing: Array | None = None
 
 
 class AbstractStrategy(eqx.Module):
@@ -77,7 +79,7 @@ def averaged(values: Array, slopes: Array) -> Sensitivity:
     """
     count = jnp.sum(jnp.isfinite(slopes), axis=0)
     error = jnp.nanstd(slopes, axis=0, ddof=1) / jnp.sqrt(count)
-    return Sensitivity(values, jnp.nanmean(slopes, axis=0), error)
+    return Sensitivity(values, jnp.nanmean(slopes, axis=0), error, slopes)
 
 
 def everywhere(points: Array, packings: int) -> Array:

@@ -14,6 +14,7 @@ G, the travel depends on the parameters, and all goes on along its path as far a
 with d out/dG from the values, over the last part of the movement (RISE of the force).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -28,6 +29,7 @@ from jdem.core import smooth
 from jdem.core.quantity import Real, quantity
 from jdem.core.tangents import with_derivative_of
 from jdem.core.vector import Vector
+from jdem.effects.base import AbstractEffect
 from jdem.engine.equilibrium import Carried, Stretch, followed
 from jdem.engine.loop import AbstractDerivative, Interval, Sample
 from jdem.engine.neighbors import inherited
@@ -66,9 +68,10 @@ class Memory(eqx.Module):
 
 class OverdampedMotion(AbstractDerivative):
     """Derivatives from equilibrium to equilibrium, of a machine that ends the movements `turning`
-    at given forces and all others after given travels."""
+    at given forces, as it sees them under some effects, and all others after given travels."""
 
     drag: TangentDrag
+    effects: tuple[AbstractEffect, ...] = ()
     turning: tuple[int, ...] = eqx.field(static=True, kw_only=True)
     first: int = eqx.field(static=True, default=0, kw_only=True)
 
@@ -156,7 +159,8 @@ class OverdampedMotion(AbstractDerivative):
             marks=_marks(memory.marks, reached),
         )
         turns = jnp.any(jnp.asarray([interval.number == k for k in self.turning], bool))
-        return jax.lax.cond(turns & interval.ends, partial(_turned, interval), lambda m: m, memory)
+        turned = partial(_turned, self.effects, interval)
+        return jax.lax.cond(turns & interval.ends, turned, lambda m: m, memory)
 
 
 def _parts(state: BedState):
@@ -190,17 +194,23 @@ def _marks(marks: tuple[Mark, Mark], now: Mark) -> tuple[Mark, Mark]:
     return older, jax.tree.map(lambda a, b: jnp.where(passed, b, a), marks[1], now)
 
 
-def _turned(interval: Interval, memory: Memory) -> Memory:
+def _seen(effects: Sequence[AbstractEffect], force: Array) -> Array:
+    """What the servo sees of a force (N or N m) just after the load cell was tared."""
+    errors = [effect.servo_error(force, jnp.zeros_like(force)) for effect in effects]
+    return force + sum(errors)
+
+
+def _turned(effects: Sequence[AbstractEffect], interval: Interval, memory: Memory) -> Memory:
     """Derivatives at the force where a movement ended, from those at its travel."""
-    now = _marked(interval.after)
+    now, then = _marked(interval.after), memory.marks[0]
     force = served(memory.boundaries, memory.carried.loads, interval.segment)
-    rise = now.reading - memory.marks[0].reading
+    force = _seen(effects, force)
+    rise = jax.lax.stop_gradient(_seen(effects, now.reading) - _seen(effects, then.reading))
     share = smooth.divide(jax.lax.stop_gradient(force) - force, rise)  # 0, with a derivative
 
     def along(value, present, earlier):
         return value + share * (present - earlier)
 
-    then = memory.marks[0]
     carried = jax.tree.map(along, memory.carried, now.carried, then.carried)
     boundaries = jax.tree.map(along, memory.boundaries, now.boundaries, then.boundaries)
     return replace(memory, carried=carried, boundaries=boundaries)
@@ -265,11 +275,12 @@ class Overdamped(AbstractTraced):
     most_imbalance: float = eqx.field(static=True, default=0.01)
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
-        programme = lab.tests.programme()
+        with jax.ensure_compile_time_eval():
+            programme = lab.tests.programme()
         reached = np.isfinite(programme.force_target) & (np.asarray(programme.tolerance) > 0)
         turning = tuple(np.flatnonzero(reached).tolist())
         drag = TangentDrag(self.background, self.contact)
-        derivative = OverdampedMotion(drag, turning=turning)
+        derivative = OverdampedMotion(drag, lab.effects, turning=turning)
         return replace(lab, derivative=derivative)
 
     def refusals(self, lab: VirtualLab, found: Traced) -> list[list[str]]:

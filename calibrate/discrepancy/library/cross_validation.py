@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calibrate.discrepancy.library.design import SIZES
-from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator, principal
+from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator, leading
 
 FOLDS, BLOCK = 4, len(SIZES)  # packings are left out in turn, by blocks
 FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance
@@ -124,7 +124,7 @@ def _held_out_rows(
     """Each row with at most one effect, with an emulator fitted without its packing; folds
     are blocks of packings; each block holds all numbers of spheres."""
     few = (points.s != 0).sum(axis=1) <= 1
-    basis = principal(np.arcsinh(points.values / points.scale))
+    basis = leading(np.arcsinh(points.values / points.scale), points.x, points.s)
     for fold in range(FOLDS):
         out = points.packing // BLOCK % FOLDS == fold
         emulator = fit_emulator(

@@ -24,9 +24,10 @@ from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
 from jdem.effects.composite import EFFECTS
 
-# A soil has no roundings and finer grains; another simulator's bed may have either.
-SETTING_PRIOR_MEAN = (SMOOTHING[0], 0.0, -0.3)
-SETTING_PRIOR_SD = (0.4, 0.012, 0.35)
+# A soil has no roundings, finer grains, and is pressed at the pace 0; another simulator's bed may
+# have roundings, and the pace of the library's slow runs.
+SETTING_PRIOR_MEAN = (SMOOTHING[0], 0.0, 0.15, -0.3)
+SETTING_PRIOR_SD = (0.4, 0.012, 0.15, 0.35)
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0

@@ -4,7 +4,8 @@ A row is a point x of
 
     soil      ln p - ln p_centre                 as far as 2.2 prior deviations, normal
     settings  smoothing (factor - 1), denser where roundings are small, as soils have none;
-              porosity less the usual one (-); size of the spheres over that of the design, less 1
+              porosity less the usual one (-); pace, the platen's speed in the mould over the fast
+              one; size of the spheres over that of the design, less 1
     effects   strengths, uniform within their limits where they are at work: each in ACTIVE of the
               rows (so that pairs occur); on two packings of five all rows share one soil, the
               first has no effect at work and the others one each, strong, in turn
@@ -16,6 +17,10 @@ slopes (common random numbers), and what they differ by is sampled PACKINGS time
 Numbers of spheres take turns, so that what resolution changes is learned with all else: most rows
 are cheap, enough are dear.  The size of spheres is the coordinate, d/D ~ N^(-1/3): walls and the
 ends of a specimen count in proportion to it, and the limit of fine grains lies at -1.
+
+A simulated press is a thousand times as fast as a laboratory's, and what dashpots carry goes with
+its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
+soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
 """
 
 from collections.abc import Mapping
@@ -34,8 +39,10 @@ SMOOTHING = (-0.95, 0.3)  # of the factor on all widths, minus 1
 SIZES = (0.5, 1.0, 0.5, 1.0, 2.5, 0.5, 1.0, 0.5)  # spheres of packings over the design's, in turn
 POROSITIES = (0.0, -0.02, 0.01)  # over the usual one of spheres of their size, in turn
 WEAKEST = 0.3  # of its limit, an effect by itself
-SETTINGS = ("smoothing", "porosity", "sphere_size")
-SETTING_SPREAD = (0.5, 0.02, 0.3)
+SPEEDS = (0.16, 0.045)  # m/s, of the platen in the mould: fast and slow
+TURN = 16  # packings in a row that are slow too, or are not
+SETTINGS = ("smoothing", "porosity", "pace", "sphere_size")
+SETTING_SPREAD = (0.5, 0.02, 0.5, 0.3)
 
 SOIL = (  # parameters that are varied, in the order of a point's coordinates
     "shear_modulus",
@@ -92,13 +99,15 @@ LIMITS: dict[str, tuple[float, float]] = {
 class Design:
     """The plan of a library; `base` holds the soil's values that are not varied.
 
-    packings x rows_each simulations of specimens of `spheres` spheres.
+    packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
+    TURN packings in `slow_in` again, slowly (0: of none).
     """
 
     packings: int = 160
     rows_each: int = 6
     spheres: int = 1000
     seed: int = 40
+    slow_in: int = 4
     centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
     soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
@@ -132,8 +141,28 @@ class Design:
         """The coordinate of a number of spheres: their size over that of the design's, less 1."""
         return (spheres / self.spheres) ** (-1 / 3) - 1
 
+    @property
+    def of_packing(self) -> np.ndarray:
+        """The packing of each row (n,)."""
+        return self._fast_row()[0] // self.rows_each
+
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Base coordinates (n, p) and strengths in SI (n, k), packing by packing."""
+        (row, slow), (base, strengths) = self._fast_row(), self._fast_rows()
+        base = base[row]
+        base[slow, self.base_names.index("pace")] = SPEEDS[1] / SPEEDS[0]
+        return base, strengths[row]
+
+    def _fast_row(self) -> tuple[np.ndarray, np.ndarray]:
+        """For each row (n,) the fast one of the same soil and effects, and whether it is slow."""
+        row = np.arange(self.packings * self.rows_each)
+        of_packing = row // self.rows_each
+        again = row[of_packing // TURN % self.slow_in == 0] if self.slow_in else row[:0]
+        every, slow = np.concatenate([row, again]), np.repeat([False, True], [len(row), len(again)])
+        order = np.argsort(every // self.rows_each, kind="stable")
+        return every[order], slow[order]
+
+    def _fast_rows(self) -> tuple[np.ndarray, np.ndarray]:
         count = self.packings * self.rows_each
         wide = len(self.soil_names) + 1 + len(self.effect_names)
         unit = _sobol(wide, count, self.seed)
@@ -143,7 +172,7 @@ class Design:
         smoothing = low + (high - low) * unit[:, len(self.soil_names)] ** 2
         porosity = np.array(POROSITIES)[of_packing % len(POROSITIES)]
         size = [self.sphere_size(self.spheres_of(int(j))) for j in of_packing]
-        base = np.column_stack([soil, smoothing, porosity, size])
+        base = np.column_stack([soil, smoothing, porosity, np.ones(count), size])
         strengths = unit[:, -len(self.limits) :]
         alone = np.isin(of_packing % OF, ALONE)
         base[alone] = base[of_packing[alone] * self.rows_each]

@@ -1,6 +1,6 @@
 """Values and slopes of features between the simulations of a library: Gaussian processes.
 
-    asinh(feature/scale) = mean + sum_c loading_c y_c             c: principal components
+    asinh(feature/scale) = mean + sum_c loading_c y_c             c: components, by `leading`
     y_c(x, s) = f_c(x, s) + packing + soil block + rest
 
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
@@ -10,9 +10,9 @@ x are base coordinates over their spread, s strengths over their limits.  The in
 hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
 slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
-(soil blocks within it, whose rows differ in effects alone): the less is left, the better an effect
-is estimated.  Coarse beds scatter more: all three deviations go with exp(g x), x being the size of
-the spheres, the last base coordinate.  Residuals are given for x = 0.
+(soil blocks within it, whose rows differ in effects and pace alone): the less is left, the better
+an effect is estimated.  Coarse beds scatter more: all three deviations go with exp(g x), x being
+the size of the spheres, the last base coordinate.  Residuals are given for x = 0.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
@@ -31,10 +31,13 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 COMPONENTS = 14
+LEAST_SCATTER = 1e-6  # of a feature's variance
+ROUND_OFF = 1e-12
 MOST_ROWS = 700  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 JITTER = 1e-6
+PACE = -2  # the base coordinate in which rows of one soil may differ
 COARSE = 0.36  # where its fit starts: deviations go with about N^-0.4 (benchmarks/resolution.py)
 
 
@@ -83,7 +86,7 @@ class Blocks(NamedTuple):
 
     @staticmethod
     def of(x: np.ndarray, packing: np.ndarray) -> "Blocks":
-        soil = np.unique(x, axis=0, return_inverse=True)[1].ravel()
+        soil = np.unique(np.delete(x, PACE, axis=1), axis=0, return_inverse=True)[1].ravel()
         same = packing[:, None] == packing
         one_soil = same & (soil[:, None] == soil)
         return Blocks(same.astype(float), one_soil.astype(float), x[:, -1])
@@ -153,35 +156,51 @@ def fit_kernel(x, s, packing, y) -> Kernel:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Principal components of warped features: their mean and spread (m,), orthonormal axes
-    (c, m) of what is standardised by these, deviation (c,) along the axes."""
+    """Components of warped features: their mean (m,), a root (m, m) of the covariance that they
+    scatter with, orthonormal axes (c, m) in units of this scatter, deviation (c,) along these."""
 
     mean: np.ndarray
-    spread: np.ndarray
+    root: np.ndarray
     axes: np.ndarray
     deviation: np.ndarray
 
     @property
     def carried(self) -> np.ndarray:
         """What components of one deviation change in warped features, shape (m, c)."""
-        return (self.axes * self.spread).T * self.deviation
+        return (self.root @ self.axes.T) * self.deviation
 
     def components(self, warped: np.ndarray) -> np.ndarray:
         """Standardised components (..., c) of warped features (..., m)."""
-        return ((warped - self.mean) / self.spread) @ self.axes.T / self.deviation
+        standard = np.linalg.solve(self.root, np.moveaxis(warped - self.mean, -1, 0))
+        return np.moveaxis(standard, 0, -1) @ self.axes.T / self.deviation
 
 
-def principal(warped: np.ndarray, count: int = COMPONENTS) -> Basis:
-    """The leading components of warped features (n, m)."""
+def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPONENTS) -> Basis:
+    """The components of warped features (n, m) at scaled points that vary most in units of scatter:
+    what a quadratic regression on the points leaves, its covariance shrunk towards its diagonal by
+    m/(m + degrees of freedom).
+
+    Components that vary most by themselves are mostly scatter, and leave out what a soil does to
+    features that hardly scatter (as the unloading's beginning): a maximum noise fraction transform
+    (Green, Berman, Switzer and Craig 1988, IEEE Trans. Geosci. Remote Sens. 26, 65)."""
     mean, spread = warped.mean(axis=0), np.maximum(warped.std(axis=0), 1e-12)
     standard = (warped - mean) / spread
-    axes = np.linalg.svd(standard, full_matrices=False)[2][:count]
-    return Basis(mean, spread, axes, np.maximum((standard @ axes.T).std(axis=0), 1e-9))
+    terms = np.hstack([np.ones((len(x), 1)), x, s, x**2])
+    left = standard - terms @ np.linalg.lstsq(terms, standard, rcond=None)[0]
+    freedom = max(len(left) - terms.shape[1], 1)
+    scatter = left.T @ left / freedom + LEAST_SCATTER * np.eye(len(mean))
+    shrunk = len(mean) / (len(mean) + freedom)
+    scatter = (1 - shrunk) * scatter + shrunk * np.diag(np.diag(scatter))
+    root = np.linalg.cholesky(scatter)
+    whitened = np.linalg.solve(root, standard.T).T
+    axes = np.linalg.svd(whitened, full_matrices=False)[2][:count]
+    deviation = np.maximum((whitened @ axes.T).std(axis=0), 1e-9)
+    return Basis(mean, spread[:, None] * root, axes, deviation)
 
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One principal component's process: kernel, weights (n,), lower Cholesky factor (n, n), and
+    """One component's process: kernel, weights (n,), lower Cholesky factor (n, n), and
     what it leaves of the rows (n,)."""
 
     kernel: Kernel
@@ -296,7 +315,7 @@ def fit_emulator(
     components already known are kept.  noise (n, c): factors on the variance that rows scatter
     with in each component."""
     warped = np.arcsinh(features / scale)
-    basis = basis or principal(warped)
+    basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
     few, blocks = _spread(packing), Blocks.of(x, packing)
     parts = []
@@ -321,7 +340,7 @@ def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, size: np.ndarray)
 
 def _at_size_0(dropped: np.ndarray, size: np.ndarray) -> np.ndarray:
     """What no component holds (n, m), as large as at the size 0 of spheres."""
-    if np.ptp(size) == 0:
+    if np.ptp(size) == 0 or np.abs(dropped).max() < ROUND_OFF:
         return dropped
     level = 0.5 * np.log(np.maximum((dropped**2).mean(axis=1), 1e-300))
     return dropped / np.exp(np.polyfit(size, level, 1)[0] * size)[:, None]

@@ -116,7 +116,7 @@ class RunLibrary:
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
         first = self.design.packings
-        packing = np.repeat(np.arange(design.packings), design.rows_each)
+        packing = design.of_packing
         later = packing >= first
         base, strengths = (part[later] for part in design.rows())
         rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
@@ -206,8 +206,8 @@ def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.n
 
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
     """The library of a design's runs (None: not simulated), without failed and incomplete ones."""
-    packing = np.repeat(np.arange(design.packings), design.rows_each)
-    rows = Rows.of(declared(lab.pair().compression.force_high), *design.rows(), packing, runs)
+    high = lab.pair().compression.force_high
+    rows = Rows.of(declared(high), *design.rows(), design.of_packing, runs)
     return RunLibrary(
         design, Cylinder.of(lab), engine_hash(),
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import SMOOTHING, Design
+from calibrate.discrepancy.library.design import SMOOTHING, SPEEDS, Design
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign, Run, side_by_side
@@ -29,9 +29,8 @@ from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Specimen
 
 Numbers = Sequence[float] | np.ndarray
-# Twice as fast as the preset standard.  Depth and force bear that, the turn of the platen does not
-# (docs/decisions/2026-11-25-resolved-library.md): make the library anew, slower in the mould.
-PACE = replace(PRESETS["standard"], name="library", rate_in_mould=0.16, rate_free=0.10)
+# Free specimens are pressed twice as fast as in the preset standard, which depth and force bear.
+PACE = replace(PRESETS["standard"], name="library", rate_in_mould=SPEEDS[0], rate_free=0.10)
 COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
 
 
@@ -48,7 +47,7 @@ class Simulator:
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
     dtype: str = "float32"
-    _campaigns: dict[tuple[int, float, bool], Campaign] = field(default_factory=dict)
+    _campaigns: dict[tuple[int, float, float, bool], Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
         self.effects = self.effects or switched_off(EFFECTS)
@@ -59,12 +58,13 @@ class Simulator:
     ) -> Run:  # fmt: skip
         """One specimen through both tests.
 
-        setting: smoothing factor - 1 and porosity less the usual one; strengths in SI in the
+        setting: smoothing factor - 1, porosity less the usual one, and pace; strengths in SI in the
         order of `effects`; seed of the packing.
         """
         pairs = list(zip(self.effects, map(float, strengths), strict=True))
         lean = not any(strength and isinstance(effect, self.costly) for effect, strength in pairs)
-        shared = self._campaign(spheres, round(float(setting[1]), 4), lean)
+        loose, pace = (round(float(given), 6) for given in setting[1:3])
+        shared = self._campaign(spheres, loose, pace, lean)
         smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
         numerics = replace(shared.lab.numerics, smoothing=smoothing)
         kept = [s for effect, s in pairs if not (lean and isinstance(effect, self.costly))]
@@ -73,17 +73,19 @@ class Simulator:
         one = replace(shared, lab=lab, progress=Silent(), workers=1)
         return one.each([[soil]], [seed], "")[0][0]
 
-    def _campaign(self, spheres: int, loose: float, lean: bool) -> Campaign:
-        if (spheres, loose, lean) not in self._campaigns:
-            preset = replace(PACE, spheres=spheres)
+    def _campaign(self, spheres: int, loose: float, pace: float, lean: bool) -> Campaign:
+        key = (spheres, loose, pace, lean)
+        if key not in self._campaigns:
+            speed = round(pace * PACE.rate_in_mould, 6)
+            preset = replace(PACE, spheres=spheres, rate_in_mould=speed)
             cylinder = loosened(specimen(self.lab, preset), loose)
             numerics = numerics_for(cylinder, dtype=self.dtype)
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
             tests = virtual_lab(self.lab, preset, numerics).tests
             lab = VirtualLab.of(cylinder, tests, numerics, kept)
             folder = self.folder / str(spheres)
-            self._campaigns.setdefault((spheres, loose, lean), Campaign(lab, cylinder, folder))
-        return self._campaigns[spheres, loose, lean]
+            self._campaigns.setdefault(key, Campaign(lab, cylinder, folder))
+        return self._campaigns[key]
 
 
 def switched_off(
@@ -106,7 +108,7 @@ def run_design(
     """Runs of a design from the packing `first` on, in the order of its rows; failed ones keep
     their place."""
     base, strengths = design.rows()
-    packing = np.repeat(np.arange(design.packings), design.rows_each)
+    packing = design.of_packing
     spheres = [design.spheres_of(int(j)) for j in packing]
     later = packing >= first
     points = RunPoints(
@@ -142,7 +144,7 @@ def run_points(
             for i, name in enumerate(design.soil_names)
         }
         return simulator.run(
-            with_values(centre, values), points.base[row, wide : wide + 2],
+            with_values(centre, values), points.base[row, wide : wide + 3],
             points.strengths[row], points.spheres[row], int(points.seeds[row]),
         )  # fmt: skip
 
@@ -159,7 +161,8 @@ def _two_packings_in_turn(seeds: np.ndarray) -> np.ndarray:
 
 
 def reference_run(design: Design, simulator: Simulator) -> Run:
-    """The centre's soil on the first packing, without effects."""
+    """The centre's soil on the first packing, slowly, without effects."""
     soil = with_values(base_soil(simulator.lab), dict(design.centre))
     none = [0.0] * len(simulator.effects)
-    return simulator.run(soil, (SMOOTHING[0], 0.0), none, design.spheres, 1000 * design.seed + 1)
+    setting = (SMOOTHING[0], 0.0, SPEEDS[1] / SPEEDS[0])
+    return simulator.run(soil, setting, none, design.spheres, 1000 * design.seed + 1)

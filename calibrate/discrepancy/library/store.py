@@ -16,7 +16,7 @@ import xarray as xr
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import SETTINGS, Design
 from calibrate.discrepancy.library.emulator import Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
@@ -75,6 +75,10 @@ def load(path: Path) -> RunLibrary:
     """Reads a library; `InputError` for anything else."""
     try:
         with xr.open_dataset(path, engine=NETCDF) as stored:
+            lacking = set(SETTINGS) - set(stored["coordinate"].values.tolist())
+            if lacking:
+                problem = f"an earlier version made it: its runs do not state {', '.join(lacking)}"
+                raise InputError(str(path), "coordinate", problem, "make it anew")
             return _read(stored.load())
     except (OSError, KeyError, ValueError, TypeError) as error:
         problem = f"this is no library of runs ({type(error).__name__})"
@@ -86,12 +90,13 @@ def load(path: Path) -> RunLibrary:
 def _read(stored: xr.Dataset) -> RunLibrary:
     design = json.loads(stored.attrs["design"])
     design["limits"] = {name: tuple(pair) for name, pair in design["limits"].items()}
+    design = Design(**design)
     reference = {test: tuple(stored[f"reference_{test}"].values.T) for test in TESTS}
     return RunLibrary(
-        design=Design(**design),
+        design=design,
         cylinder=Cylinder(**json.loads(stored.attrs["cylinder"])),
         engine=stored.attrs["engine"],
-        base=stored["base"].values.astype(float),
+        base=stored["base"].sel(coordinate=list(design.base_names)).values.astype(float),
         strengths=stored["strengths"].values.astype(float),
         packing=stored["packing"].values,
         values=stored["values"].values.astype(float),
