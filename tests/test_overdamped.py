@@ -192,15 +192,39 @@ def test_a_turn_at_a_force(coordinate):
         record = run(bed, state, stack(legs), jnp.asarray(20), CAPACITY, derivative=way)
         return record.samples.reading, record.samples.platen_height, record.samples.segment
 
-    (force, height_now, segment), (force_slope, height_slope, _) = quickly(
-        lambda x, t: jax.jvp(simulated, (x,), (t,))
-    )(jnp.zeros(3), direction)
+    values, slopes = taken(simulated, jnp.zeros(3), direction)
+    (force, height_now, segment), (force_slope, height_slope, _) = values, slopes
     held, pressed_by = np.asarray(segment) == 1, height - float(height_now[segment == 1][-1])
     assert held.sum() >= 2
     np.testing.assert_allclose(force[held], target, atol=2 * width)
     expected = -target if coordinate == "gain" else 0.0
     np.testing.assert_allclose(force_slope[held], expected, atol=0.02 * target)  # dashpots act
     np.testing.assert_allclose(height_slope[held], pressed_by, rtol=0.02)
+
+
+def test_nothing_is_followed_beyond_the_last_movement():
+    """Derivatives are those of a run that follows everything, and then zero."""
+    position, height = row()
+
+    def simulated(last, x):
+        bed = bed_at(x, position.shape[0], 0.0)
+        state = start(bed, Vector.from_rows(position), height, FAR)
+        leg = cell_segment(platen_speed=SPEED, duration=60 * bed.time_step, damping=500.0)
+        way = OverdampedMotion(DRAG, turning=(), last=last)
+        record = run(bed, state, stack([leg, leg]), jnp.asarray(20), CAPACITY, derivative=way)
+        return record.samples.loads, record.state.motion, record.samples.segment
+
+    point, direction = jnp.zeros(2), jnp.eye(2)[MODULUS]
+    (loads, _, segment), (slopes, _, _) = taken(partial(simulated, None), point, direction)
+    (same, _, _), (until, motion, _) = taken(partial(simulated, 1), point, direction)
+    assert np.array_equal(loads, same)
+    assert np.array_equal(slopes[segment == 0], until[segment == 0])
+    assert np.abs(slopes[segment == 1]).max() > 0
+    assert max(np.abs(leaf).max() for leaf in jax.tree.leaves((until[segment == 1], motion))) == 0
+
+
+def taken(simulated, point, direction):
+    return quickly(lambda x, t: jax.jvp(simulated, (x,), (t,)))(point, direction)
 
 
 def test_a_curve_is_differentiated_as_a_power_law():

@@ -68,12 +68,15 @@ class Memory(eqx.Module):
 
 class OverdampedMotion(AbstractDerivative):
     """Derivatives from equilibrium to equilibrium, of a machine that ends the movements `turning`
-    at given forces, as it sees them under some effects, and all others after given travels."""
+    at given forces, as it sees them under some effects, and all others after given travels.
+
+    From movement number `last` on, if that is given, nothing is followed: derivatives are 0."""
 
     drag: TangentDrag
     effects: tuple[AbstractEffect, ...] = ()
     turning: tuple[int, ...] = eqx.field(static=True, kw_only=True)
     first: int = eqx.field(static=True, default=0, kw_only=True)
+    last: int | None = eqx.field(static=True, default=None, kw_only=True)
 
     @property
     def window(self) -> float:
@@ -103,6 +106,13 @@ class OverdampedMotion(AbstractDerivative):
         )
 
     def followed(self, memory: Memory, interval: Interval, sample: Sample):
+        following = partial(self._followed, interval)
+        if self.last is None:
+            return following(memory, sample)
+        beyond = interval.number >= self.last
+        return jax.lax.cond(beyond, _left, following, memory, sample)
+
+    def _followed(self, interval: Interval, memory: Memory, sample: Sample):
         spins, steps = interval.watched
         memory = _relisted(memory, interval.after)
         memory = replace(
@@ -224,6 +234,11 @@ def _begun(interval: Interval, memory: Memory) -> Memory:
     return replace(memory, boundaries=boundaries, marks=(now, now))
 
 
+def _left(memory: Memory, sample: Sample):
+    """Both without a derivative."""
+    return jax.lax.stop_gradient((memory, sample))
+
+
 def _sampled(memory: Memory, interval: Interval, sample: Sample) -> Sample:
     """The sample, with the derivatives of the last equilibrium."""
     loads = with_derivative_of(sample.loads, memory.carried.loads)
@@ -276,18 +291,21 @@ class Overdamped(AbstractTraced):
 
     def laboratory(self, lab: VirtualLab) -> VirtualLab:
         with jax.ensure_compile_time_eval():
-            programme = lab.tests.programme()
+            programme, free = lab.tests.programme(), np.flatnonzero(lab.tests.timetable().free)
         reached = np.isfinite(programme.force_target) & (np.asarray(programme.tolerance) > 0)
         turning = tuple(np.flatnonzero(reached).tolist())
         drag = TangentDrag(self.background, self.contact)
-        derivative = OverdampedMotion(drag, lab.effects, turning=turning)
+        last = int(free[0]) if len(free) else None
+        derivative = OverdampedMotion(drag, lab.effects, turning=turning, last=last)
         return replace(lab, derivative=derivative)
 
     def refusals(self, lab: VirtualLab, found: Traced) -> list[list[str]]:
         sizes = zip(np.asarray(found.growth), np.asarray(found.imbalance), strict=True)
+        free = np.logical_or.accumulate(stands_free(lab))  # nothing is followed from there on
         return [
-            [self._refusal(float(np.max(grown)), float(np.max(unbalanced)), free)] * len(grown)
-            for (grown, unbalanced), free in zip(sizes, stands_free(lab), strict=True)
+            [self._refusal(float(np.max(grown)), float(np.max(unbalanced)), bool(never))]
+            * len(grown)
+            for (grown, unbalanced), never in zip(sizes, free, strict=True)
         ]
 
     def _refusal(self, growth: float, imbalance: float, free: bool) -> str:
