@@ -59,7 +59,8 @@ def test_every_case_reads_as_a_lab_file(cases):
 
 
 def test_a_case_is_written_as_the_committed_ones_were(tmp_path, cases):
-    """Name, densities and height are the specimens' own; all else stands in every lab file."""
+    """Name, densities and height are the specimens' own; all else stands in every lab file; the
+    committed ones do not yet say how fast they were really pressed."""
     row = np.zeros(instrument.READINGS)
     record = instrument.Record(row, row, row)
     specimens = [labfiles.Specimen(300.0, height, record, record) for height in (90.0, 91.0, 92.0)]
@@ -72,6 +73,7 @@ def test_a_case_is_written_as_the_committed_ones_were(tmp_path, cases):
     committed.pop("soil")
     committed["specimen"].pop("height")
     assert cylinder == committed.pop("specimen")
+    assert written["confined"].pop("pressed_at") == "100 mm/s"
     assert written == committed
 
 

@@ -18,7 +18,7 @@ from calibrate.discrepancy.library.cross_validation import (
     by_effects,
     cross_validate,
 )
-from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
 from calibrate.discrepancy.library.design import (
     ACTIVE,
     ALONE,
@@ -298,6 +298,17 @@ def small_library() -> RunLibrary:
         design.of_packing, values,
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
+
+
+def test_the_pace_of_a_lab_is_that_of_its_test_in_the_mould():
+    """8 mm/s unless it says otherwise, over the library's fast 160 mm/s."""
+    lab, library = load_lab(bundled_lab()), small_library()
+    place = library.design.base_names.index("pace")
+    faster = lab.tests[0].model_copy(update={"pressed_at": 0.05})
+    for tests, pace in ((lab.tests, 0.05), ((faster, *lab.tests[1:]), 0.3125)):
+        prior = soil_prior_for(replace(lab, tests=tests), library)
+        assert prior.offset[place] == pytest.approx(pace)
+        assert len(prior.offset) == len(prior.prior_sd) == len(library.design.base_names)
 
 
 def test_a_library_without_the_pace_of_its_runs_is_refused(tmp_path: Path):

@@ -36,7 +36,11 @@ REACHED = 0.98  # of force_high is what a measured curve has to reach
 
 
 class ConfinedTest(AbstractLabTest):
-    """Loading in the mould: platen speed in m/s, the two forces of the depression depth in N."""
+    """Loading in the mould: platen speed in m/s, the two forces of the depression depth in N.
+
+    `pressed_at` is for a simulation that stands for a laboratory: the speed at which its platen
+    really moved, where its clock runs as if it had moved at `rate`.
+    """
 
     type_name = "confined"
     title = "confined compression"
@@ -49,10 +53,16 @@ class ConfinedTest(AbstractLabTest):
     )
 
     rate: Speed = 8e-3
+    pressed_at: Speed | None = None
     force_low: Force = 200.0
     force_high: Force = 400.0
     greased: bool = True
     fresh_grease: bool = False
+
+    @property
+    def speed(self) -> float:
+        """m/s, of the platen as it really moved."""
+        return self.rate if self.pressed_at is None else self.pressed_at
 
     @model_validator(mode="after")
     def _check_order(self) -> "ConfinedTest":

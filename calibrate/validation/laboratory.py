@@ -13,6 +13,7 @@ import numpy as np
 
 from calibrate.core.files import write_text
 from calibrate.discrepancy.comparison.recording import interval_means
+from calibrate.discrepancy.library.design import SPEEDS
 from calibrate.discrepancy.library.run_library import curves_of, declared
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -50,6 +51,7 @@ mould_height = "150 mm"
 
 [{first}]
 rate = "8 mm/s"
+pressed_at = "{speed:g} mm/s"
 force_low = "200 N"
 force_high = "400 N"
 greased = true
@@ -210,6 +212,7 @@ def write_case(
         name=name,
         first=TESTS[0],
         second=TESTS[1],
+        speed=1e3 * PACE * SPEEDS[0],
         density=", ".join(f'"{s.density:.0f} kg/m^3"' for s in specimens),
         parameters="\n".join(f"{n} = {v:g}" for n, v in centre.items()),
         curves="".join(CURVE.format(test=t, number=n) for t in TESTS for n in numbers),

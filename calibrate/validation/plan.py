@@ -193,7 +193,7 @@ class Visibility:
         discrepancy: ModelDiscrepancy | None = None,
     ):  # fmt: skip
         every = np.arange(len(emulated.library.features) - 2)  # curves; targets follow from them
-        soil_prior, design = soil_prior_of(emulated.library, soil), emulated.library.design
+        soil_prior, design = soil_prior_of(emulated.library, soil, PACE), emulated.library.design
         values = emulated.at(soil_prior)(
             np.zeros(len(soil_prior.offset)), np.zeros(len(design.limits))
         )[0]

@@ -56,6 +56,7 @@ MEANING = {
     "SpecimenTable.height": "of the soil in the mould",
     "SpecimenTable.mould_height": "of the mould, if known",
     "ConfinedTest.rate": "speed of the platen in the laboratory",
+    "ConfinedTest.pressed_at": "of a simulation that stands for a laboratory: how fast it pressed",
     "ConfinedTest.force_low": "the depression depth counts from here",
     "ConfinedTest.force_high": "and to here; the platen turns",
     "ConfinedTest.greased": "whether the mould was greased; kept for the record",

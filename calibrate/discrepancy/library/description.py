@@ -16,7 +16,7 @@ import numpy as np
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import SMOOTHING, Design
+from calibrate.discrepancy.library.design import SETTINGS, SMOOTHING, SPEEDS, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
@@ -24,10 +24,10 @@ from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
 from jdem.effects.composite import EFFECTS
 
-# A soil has no roundings, finer grains, and is pressed at the pace 0; another simulator's bed may
-# have roundings, and the pace of the library's slow runs.
-SETTING_PRIOR_MEAN = (SMOOTHING[0], 0.0, 0.15, -0.3)
-SETTING_PRIOR_SD = (0.4, 0.012, 0.15, 0.35)
+# A soil has no roundings and finer grains; another simulator's bed may have roundings.  The pace is
+# known; its deviation is for what real grains lose otherwise than in dashpots.
+SETTING_PRIOR_MEAN = {"smoothing": SMOOTHING[0], "porosity": 0.0, "sphere_size": -0.3}
+SETTING_PRIOR_SD = {"smoothing": 0.4, "porosity": 0.012, "pace": 0.05, "sphere_size": 0.35}
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
@@ -172,24 +172,32 @@ def candidates(library: RunLibrary) -> tuple[EffectCandidate, ...]:
 
 
 def soil_prior_of(
-    library: RunLibrary, soil: dict[str, float], soil_sd: dict[str, float] | None = None
+    library: RunLibrary,
+    soil: dict[str, float],
+    pace: float,
+    soil_sd: dict[str, float] | None = None,
 ) -> SoilPrior:
-    """The prior about a soil (SI values by name); soil_sd: deviations of ln p where they differ."""
+    """The prior about a soil (SI values by name) that is pressed at a pace, the platen's speed in
+    the mould over the library's fast one; soil_sd: deviations of ln p where they differ."""
     design, given = library.design, soil_sd or {}
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
+    mean = {**SETTING_PRIOR_MEAN, "pace": min(pace, 1.0)}
     return SoilPrior(
-        np.array([*offset, *SETTING_PRIOR_MEAN]), np.array([*spread, *SETTING_PRIOR_SD])
+        np.array([*offset, *(mean[name] for name in SETTINGS)]),
+        np.array([*spread, *(SETTING_PRIOR_SD[name] for name in SETTINGS)]),
     )
 
 
 def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
-    """The prior about a lab's own starting soil, with the deviations that it states."""
+    """The prior about a lab's own starting soil, with the deviations that it states, at the speed
+    of its test in the mould."""
     soil, names = base_soil(lab), library.design.soil_names
     stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
     values = {name: float(getattr(soil, name)) for name in names}
-    return soil_prior_of(library, values, {n: s for n, s in stated.items() if n in names})
+    pace = lab.pair().compression.speed / SPEEDS[0]
+    return soil_prior_of(library, values, pace, {n: s for n, s in stated.items() if n in names})
 
 
 def describe(

@@ -18,7 +18,7 @@ from support.reality.instrument import (
     record,
 )
 from support.reality.soil import PRIOR, TENSILE_EXPONENT, Soil
-from support.reality.specimen import Run
+from support.reality.specimen import LOADING, Run
 
 ZERO = 0.5e-3  # m; the displacement's zero is anywhere within
 BUNDLED_ROLLING = 0.1  # rolling friction of the bundled soil
@@ -81,6 +81,7 @@ def _lab_text(name: str, specimens: list[Specimen]) -> str:
         name=name,
         first=tests[0],
         second=tests[1],
+        speed=1e3 * LOADING,
         density=", ".join(f'"{density:.0f} kg/m^3"' for density in densities),
         height=np.mean([s.height for s in specimens]),
         parameters=_parameters(),
