@@ -5,7 +5,7 @@ sizes.  A derivative of the platen's force that grows beyond the force itself is
 Too little drag lets it grow; too much holds contacts that slide, and then depth's slope in the
 tangential multiplier is too large.  Differences of runs over +-20 % stand beside it.
 
-    python benchmarks/tangents.py               some 30 minutes on two cores
+    python benchmarks/tangents.py               some 20 minutes on two cores
 
 What values with seven derivatives cost, in forward runs, is measured in turn with values alone.
 
@@ -178,8 +178,12 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _shown(value: float | None) -> str:
-    return "overflow" if value is None else f"{value:.2g}"
+def _shown(typical: float | None, worst: float | None) -> str:
+    """Both sizes; derivatives that are zero all along were not followed."""
+    if worst == 0:
+        return "not followed"
+    sizes = ["overflow" if value is None else f"{value:.2g}" for value in (typical, worst)]
+    return "{} ({})".format(*sizes)
 
 
 def _rms(values: np.ndarray) -> float:
@@ -227,7 +231,7 @@ def markdown(found: dict, packings: int, origin: dict) -> str:
     rows = []
     for spheres, entry in found.items():
         for name, each in entry["variants"].items():
-            sizes = [f"{_shown(each['typical'][s])} ({_shown(each['worst'][s])})" for s in STAGES]
+            sizes = [_shown(each["typical"][s], each["worst"][s]) for s in STAGES]
             rows.append([spheres, name, *sizes, *(f"{slope:.3g}" for slope in each["depth"])])
         blank = [""] * len(STAGES)
         rows.append([spheres, "differences", *blank, *(f"{s:.3g}" for s in entry["differences"])])
