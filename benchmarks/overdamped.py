@@ -25,8 +25,9 @@ CURVES = (
     "parameter",
     "confined curve: mean square error over that of the slope",
 )
-BELIEVED = ("spheres", "seed", "test", "accepted packings and parameters", "largest growth")
-POOLED = ("spheres", "packings", "parameter", "reference", "overdamped", "error",
+BELIEVED = ("spheres", "seed", "engine", "test", "accepted packings and parameters",
+            "largest growth")  # fmt: skip
+POOLED = ("spheres", "seeds", "packings", "parameter", "reference", "overdamped", "error",
           "packings wrong by more than 30 %")  # fmt: skip
 WRONG = 0.3
 LARGE = 0.1  # of the largest slope: smaller ones are not asked for
@@ -79,14 +80,15 @@ def certified(audit: dict) -> list[list[str]]:
 
 
 def pooled(audits: list[dict]) -> list[list[str]]:
-    """Depth's slopes that are asked for, over all accepted packings of one size; errors are those
-    of the difference, packing by packing."""
-    found = []
-    for spheres in sorted({audit["spheres"] for audit in audits}):
-        of_size = [audit for audit in audits if audit["spheres"] == spheres]
+    """Depth's slopes that are asked for, over all accepted packings of one size in audits that
+    state them packing by packing; errors are those of the difference."""
+    found, detailed = [], [audit for audit in audits if _by_packing(audit)]
+    for spheres in sorted({audit["spheres"] for audit in detailed}):
+        of_size = [audit for audit in detailed if audit["spheres"] == spheres]
+        seeds = ", ".join(str(min(audit["seeds"]) // 100) for audit in of_size)
         pairs = {row["parameter"]: [] for row in of_size[0]["strategies"][STRATEGY]["rows"]}
         for row in (row for audit in of_size for row in audit["strategies"][STRATEGY]["rows"]):
-            if row["observable"] == DEPTH and row.get("estimate_by_packing"):
+            if row["observable"] == DEPTH:
                 columns = row["reference_by_packing"], row["estimate_by_packing"]
                 pairs[row["parameter"]] += np.array(columns, float).T.tolist()
         slopes = {name: np.array(rows) for name, rows in pairs.items() if rows}
@@ -94,8 +96,12 @@ def pooled(audits: list[dict]) -> list[list[str]]:
         largest = max((abs(rows[:, 0].mean()) for rows in slopes.values()), default=0.0)
         for name, rows in slopes.items():
             if abs(rows[:, 0].mean()) > max(LARGE * largest, 3 * _error(rows[:, 0])):
-                found.append([str(spheres), str(len(rows)), name, *_compared(*rows.T)])
+                found.append([str(spheres), seeds, str(len(rows)), name, *_compared(*rows.T)])
     return found
+
+
+def _by_packing(audit: dict) -> bool:
+    return "estimate_by_packing" in audit["strategies"][STRATEGY]["rows"][0]
 
 
 def _compared(reference: np.ndarray, estimate: np.ndarray) -> list[str]:
@@ -125,7 +131,9 @@ def markdown(audits: list[dict], origin: dict) -> str:
         for audit in audits
         for parameter, error in curve_errors(audit).items()
     ]
-    believed = [[*named(audit), *row] for audit in audits for row in certified(audit)]
+    believed = [
+        [*named(audit), audit["engine"], *row] for audit in audits for row in certified(audit)
+    ]
     return (
         "# Derivatives that JAX takes\n\nPer unit of ln p, mm or N; slopes above three standard "
         "errors of the reference.\n\n"

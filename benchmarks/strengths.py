@@ -35,6 +35,7 @@ from jdem.sensitivity.overdamped import Overdamped
 
 LEFT_OUT = ("acquisition_lag", "second_test_factor")  # the latter acts in the second test alone
 STEP = 0.5  # typical strengths
+SMALLEST = 1e-3  # mm; what a displacement is recorded to
 HEADER = ("effect", "depth (mm): differences", "JAX", "error",
           "confined curve: mean square error over that of the slope")  # fmt: skip
 
@@ -109,7 +110,7 @@ def markdown(rows: list[dict], packings: int, spheres: int, origin: dict) -> str
     lines = []
     for each in rows:
         d = each["depth_mm"]
-        told = abs(d["differences"]) > 3 * d["differences_se"]
+        told = abs(d["differences"]) > max(3 * d["differences_se"], SMALLEST)
         error = f"{d['jax'] / d['differences'] - 1:+.0%}" if told else "too small to judge"
         lines.append(
             [each["effect"], f"{d['differences']:.3g} ± {d['differences_se']:.2g}",
@@ -117,9 +118,8 @@ def markdown(rows: list[dict], packings: int, spheres: int, origin: dict) -> str
         )  # fmt: skip
     return (
         f"# Derivatives in the strengths of effects\n\nPer typical strength, all effects off; "
-        f"{packings} packings of {spheres} spheres whose derivatives are accepted.\n\n"
-        + reporting.table(HEADER, lines)
-        + reporting.footer(origin)
+        f"{packings} packings of {spheres} spheres whose derivatives are accepted. Cementation "
+        "begins after this test.\n\n" + reporting.table(HEADER, lines) + reporting.footer(origin)
     )
 
 

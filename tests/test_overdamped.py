@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from hand_made_beds import RADIUS, bed_of, listed, quickly, soil_of, spheres_of
 
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.simulation.resolution import PRESETS, virtual_lab
 from jdem.bodies.spheres import Motion, Spheres
 from jdem.boundaries.base import FAR
 from jdem.boundaries.composite import PLATEN
@@ -30,7 +32,8 @@ from jdem.engine.segment import cell_segment, stack
 from jdem.engine.state import TangentDrag
 from jdem.engine.stiffness import System
 from jdem.observables import Curve, displacement_at
-from jdem.sensitivity.overdamped import OverdampedMotion
+from jdem.sensitivity.base import Traced
+from jdem.sensitivity.overdamped import Overdamped, OverdampedMotion
 
 TRAVEL, SPEED = 2e-4, 0.05  # m, m/s
 STEPS, SAMPLES, CAPACITY = 100, 160, 256  # of rest; capacity of the record
@@ -221,6 +224,23 @@ def test_nothing_is_followed_beyond_the_last_movement():
     assert np.array_equal(slopes[segment == 0], until[segment == 0])
     assert np.abs(slopes[segment == 1]).max() > 0
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves((until[segment == 1], motion))) == 0
+
+
+def test_slopes_are_refused_from_the_first_test_whose_specimen_stands_free():
+    """The confined test's movements are followed, those of the unconfined one are not."""
+    preset = PRESETS["quick"]
+    lab, strategy = virtual_lab(load_lab(bundled_lab()), preset), Overdamped()
+    followed_until = strategy.laboratory(lab).derivative.last
+    movements = lab.tests.movements()
+    assert [movement.free for movement in movements[:followed_until]] == [False] * followed_until
+    assert movements[followed_until].free
+    small = jnp.full((2, 3), 1e-3)
+    found = Traced(jnp.zeros(1), jnp.zeros((1, 3)), small, small)
+    refused = strategy.refusals(lab, found)
+    assert refused[0] == ["", "", ""]
+    assert all("stands free" in reason for reason in refused[1])
+    grown = replace(found, growth=small.at[0, 1].set(2.0))
+    assert all("grew to 2" in reason for reason in strategy.refusals(lab, grown)[0])
 
 
 def taken(simulated, point, direction):

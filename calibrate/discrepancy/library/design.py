@@ -18,7 +18,7 @@ Numbers of spheres take turns, so that what resolution changes is learned with a
 are cheap, enough are dear.  The size of spheres is the coordinate, d/D ~ N^(-1/3): walls and the
 ends of a specimen count in proportion to it, and the limit of fine grains lies at -1.
 
-A simulated press is a thousand times as fast as a laboratory's, and what dashpots carry goes with
+A simulated press is twenty times as fast as a laboratory's, and what dashpots carry goes with
 its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
 soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
 """

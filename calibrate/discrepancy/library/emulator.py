@@ -30,6 +30,8 @@ from jax.flatten_util import ravel_pytree
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
+from calibrate.discrepancy.library.design import SETTINGS
+
 COMPONENTS = 14
 LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
@@ -37,7 +39,7 @@ MOST_ROWS = 700  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 JITTER = 1e-6
-PACE = -2  # the base coordinate in which rows of one soil may differ
+PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
 COARSE = 0.36  # where its fit starts: deviations go with about N^-0.4 (benchmarks/resolution.py)
 
 
@@ -170,9 +172,9 @@ class Basis:
         return (self.root @ self.axes.T) * self.deviation
 
     def components(self, warped: np.ndarray) -> np.ndarray:
-        """Standardised components (..., c) of warped features (..., m)."""
-        standard = np.linalg.solve(self.root, np.moveaxis(warped - self.mean, -1, 0))
-        return np.moveaxis(standard, 0, -1) @ self.axes.T / self.deviation
+        """Standardised components (c,) or (n, c) of warped features (m,) or (n, m)."""
+        standard = np.linalg.solve(self.root, (warped - self.mean).T).T
+        return standard @ self.axes.T / self.deviation
 
 
 def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPONENTS) -> Basis:

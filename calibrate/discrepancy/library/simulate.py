@@ -30,7 +30,7 @@ from jdem.packing.specimen import Specimen
 
 Numbers = Sequence[float] | np.ndarray
 # Free specimens are pressed twice as fast as in the preset standard, which depth and force bear.
-PACE = replace(PRESETS["standard"], name="library", rate_in_mould=SPEEDS[0], rate_free=0.10)
+PRESET = replace(PRESETS["standard"], name="library", rate_in_mould=SPEEDS[0], rate_free=0.10)
 COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
 
 
@@ -76,8 +76,8 @@ class Simulator:
     def _campaign(self, spheres: int, loose: float, pace: float, lean: bool) -> Campaign:
         key = (spheres, loose, pace, lean)
         if key not in self._campaigns:
-            speed = round(pace * PACE.rate_in_mould, 6)
-            preset = replace(PACE, spheres=spheres, rate_in_mould=speed)
+            speed = round(pace * PRESET.rate_in_mould, 6)
+            preset = replace(PRESET, spheres=spheres, rate_in_mould=speed)
             cylinder = loosened(specimen(self.lab, preset), loose)
             numerics = numerics_for(cylinder, dtype=self.dtype)
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
@@ -97,7 +97,7 @@ def switched_off(
 
 def loosened(cylinder: Specimen, loose: float) -> Specimen:
     """A specimen of a porosity that is larger by `loose`."""
-    assert cylinder.porosity is not None  # PACE grows its beds
+    assert cylinder.porosity is not None  # PRESET grows its beds
     return replace(cylinder, porosity=round(cylinder.porosity + loose, 4)) if loose else cylinder
 
 
