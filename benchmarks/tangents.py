@@ -50,6 +50,8 @@ STEP = 0.2  # in ln p, of differences
 STAGES = ("loading", "unloading", "crushing")
 COLOURS, LINES, MARKS = ("#9fb7c9", "#7a7a7a", "#20344f", "#c4622d"), (":", "--", "-", "-."), "osD^"
 POINTS = 200
+BEYOND = 1e18  # where the picture ends
+FREED = 0.23  # share of both tests after which the specimen stands free
 ROUNDS = 3
 
 
@@ -206,22 +208,29 @@ def label(drag: float | None) -> str:
 
 
 def figure(found: dict, path: Path) -> None:
-    """Left: along the tests, one line a drag; right: the largest while loading, over the size."""
+    """Left: along the tests as far as they are followed, one line a drag; right: the largest while
+    loading, over the size."""
     drawn, (along, over) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    sizes = sorted(map(int, found))
     for drag, colour, line, mark in zip(DRAGS, COLOURS, LINES, MARKS, strict=True):
         name = label(drag)
         share, size = (np.array(c, float) for c in found[str(SHOWN)]["variants"][name]["trace"])
         along.plot(share, np.where(size > -6, size, np.nan), line, color=colour, label=name)
-        sizes = [int(n) for n in found if name in found[n]["variants"]]
-        worst = [found[str(n)]["variants"][name]["worst"]["loading"] for n in sizes]
-        over.loglog(sizes, worst, line, marker=mark, color=colour, label=name)
+        worst = np.array([found[str(n)]["variants"][name]["worst"]["loading"] for n in sizes])
+        over.loglog(sizes, np.minimum(worst, BEYOND), line, marker=mark, color=colour, label=name)
+        for spheres, value in zip(sizes, worst, strict=True):
+            if value > BEYOND:
+                mantissa = f"$10^{{{np.log10(value):.0f}}}$"
+                over.annotate(mantissa, (spheres, BEYOND), (-28, -12), textcoords="offset points")
     along.axhline(0, color="0.7", lw=3, zorder=0)
-    along.set(xlabel="share of both tests that has passed (-)", ylim=(-4, 12),
+    along.set(xlabel="share of both tests that has passed (-)", ylim=(-4, 12), xlim=(0, FREED),
               ylabel="log10 of |dF/d ln p| over the largest force (-)",
               title=f"{SHOWN} spheres")  # fmt: skip
     over.axhline(1, color="0.7", lw=3, zorder=0)
     over.set(xlabel="spheres (-)", title="loading in the mould, worst of all",
-             ylabel="|dF/d ln p| over the largest force (-)")  # fmt: skip
+             ylabel="|dF/d ln p| over the largest force (-)", ylim=(0.03, 10 * BEYOND))  # fmt: skip
+    over.set_xticks(sizes, map(str, sizes))
+    over.minorticks_off()
     over.legend(frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     drawn.savefig(path, dpi=130)
@@ -229,7 +238,7 @@ def figure(found: dict, path: Path) -> None:
 
 def markdown(found: dict, packings: int, origin: dict) -> str:
     rows = []
-    for spheres, entry in found.items():
+    for spheres, entry in sorted(found.items(), key=lambda item: int(item[0])):
         for name, each in entry["variants"].items():
             sizes = [_shown(each["typical"][s], each["worst"][s]) for s in STAGES]
             rows.append([spheres, name, *sizes, *(f"{slope:.3g}" for slope in each["depth"])])
