@@ -1,10 +1,10 @@
 """How often the diagnosis names what is hidden in resolved beds, and nothing where nothing is.
 
-    python benchmarks/open_cases.py --work FOLDER        took 65 minutes, other work beside
+    python benchmarks/open_cases.py        took 65 minutes, other work beside
 
 Specimens of 1100 and 2200 spheres of this simulator, other packings and porosities than the library
 of runs, four a case: 30 with nothing hidden, 8 and 8 with one effect at a signal-to-noise of 2 to
-6 and above 6.  Cases are open: they serve development, and are no sealed validation.  FOLDER keeps
+6 and above 6.  Cases are open: they serve development, no sealed validation.  A folder keeps
 simulations, and the verdicts of one state of library and diagnosis, so that a stopped run goes on.
 Results are written once both parts are there.
 """
@@ -109,7 +109,8 @@ def summary(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--work", type=Path, required=True, help="folder for simulations")
+    kept = reporting.CACHE / "open_cases"
+    parser.add_argument("--work", type=Path, default=kept, help="folder for simulations")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     chosen = parser.parse_args()
     runtime.configure()

@@ -106,12 +106,20 @@ def row(name: str, slopes: np.ndarray) -> dict:
     }  # fmt: skip
 
 
+def _error(differences: float, differences_se: float, jax: float, jax_se: float) -> str:
+    """Relative where the slope can be told from nothing; else in mm, where JAX says otherwise."""
+    if abs(differences) > max(3 * differences_se, SMALLEST):
+        return f"{jax / differences - 1:+.0%}"
+    off = jax - differences
+    seen = abs(off) > max(3 * float(np.hypot(differences_se, jax_se)), SMALLEST)
+    return f"{off:+.2g} mm" if seen else "too small to judge"
+
+
 def markdown(rows: list[dict], packings: int, spheres: int, origin: dict) -> str:
     lines = []
     for each in rows:
         d = each["depth_mm"]
-        told = abs(d["differences"]) > max(3 * d["differences_se"], SMALLEST)
-        error = f"{d['jax'] / d['differences'] - 1:+.0%}" if told else "too small to judge"
+        error = _error(**d)
         lines.append(
             [each["effect"], f"{d['differences']:.3g} ± {d['differences_se']:.2g}",
              f"{d['jax']:.3g} ± {d['jax_se']:.2g}", error, f"{each['curve_error']:.3f}"]
