@@ -6,12 +6,12 @@
 
 Each fits the same parameters to the soil's targets, from the same start, on four packings, and is
 checked on fresh packings of 2000 spheres.  Costs are processor seconds of the fit, compiling in;
-beds are made before, and the check is not counted.  One soil from one start takes 47 minutes of
-a core for its three fits.
+beds are made before, and the check is not counted.  One soil from one start takes 20 minutes of
+two cores for fits of large beds and of both.
 
     python benchmarks/sizes.py --soils wheat_after_rice --starts base
 
-Fits are kept in results/benchmarks/sizes; a second call resumes at the next one.  Writes
+`--ways` picks fits.  Fits are kept in results/benchmarks/sizes; a second call resumes at the next one.  Writes
 benchmarks/results/sizes.json and .md after each; other fits of the same engine keep their rows.
 """
 
@@ -26,8 +26,8 @@ import numpy as np
 import reporting
 
 from calibrate.core.progress import for_terminal
-from calibrate.inference.calibration import THRIFTY, explored
-from calibrate.inference.evaluation import Calibration, packing_scatter
+from calibrate.inference.calibration import THRIFTY, explored, scatter_of_packings
+from calibrate.inference.evaluation import Calibration
 from calibrate.inference.fit import fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import pose
@@ -81,13 +81,11 @@ def _fit(lab, start: str, way: str, large: AbstractCampaign, small: AbstractCamp
     base, problem = base_soil(lab), pose(lab)
     base = with_values(base, {k: f * getattr(base, k) for k, f in STARTS[start].items()})
     work = small if way == "small" else large
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
-    )
-    coarse = Coarse.of(small, SMALL.spheres, LARGE.spheres) if way == "both" else None
+    coarse = Coarse(small, SMALL.spheres, LARGE.spheres) if way == "both" else None
+    scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     free = space(lab, FREE, base)
     calibration = Calibration(
-        problem, free, work, seeds.fitted, scatter, len(seeds.scatter), THRIFTY, coarse
+        problem, free, work, seeds.fitted, scatter, scattered, THRIFTY, coarse
     )
     walked = explored(calibration, calibration.correction(free.start(), "both at the start"))
     begin = walked.best.values if walked and walked.best else None
@@ -126,12 +124,17 @@ def _cells(row: dict, name: str, dear: dict) -> list[str]:
     ]
 
 
+def _order(row: dict) -> tuple:
+    return row["soil"], list(STARTS).index(row["start"]), WAYS.index(row["way"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--soils", nargs="+", default=["wheat_after_rice", "trumao"])
     parser.add_argument("--starts", nargs="+", default=list(STARTS))
+    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS)
     chosen = parser.parse_args()
     reporting.configure()
     found = list(reporting.earlier("sizes", "rows"))
@@ -140,7 +143,7 @@ def main() -> None:
         prepared(lab, folder / "beds")
         targets = {name: target.mean for name, target in lab.targets.items()}
         for start in chosen.starts:
-            for way in WAYS:
+            for way in chosen.ways:
                 place = folder / f"{start}-{way}".replace(", ", "-")
                 entry = fitted(lab, start, way, place, folder / "beds")
                 row = {"soil": soil, "start": start, **entry, "measured": targets}
@@ -149,7 +152,7 @@ def main() -> None:
                     for r in found
                     if [r[k] for k in ("soil", "start", "way")] != [soil, start, way]
                 ]
-                found.append(row)
+                found = sorted([*found, row], key=_order)
                 origin = reporting.provenance()
                 reporting.write("sizes", {**origin, "rows": found}, markdown(found, origin))
 

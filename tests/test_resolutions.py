@@ -53,7 +53,7 @@ def calibration(large, small):
     problem = Problem(FEATURES, measured, (0.01 * measured) ** 2, np.zeros(2, int))
     scatter = packing_scatter(problem, lambda s: large.runs([BASE], s, "scatter")[0], range(8))
     large.simulated = 0
-    coarse = None if small is None else Coarse(small, 500)
+    coarse = None if small is None else Coarse(small, 500, 2000)
     return Calibration(problem, space(LAB, NAMES, BASE), large, SEEDS, scatter, 8, coarse=coarse)
 
 

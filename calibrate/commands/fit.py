@@ -53,7 +53,7 @@ def fit_command(
     coarse = None
     if spheres is not None:
         smaller = session.resized(spheres).campaign(out, preparation)
-        coarse = Coarse.of(smaller, spheres, session.preset.spheres)
+        coarse = Coarse(smaller, spheres, session.preset.spheres)
     done = calibrate(session.lab, session.preset, names, values, seed, work, coarse)
     write_fit(session, done, json)
 

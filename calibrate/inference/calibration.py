@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
+from calibrate.inference.evaluation import Calibration, Settings, finished_features
 from calibrate.inference.fit import Descent, Fit, descend, fit
 from calibrate.inference.identifiability import choose_free
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space
-from calibrate.inference.problem import Problem, pose
-from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement
+from calibrate.inference.problem import Problem, pose, shrunk_covariance
+from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Run
@@ -76,19 +76,17 @@ def calibrate(
     """
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     base = with_values(base_soil(lab), changes)
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([base], s, "scatter of packings")[0], seeds.scatter
-    )
+    scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     screening: dict = {}
     free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
     if free is None:
-        screening = screen(lab, problem, base, scatter, seeds, work, coarse)
+        screening = screen(lab, problem, base, scatter, scattered, seeds, work, coarse)
         free = tuple(screening["free"])
         work.progress.say("free parameters: " + ", ".join(free))
     free_space = space(lab, free, base)
     settings = Settings() if coarse is None else THRIFTY
     calibration = Calibration(
-        problem, free_space, work, seeds.fitted, scatter, len(seeds.scatter), settings, coarse
+        problem, free_space, work, seeds.fitted, scatter, scattered, settings, coarse
     )
     first = calibration.correction(free_space.start(), "both resolutions at the start")
     walked = explored(calibration, first)
@@ -115,6 +113,29 @@ def calibrate(
         rates=rates_json(work),
         resolutions=resolutions_json(calibration, first, result, preset),
     )
+
+
+def scatter_of_packings(
+    problem: Problem,
+    soil: SoilParameters,
+    seeds: Seeds,
+    work: AbstractCampaign,
+    coarse: Coarse | None,
+) -> tuple[np.ndarray, int]:
+    """Covariance (m, m) of one packing's features over their mean, and from how many packings.
+
+    With smaller beds, few large ones are run, those that the fit needs in any case."""
+
+    def features(campaign: AbstractCampaign, packings: Sequence[int]) -> np.ndarray:
+        runs = campaign.runs([soil], packings, "scatter of packings")[0]
+        return finished_features(problem, runs)
+
+    if coarse is None:
+        alone = features(work, seeds.scatter)
+        return shrunk_covariance(alone / alone.mean(axis=0)), len(seeds.scatter)
+    both = features(work, seeds.fitted), features(coarse.campaign, seeds.scatter)
+    covariance, freedom = pooled(*both, coarse)
+    return covariance, freedom + 1
 
 
 def explored(calibration: Calibration, correction: Correction) -> Descent | None:
@@ -181,7 +202,8 @@ def screen(
     lab: Lab,
     problem: Problem,
     base: SoilParameters,
-    scatter,
+    scatter: np.ndarray,
+    scattered: int,
     seeds: Seeds,
     work: AbstractCampaign,
     coarse: Coarse | None = None,
@@ -192,7 +214,7 @@ def screen(
     every = space(lab, candidates, base)
     settings = Settings(strategy=ensemble(every))
     calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, len(seeds.scatter), settings, coarse
+        problem, every, work, seeds.fitted, scatter, scattered, settings, coarse
     )
     slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
     whitened = calibration.whitened(slopes)

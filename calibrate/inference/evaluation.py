@@ -29,8 +29,8 @@ _REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 class Settings:
     """How long and how finely to fit.
 
-    A fit is done when every whitened data residual is below `tolerance`, when the solver
-    says so, when `patience` evaluations in a row were no better, or after `evaluations`.
+    A fit is done when every whitened data residual is below `tolerance`, when its slopes promise
+    less than half the tolerance's square, when the solver says so, when `patience` evaluations in a row were no better, or after `evaluations`.
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
     `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
@@ -180,10 +180,14 @@ def packing_scatter(
     problem: Problem, runs: Callable[[Sequence[int]], list[Run]], seeds: Sequence[int]
 ) -> np.ndarray:
     """Covariance (m, m) of one packing's features over their mean."""
-    finished = runs(seeds)
-    failures = [run.failure for run in finished if run.failure]
-    if len(failures) > len(finished) // 2:
+    features = finished_features(problem, runs(seeds))
+    return shrunk_covariance(features / features.mean(axis=0))
+
+
+def finished_features(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
+    """Features (n, m) of the runs that did not fail; refused where most of them failed."""
+    failures = [run.failure for run in runs if run.failure]
+    if len(failures) > len(runs) // 2:
         repair = "start from another, by [parameters] of the lab file or --set"
         raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}; {repair}")
-    features = problem.simulated([run for run in finished if not run.failure])
-    return shrunk_covariance(features / features.mean(axis=0))
+    return problem.simulated([run for run in runs if not run.failure])

@@ -37,6 +37,7 @@ class Fit:
     stopped: str
 
 
+DIGITS = 12  # of a value: to the solver's y and back a point is the same, and simulated once
 PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 
 
@@ -93,7 +94,7 @@ class _Walk:
         """One evaluation and one solver step; a reason to stop, or nothing."""
         calibration, number = self._calibration, len(self.history) + 1
         y = np.asarray(self._state.y_eval)
-        values = calibration.space.from_unbounded(y)
+        values = _to_digits(calibration.space.from_unbounded(y))
         evaluation = calibration.evaluate(values, f"evaluation {number}")
         before, better = self.best, self.best is None or evaluation.cost < self.best.cost
         if better:
@@ -135,6 +136,8 @@ class _Walk:
 
     def _step(self, evaluation: Evaluation, y: np.ndarray) -> str:
         jacobian = self._calibration.jacobian(self.slopes, y)
+        if evaluation is self.best and _nothing_left(self._calibration, evaluation, jacobian):
+            return "no step would lower the cost by more than the tolerance"
         local = (jnp.asarray(evaluation.residual), jnp.asarray(jacobian), jnp.asarray(y))
         self.y, self._state, _ = self._solver.step(
             _affine, self.y, local, {}, self._state, frozenset()
@@ -170,6 +173,21 @@ def _close_enough(calibration: Calibration, evaluation: Evaluation) -> bool:
     return bool(np.max(np.abs(data)) < calibration.settings.tolerance)
 
 
+def _to_digits(values: np.ndarray) -> np.ndarray:
+    return np.array([float(f"{value:.{DIGITS}g}") for value in values])
+
+
+def _nothing_left(calibration: Calibration, best: Evaluation, jacobian: np.ndarray) -> bool:
+    """Whether the slopes promise less than one residual of the size of the tolerance is worth.
+
+    A target that the prior holds off is never met; this ends the fit all the same."""
+    if best.failures:
+        return False
+    step, *_ = np.linalg.lstsq(jacobian, best.residual, rcond=None)
+    gain = 0.5 * float(np.sum((jacobian @ step) ** 2))
+    return gain < 0.5 * calibration.settings.tolerance**2
+
+
 def _finished(calibration: Calibration, descent: Descent) -> Fit:
     best = descent.best
     if best is None or best.failures:
@@ -183,7 +201,7 @@ def _finished(calibration: Calibration, descent: Descent) -> Fit:
         calibration.space.prior_sd(),
         calibration.scatter_packings - 1,
     )
-    profiles = _profiles(calibration, identifiability)
+    profiles = _profiles(calibration, identifiability, best)
     covariance = calibration.covariance
     return Fit(
         best,
@@ -196,7 +214,9 @@ def _finished(calibration: Calibration, descent: Descent) -> Fit:
     )
 
 
-def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, list[dict]]:
+def _profiles(
+    calibration: Calibration, found: Identifiability, best: Evaluation
+) -> dict[str, list[dict]]:
     """Objective along each free parameter, the others where the slopes say is best.
 
     Points lie at -2, -1, 0, 1 and 2 posterior deviations.  `linearised` is the profile that
@@ -210,10 +230,12 @@ def _profiles(calibration: Calibration, found: Identifiability) -> dict[str, lis
         for steps in PROFILE_STEPS:
             shift = covariance[:, column] / sd[column] * steps
             values = np.exp(calibration.space.inside(np.log(found.values) + shift))
-            evaluation = calibration.estimate(values, correction, f"profile of {name}")
+            evaluation = best
+            if steps:
+                evaluation = calibration.estimate(values, correction, f"profile of {name}")
             rows.append(
                 {
-                    "value": float(values[column]),
+                    "value": float(evaluation.values[column]),
                     "linearised": 0.5 * steps**2,
                     "simulated": evaluation.cost,
                     "failure": "; ".join(evaluation.failures),

@@ -6,7 +6,8 @@
 Values come from where they are right, slopes from where they are cheapest for their noise
 (multiplicative space mapping; Bandler et al. 2004, IEEE Trans. Microwave Theory Tech. 52, 337).
 Small beds are fitted first, to what was measured divided by rho; the large beds then take few
-steps, and rho is measured anew at each point where slopes are.
+steps, and rho is measured anew at each point where slopes are.  Scatter of packings comes from
+both: a specimen's relative scatter goes with N^-1/2, as that of a mean over independent parts.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.problem import Problem
+from calibrate.inference.problem import Problem, shrunk_covariance
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.materials.soil import SoilParameters
 
@@ -58,22 +59,40 @@ def _relative_variance(features: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Coarse:
-    """The same tests on beds of fewer spheres; `cost` is that of a run over a run of large beds."""
+    """The same tests on beds of fewer spheres than the `large` ones that are fitted."""
 
     campaign: AbstractCampaign
     spheres: int
-    cost: float = 1.0
+    large: int
 
-    @staticmethod
-    def of(campaign: AbstractCampaign, spheres: int, large: int) -> "Coarse":
-        """Time steps go with the diameter, so a run's cost goes with N^(4/3)."""
-        return Coarse(campaign, spheres, (spheres / large) ** (4 / 3))
+    @property
+    def cost(self) -> float:
+        """Of a run over a run of large beds: time steps go with the diameter, so with N^(4/3)."""
+        return (self.spheres / self.large) ** (4 / 3)
 
     def features(
         self, problem: Problem, soil: SoilParameters, seeds: Sequence[int], what: str
     ) -> np.ndarray:
         """Features (n, m) of one soil on these packings."""
         return problem.simulated(self.campaign.runs([soil], seeds, what)[0])
+
+
+def pooled(large: np.ndarray, small: np.ndarray, coarse: Coarse) -> tuple[np.ndarray, int]:
+    """Covariance (m, m) of one large packing's features over their mean, and its degrees of
+    freedom.
+
+    From features (n, m) of finished runs on large packings and on small ones, whose relative
+    deviations are scaled by (N_small / N_large)^(1/2); each size has deviations from its own mean.
+    """
+    scale = np.sqrt(coarse.spheres / coarse.large)
+    groups = [_deviations(large), scale * _deviations(small)]
+    rows = np.concatenate([group for group in groups if len(group) > 1])
+    freedom = sum(len(group) - 1 for group in groups)
+    return shrunk_covariance(rows) * (len(rows) - 1) / freedom, freedom
+
+
+def _deviations(features: np.ndarray) -> np.ndarray:
+    return features / features.mean(axis=0) - 1
 
 
 def corrected(problem: Problem, correction: Correction) -> Problem:
