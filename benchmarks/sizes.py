@@ -11,8 +11,9 @@ two cores for fits of large beds and of both.
 
     python benchmarks/sizes.py --soils wheat_after_rice --starts base
 
-`--ways` picks fits.  Fits are kept in results/benchmarks/sizes; a second call resumes at the next one.  Writes
-benchmarks/results/sizes.json and .md after each; other fits of the same engine keep their rows.
+`--ways` picks fits.  They are kept in results/benchmarks/sizes; a second call resumes at the next
+one.  Writes benchmarks/results/sizes.json and .md after each; other fits of the same engine keep
+their rows.
 """
 
 import argparse

@@ -168,6 +168,34 @@ def test_a_step_after_a_rejected_one_is_another_step():
     assert np.linalg.norm(following) > 0.1 * np.linalg.norm(tried)
 
 
+def test_a_target_that_the_prior_holds_off_ends_the_fit_once_nothing_is_left_to_gain():
+    """A modulus five times the start's, and a prior that allows a tenth: never met."""
+    case = scalar_case(START_TWO * [5.0, 1.0], 0, settings=Settings(tolerance=0.3))
+    narrow = tuple(replace(entry, prior_sd=0.1) for entry in case.space.ranges)
+    case = replace(case, space=replace(case.space, ranges=narrow))
+    walk = descend(case)
+    assert walk.stopped == "no step would lower the cost by more than the tolerance"
+    longer = descend(replace(case, settings=Settings(tolerance=0.0)))
+    assert len(walk.history) < len(longer.history)
+    assert walk.best.cost - longer.best.cost < 0.3**2
+
+
+def test_no_point_is_simulated_twice():
+    """Neither the start, that of the scatter, nor the best point, which profiles pass through."""
+    asked = []
+
+    class Points(Formulas):
+        def _run(self, soil, seed):
+            asked.append((float(soil.shear_modulus), float(soil.surface_energy), seed))
+            return super()._run(soil, seed)
+
+    case = scalar_case(TRUTH_TWO, 0, work=Points())
+    best = fit(case).best.values
+    at_best = [point[:2] for point in asked if np.allclose(point[:2], best, rtol=1e-9)]
+    at_start = [point[:2] for point in asked if np.allclose(point[:2], START_TWO, rtol=1e-9)]
+    assert len(set(at_best)) == len(set(at_start)) == 1
+
+
 def test_a_fit_ends_after_its_evaluations():
     result = fit(scalar_case(TRUTH_TWO, 0, settings=Settings(evaluations=2, tolerance=0.0)))
     assert [row["evaluation"] for row in result.history] == [1, 2]

@@ -10,14 +10,15 @@ import pytest
 from formulas import BASE, LAB, Formulas, shift
 
 from calibrate.core.progress import Silent
-from calibrate.inference.calibration import explored, resolutions_json
+from calibrate.inference.calibration import explored, resolutions_json, scatter_of_packings
 from calibrate.inference.evaluation import Calibration, packing_scatter
 from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem
-from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement
+from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
 from calibrate.labtests.features import ScalarTarget
 from calibrate.simulation.resolution import PRESETS
+from calibrate.simulation.specimens import Seeds
 
 NAMES = ("shear_modulus", "surface_energy")
 FEATURES = (
@@ -84,6 +85,37 @@ def test_corrected_targets_are_what_small_beds_have_to_show():
     found = corrected(problem, Correction(np.array([0.8, 1.25]), np.zeros(2)))
     assert found.measured == pytest.approx([3.75, 160.0])
     assert np.sqrt(found.target_variance) / found.measured == pytest.approx([0.1 / 3, 4 / 200])
+
+
+def test_scatter_of_both_sizes_is_that_of_large_packings():
+    """Deviations of 1 and 7 % at 2000 spheres are 2 and 14 % at 500; their correlation is kept."""
+    rng, coarse = np.random.default_rng(0), Coarse(Formulas(), 500, 2000)
+    shape = np.linalg.cholesky([[1.0, 0.5], [0.5, 1.0]]) * 0.01
+    large = [2.0, 200.0] * (1 + rng.normal(size=(4000, 2)) @ shape.T * [1, 7])
+    small = [3.0, 150.0] * (1 + rng.normal(size=(8000, 2)) @ shape.T * [2, 14])
+    covariance, freedom = pooled(large, small, coarse)
+    assert freedom == 11_998
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.01, 0.07], rel=0.03)
+    assert covariance[0, 1] == pytest.approx(0.5 * 0.01 * 0.07, rel=0.06)
+
+
+def test_scatter_of_few_packings_has_no_bias():
+    """4 large and 8 small packings, over 2000 draws."""
+    rng, coarse = np.random.default_rng(1), Coarse(Formulas(), 500, 2000)
+    draws = [
+        pooled(1 + 0.01 * rng.normal(size=(4, 1)), 1 + 0.02 * rng.normal(size=(8, 1)), coarse)
+        for _ in range(2000)
+    ]
+    assert np.mean([c[0, 0] for c, _ in draws]) == pytest.approx(1e-4, rel=0.03)
+    assert draws[0][1] == 10
+
+
+def test_with_small_beds_only_the_fitted_packings_of_large_ones_are_run_for_scatter():
+    large, small = Formulas(), Small()
+    problem = calibration(Formulas(), None).problem
+    seeds = Seeds.of(0, 4)
+    _, packings = scatter_of_packings(problem, BASE, seeds, large, Coarse(small, 500, 2000))
+    assert (large.simulated, small.simulated, packings) == (4, 8, 11)
 
 
 def test_a_fit_across_resolutions_ends_where_one_with_large_beds_alone_does():

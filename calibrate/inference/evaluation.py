@@ -15,7 +15,7 @@ from jax import Array
 
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.first_order import FirstOrder
-from calibrate.inference.parameters import Space, fitting_ensemble
+from calibrate.inference.parameters import Space, fitting_ensemble, to_digits
 from calibrate.inference.problem import Problem, shrunk_covariance
 from calibrate.inference.resolutions import Coarse, Correction
 from calibrate.simulation import Campaign, Run
@@ -30,7 +30,8 @@ class Settings:
     """How long and how finely to fit.
 
     A fit is done when every whitened data residual is below `tolerance`, when its slopes promise
-    less than half the tolerance's square, when the solver says so, when `patience` evaluations in a row were no better, or after `evaluations`.
+    less than half the tolerance's square, when the solver says so, when `patience` evaluations in
+    a row were no better, or after `evaluations`.
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
     `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
@@ -89,9 +90,8 @@ class Calibration:
     def probed(self, points: np.ndarray, what: str) -> np.ndarray:
         """Features (k, n, m) at points (k, n, p) of ln p, one for each packing of those that slopes
         are taken on."""
-        soils = [
-            [self.space.soil(np.exp(point)) for point in row] for row in self.space.inside(points)
-        ]
+        values = to_digits(np.exp(self.space.inside(points)))
+        soils = [[self.space.soil(point) for point in row] for row in values]
         rows = self._probes.each(soils, self.seeds, what)
         return np.array([self.problem.simulated(row) for row in rows])
 

@@ -22,6 +22,7 @@ from jax import Array
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.evaluation import Calibration, Evaluation
 from calibrate.inference.identifiability import Identifiability, assess
+from calibrate.inference.parameters import to_digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,6 @@ class Fit:
     stopped: str
 
 
-DIGITS = 12  # of a value: to the solver's y and back a point is the same, and simulated once
 PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 
 
@@ -94,7 +94,7 @@ class _Walk:
         """One evaluation and one solver step; a reason to stop, or nothing."""
         calibration, number = self._calibration, len(self.history) + 1
         y = np.asarray(self._state.y_eval)
-        values = _to_digits(calibration.space.from_unbounded(y))
+        values = to_digits(calibration.space.from_unbounded(y))
         evaluation = calibration.evaluate(values, f"evaluation {number}")
         before, better = self.best, self.best is None or evaluation.cost < self.best.cost
         if better:
@@ -171,10 +171,6 @@ def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
 def _close_enough(calibration: Calibration, evaluation: Evaluation) -> bool:
     data = evaluation.residual[: len(calibration.problem.measured)]
     return bool(np.max(np.abs(data)) < calibration.settings.tolerance)
-
-
-def _to_digits(values: np.ndarray) -> np.ndarray:
-    return np.array([float(f"{value:.{DIGITS}g}") for value in values])
 
 
 def _nothing_left(calibration: Calibration, best: Evaluation, jacobian: np.ndarray) -> bool:

@@ -90,6 +90,14 @@ class Space:
         return low, np.log([entry.high for entry in self.ranges])
 
 
+DIGITS = 12
+
+
+def to_digits(values: np.ndarray) -> np.ndarray:
+    """Values rounded so that a point taken to ln p or y and back is the same, simulated once."""
+    return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"), otypes=[float])(values)
+
+
 PROBE = 0.2  # usual step in ln p; about 20 %
 
 
