@@ -27,9 +27,8 @@ import numpy as np
 import reporting
 
 from calibrate.core.progress import for_terminal
-from calibrate.inference.calibration import THRIFTY, explored, scatter_of_packings
+from calibrate.inference.calibration import THRIFTY, explored, fit_from, scatter_of_packings
 from calibrate.inference.evaluation import Calibration
-from calibrate.inference.fit import fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import pose
 from calibrate.inference.resolutions import Coarse
@@ -89,8 +88,7 @@ def _fit(lab, start: str, way: str, large: AbstractCampaign, small: AbstractCamp
         problem, free, work, seeds.fitted, scatter, scattered, THRIFTY, coarse
     )
     walked = explored(calibration, calibration.correction(free.start(), "both at the start"))
-    begin = walked.best.values if walked and walked.best else None
-    return free.soil(fit(calibration, begin).best.values)
+    return free.soil(fit_from(calibration, walked).best.values)
 
 
 def prepared(lab: Lab, folder: Path) -> None:

@@ -10,7 +10,12 @@ import pytest
 from formulas import BASE, LAB, Formulas, shift
 
 from calibrate.core.progress import Silent
-from calibrate.inference.calibration import explored, resolutions_json, scatter_of_packings
+from calibrate.inference.calibration import (
+    explored,
+    fit_from,
+    resolutions_json,
+    scatter_of_packings,
+)
 from calibrate.inference.evaluation import Calibration, packing_scatter
 from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
@@ -58,9 +63,9 @@ def calibration(large, small):
     return Calibration(problem, space(LAB, NAMES, BASE), large, SEEDS, scatter, 8, coarse=coarse)
 
 
-def started(case):
-    """Where the small beds' fit ends."""
-    return explored(case, case.correction(case.space.start(), "start")).best.values
+def across(case):
+    """The fit from where the small beds' fit ends."""
+    return fit_from(case, explored(case, case.correction(case.space.start(), "start")))
 
 
 def test_the_ratio_and_its_error_are_those_of_the_means():
@@ -122,7 +127,7 @@ def test_a_fit_across_resolutions_ends_where_one_with_large_beds_alone_does():
     """Within half of the stated deviation: both stop within the tolerance of their residuals."""
     large = Formulas()
     case = calibration(large, Small())
-    result = fit(case, started(case))
+    result = across(case)
     alone = fit(calibration(large, None))
     apart = np.log(result.best.values / alone.best.values)
     assert np.all(np.abs(apart) < 0.5 * alone.identifiability.sd_log)
@@ -134,8 +139,25 @@ def test_it_takes_a_third_of_the_large_runs_that_a_fit_without_small_beds_takes(
     alone, both = Formulas(), Formulas()
     fit(calibration(alone, None))
     case = calibration(both, Small())
-    fit(case, started(case))
+    across(case)
     assert both.simulated < alone.simulated / 3
+
+
+def test_slopes_of_small_beds_are_taken_along_and_not_measured_again_at_their_end():
+    asked = []
+
+    class Asked(Small):
+        def each(self, soils, seeds, what):
+            asked.append(what)
+            return super().each(soils, seeds, what)
+
+    case = calibration(Formulas(), Asked())
+    walked = explored(case, case.correction(case.space.start(), "start"))
+    before = len(asked)
+    result = fit_from(case, walked)
+    assert not [what for what in asked[before:] if what.startswith("slopes at evaluation")]
+    assert "slopes at the best point" in asked[before:]
+    assert result.history[0]["status"] == "better"
 
 
 def test_small_beds_alone_miss_what_large_ones_show():
@@ -159,7 +181,7 @@ def test_sizes_that_disagree_beyond_their_errors_are_said_in_one_sentence(bends,
     large = Formulas(progress=Noted())
     case = calibration(large, Small(bends=bends))
     first = case.correction(case.space.start(), "start")
-    result = fit(case, explored(case, first).best.values)
+    result = fit_from(case, explored(case, first))
     record = resolutions_json(case, first, result, PRESETS["standard"])
     lines = [line for line in large.progress.lines if "disagree beyond their errors" in line]
     assert (len(lines) == 1) == said and bool(record["disagree"]) == said

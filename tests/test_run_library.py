@@ -13,10 +13,13 @@ from formulas import LAB
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library import run_library, store
 from calibrate.discrepancy.library.cross_validation import (
+    BLOCK,
+    FOLDS,
     EmulatorErrors,
     TrainingPoints,
     by_effects,
     cross_validate,
+    fold_of,
 )
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
 from calibrate.discrepancy.library.design import (
@@ -168,12 +171,38 @@ def test_soil_blocks_show_an_effect_that_scatter_between_soils_hides():
     estimated = fit_emulator(x, s, packing, force[:, None], SCALE[:1])
     kernel = estimated.components[0].kernel
     assert np.exp(kernel.soil_block - kernel.rest) > 3
-    blind = kernel._replace(soil_block=np.log(1e-3), rest=np.log(np.hypot(*np.exp(kernel[-2:]))))
+    both = np.hypot(np.exp(kernel.soil_block), np.exp(kernel.rest))
+    blind = kernel._replace(soil_block=np.log(1e-3), rest=np.log(both))
     untold = fit_emulator(x, s, packing, force[:, None], SCALE[:1], [blind])
     here, none = np.zeros(P), np.zeros(1)
     slopes = [each(here, none)[2][0, 0] / each(here, none)[0][0] for each in (estimated, untold)]
     errors = np.abs(np.array(slopes) - 0.5)
     assert errors[0] < 0.05 and errors[0] < 0.2 * errors[1]
+
+
+def test_scatter_that_depends_on_the_soil_is_learned():
+    """From 5 to 37 % over four deviations of the first coordinate: ln scatter goes with 0.5 x."""
+    rng, packings = np.random.default_rng(8), 60
+    packing = np.repeat(np.arange(packings), EACH)
+    x, s = rng.normal(size=(packings * EACH, P)), np.zeros((packings * EACH, 1))
+    loud = 0.136 * np.exp(0.5 * x[:, 0])
+    force = 200 * np.exp(0.2 * x[:, 1] + loud * rng.normal(size=packings)[packing])
+    estimated = fit_emulator(x, s, packing, force[:, None], SCALE[:1])
+    slopes = estimated.components[0].kernel.scattering
+    assert slopes == pytest.approx(np.eye(P)[0] * 0.5, abs=0.15)
+    at = np.eye(P)[0]
+    ratio = estimated.larger(2 * at) / estimated.larger(-2 * at)
+    assert ratio == pytest.approx(np.exp([2.0]), rel=0.4)
+    assert estimated.residuals.std() == pytest.approx(0.136, rel=0.25)  # as at the centre
+
+
+def test_slow_packings_lie_in_every_fold():
+    """Whole blocks of packings in turn; slow ones are TURN of every 4 TURN packings."""
+    packing = np.arange(160)
+    folds, slow = fold_of(packing), packing // TURN % Design().slow_in == 0
+    assert (folds[::BLOCK].repeat(BLOCK) == folds).all()
+    assert np.bincount(folds).tolist() == [40] * FOLDS
+    assert np.bincount(folds[slow], minlength=FOLDS).min() >= 8
 
 
 def test_rows_of_one_soil_may_differ_in_pace():
@@ -189,6 +218,18 @@ def test_a_file_without_soil_blocks_has_none(tmp_path: Path):
         older = stored.load().drop_vars("kernel_twin")
     older.to_netcdf(path, engine=store.NETCDF)
     assert all(kernel.soil_block == store.NO_SOIL_BLOCKS for kernel in store.load(path).kernels)
+
+
+def test_a_file_whose_scatter_depends_on_size_alone_is_read(tmp_path: Path):
+    path = tmp_path / "library.nc"
+    library = toy_library.library()
+    store.save(library, path)
+    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+        older = stored.load().drop_vars("kernel_scattering")
+    older["kernel_coarse"] = (("component", "one"), np.full((len(library.kernels), 1), 0.4))
+    older.to_netcdf(path, engine=store.NETCDF)
+    for kernel in store.load(path).kernels:
+        assert kernel.scattering[-1] == 0.4 and not kernel.scattering[:-1].any()
 
 
 def test_emulator_is_less_certain_far_away(emulator):
@@ -368,7 +409,7 @@ def test_further_rows_move_what_they_are_about_and_make_it_surer():
     assert np.median(ratio) == pytest.approx(2.0, rel=0.15)
     errors = [np.linalg.norm(r.emulator.error_directions(here, none)) for r in (emulated, better)]
     assert errors[1] < 0.7 * errors[0]
-    assert len(better.specimens) == len(emulated.specimens) + count
+    assert len(better.specimens(here)) == len(emulated.specimens(here)) + count
 
 
 @pytest.mark.parametrize("content", [b"", b"no library", b"\x89HDF\r\n\x1a\n"])

@@ -90,8 +90,7 @@ def calibrate(
     )
     first = calibration.correction(free_space.start(), "both resolutions at the start")
     walked = explored(calibration, first)
-    start = walked.best.values if walked and walked.best else None
-    result = _after(walked, fit(calibration, start), coarse.cost if coarse else 1.0)
+    result = _after(walked, fit_from(calibration, walked), coarse.cost if coarse else 1.0)
     soil = free_space.soil(result.best.values)
     fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
     fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
@@ -153,6 +152,13 @@ def explored(calibration: Calibration, correction: Correction) -> Descent | None
     )
     found = descend(small)
     return None if found.best is None or found.best.failures else found
+
+
+def fit_from(calibration: Calibration, walked: Descent | None) -> Fit:
+    """The fit from where smaller beds ended, with their slopes; None: from the start."""
+    if walked is None or walked.best is None:
+        return fit(calibration)
+    return fit(calibration, walked.best.values, walked.slopes)
 
 
 def _after(walked: Descent | None, result: Fit, cost: float = 1.0) -> Fit:

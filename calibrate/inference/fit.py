@@ -5,10 +5,10 @@ point, and gets the simulated residual and its slopes there as an affine functio
 fit can be watched, its best iterate kept, and, because every simulation is cached,
 killed at any moment and started again with the same end.
 
-Slopes are measured at the start; later evaluations correct them along the step that was
-taken (Broyden 1965, Math. Comp. 19, 577), a rejected one too: where a response is curved, its
-chord tells how far to go.  They are measured anew where two in a row are rejected, unless they
-were measured at that very point.
+Slopes are measured at the start, or taken from a fit of smaller beds that ended there; later
+evaluations correct them along the step that was taken (Broyden 1965, Math. Comp. 19, 577), a
+rejected one too: where a response is curved, its chord tells how far to go.  They are measured
+anew where two in a row are rejected, unless they were measured at that very point.
 """
 
 from dataclasses import dataclass
@@ -41,39 +41,48 @@ class Fit:
 PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 
 
-def fit(calibration: Calibration, start: np.ndarray | None = None) -> Fit:
-    """Fits from `start` (p,), by default the base soil's values, and says what the data fix."""
-    return _finished(calibration, descend(calibration, start))
+def fit(
+    calibration: Calibration, start: np.ndarray | None = None, slopes: np.ndarray | None = None
+) -> Fit:
+    """Fits from `start` (p,), by default the base soil's values, and says what the data fix.
+
+    slopes (m, p) per ln p are those of smaller beds at the start, if they are known.
+    """
+    return _finished(calibration, descend(calibration, start, slopes))
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where the solver went: best evaluation, one row for each evaluation, why it stopped."""
+    """Where the solver went: best evaluation, one row for each evaluation, why it stopped, and the
+    slopes (m, p) per ln p as it knew them in the end."""
 
     best: Evaluation | None
     history: list[dict]
     stopped: str
+    slopes: np.ndarray
 
 
-def descend(calibration: Calibration, start: np.ndarray | None = None) -> Descent:
-    """The solver's walk from `start` (p,) alone."""
+def descend(
+    calibration: Calibration, start: np.ndarray | None = None, slopes: np.ndarray | None = None
+) -> Descent:
+    """The solver's walk from `start` (p,) alone; slopes as in `fit`."""
     space, settings = calibration.space, calibration.settings
     first = space.start() if start is None else np.asarray(start, float)
-    walk = _Walk(calibration, space.to_unbounded(first))
+    walk = _Walk(calibration, space.to_unbounded(first), slopes)
     stopped = f"after {settings.evaluations} evaluations"
     for _ in range(settings.evaluations):
         reason = walk.advance()
         if reason:
             stopped = reason
             break
-    return Descent(walk.best, walk.history, stopped)
+    return Descent(walk.best, walk.history, stopped, walk.slopes)
 
 
 class _Walk:
     """The solver's state between evaluations, and the best evaluation so far."""
 
-    def __init__(self, calibration: Calibration, y: np.ndarray):
-        self._calibration = calibration
+    def __init__(self, calibration: Calibration, y: np.ndarray, slopes: np.ndarray | None = None):
+        self._calibration, self._given = calibration, slopes
         self._solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
         self.best: Evaluation | None = None
         self.slopes = np.zeros((len(calibration.problem.measured), len(y)))
@@ -103,7 +112,10 @@ class _Walk:
         calibration.campaign.progress.say(_line(calibration, self.history[-1]))
         if better and _close_enough(calibration, evaluation):
             return "every target is met within the tolerance"
-        if before is None or before.failures:
+        if before is None and self._given is not None and not evaluation.failures:
+            ratio = calibration.correction(evaluation.values, "both resolutions").ratio
+            self.slopes, self._corrected = self._given * ratio[:, None], True
+        elif before is None or before.failures:
             self._measure(evaluation)
         elif better:
             self.slopes = secant(self.slopes, before, evaluation)

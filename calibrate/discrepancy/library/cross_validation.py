@@ -1,7 +1,7 @@
 """Errors of the emulator by cross-validation: packings are left out in turn, in blocks.
 
     e = y - f(x, s)        of a held-out row, in a standardised component
-    e ~ N(0, w v(x, s) + q n(x))     n = packing + soil block + rest, for spheres of their size
+    e ~ N(0, w v(x, s) + q n(x))     n = packing + soil block + rest, at their soil and size
 
 w widens the variance v that the process states of itself, q the scatter n of specimens; both
 by maximum likelihood over rows with at most one effect, w with a weak pull to 1, as a few
@@ -68,15 +68,15 @@ class EmulatorErrors:
 
 def cross_validate(points: TrainingPoints) -> EmulatorErrors:
     """Errors of the emulator of all points with these kernels."""
-    errors, stated, whole, strengths, size = [], [], [], [], []
+    errors, stated, whole, strengths, at = [], [], [], [], []
     for emulator, x, s, value in _held_out_rows(points):
         warped = np.arcsinh(value / points.scale)
         errors.append(emulator.basis.components(warped) - emulator.of_components(x, s))
         stated.append(emulator.variances(x, s))
         whole.append(warped - emulator.warped(x, s))
         strengths.append(s)
-        size.append(x[-1])
-    noise = [k.scatter * k.larger(np.array(size)) ** 2 for k in points.kernels]
+        at.append(x)
+    noise = [k.scatter * k.larger(np.array(at)) ** 2 for k in points.kernels]
     by_component = zip(np.array(errors).T, np.array(stated).T, noise, strict=True)
     widening, scatter = np.array([_factors(*parts) for parts in by_component]).T
     directions = by_effects(np.array(whole), np.array(strengths))
@@ -126,13 +126,20 @@ def _held_out_rows(
     few = (points.s != 0).sum(axis=1) <= 1
     basis = leading(np.arcsinh(points.values / points.scale), points.x, points.s)
     for fold in range(FOLDS):
-        out = points.packing // BLOCK % FOLDS == fold
+        out = fold_of(points.packing) == fold
         emulator = fit_emulator(
             points.x[~out], points.s[~out], points.packing[~out], points.values[~out],
             points.scale, points.kernels, basis,
         )  # fmt: skip
         for row in np.flatnonzero(out & few):
             yield emulator, points.x[row], points.s[row], points.values[row]
+
+
+def fold_of(packing: np.ndarray) -> np.ndarray:
+    """The fold of each row (n,).  Blocks take turns, and the turn moves on by one each time round:
+    slow packings recur as often, and would else lie in the same folds (`design.TURN`)."""
+    block = packing // BLOCK
+    return (block + block // FOLDS) % FOLDS
 
 
 def _factors(errors: np.ndarray, stated: np.ndarray, noise: np.ndarray) -> tuple[float, float]:

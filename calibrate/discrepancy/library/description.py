@@ -9,7 +9,6 @@ emulator warps features: large forces scatter in proportion.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -80,11 +79,13 @@ class EmulatedLibrary:
         )  # fmt: skip
         return EmulatedLibrary(library, fitted)
 
-    @cached_property
-    def specimens(self) -> np.ndarray:
-        """Warped residuals (packings, m) of independent specimens: one row of each packing."""
+    def specimens(self, x: np.ndarray) -> np.ndarray:
+        """Warped residuals (packings, m) of independent specimens, one row of each packing, as they
+        scatter at the soil of a scaled point (p,) with spheres of the design's size."""
         _, first = np.unique(self.library.packing, return_index=True)
-        return self.emulator.rescaled(self.emulator.residuals[first], self.emulator_errors.scatter)
+        soil = np.append(x[:-1], 0.0)
+        factors = self.emulator_errors.scatter * self.emulator.larger(soil) ** 2
+        return self.emulator.rescaled(self.emulator.residuals[first], factors)
 
     @property
     def emulator_errors(self) -> EmulatorErrors:
@@ -238,7 +239,8 @@ def _rough(
     return Linearised(
         features=library.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
         effects=candidates(library), effect_slopes=effects,
-        packing_residuals=emulated.specimens, mean_specimens=CERTAIN,
+        packing_residuals=emulated.specimens(np.zeros(emulated.emulator.x.shape[1])),
+        mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
         wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
@@ -261,7 +263,7 @@ def _local(
     typical = emulated.library.design.typical()
     return replace(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
-        packing_residuals=emulated.specimens * steep,
+        packing_residuals=emulated.specimens(scaled) * steep,
         extra=_scatter(d, base, effects, density_sd, typical),
         wrong=d.wrong_at(delta, none),
     )  # fmt: skip

@@ -11,8 +11,8 @@ hyperbolic sine makes factors of force and stiffness add up and scatter alike fo
 soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
 slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
 (soil blocks within it, whose rows differ in effects and pace alone): the less is left, the better
-an effect is estimated.  Coarse beds scatter more: all three deviations go with exp(g x), x being
-the size of the spheres, the last base coordinate.  Residuals are given for x = 0.
+an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
+all three deviations go with exp(g.x).  Residuals are given for x = 0.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
@@ -38,14 +38,15 @@ ROUND_OFF = 1e-12
 MOST_ROWS = 700  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
+SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
 JITTER = 1e-6
 PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
-COARSE = 0.36  # where its fit starts: deviations go with about N^-0.4 (benchmarks/resolution.py)
+COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (benchmarks/resolution.py)
 
 
 class Kernel(NamedTuple):
-    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then ();
-    coarse: the slope g of the logarithm of deviations with the size of the spheres."""
+    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then (p,):
+    scattering, the slopes g of the logarithm of deviations with base coordinates."""
 
     linear: Any
     length: Any
@@ -57,11 +58,11 @@ class Kernel(NamedTuple):
     packing: Any
     soil_block: Any
     rest: Any
-    coarse: Any
+    scattering: Any
 
     @property
     def scatter(self) -> float:
-        """Variance of one specimen about the process, at the size 0 of spheres."""
+        """Variance of one specimen about the process, at x = 0."""
         return float(np.exp(2 * self.packing) + np.exp(2 * self.soil_block) + np.exp(2 * self.rest))
 
     @staticmethod
@@ -70,28 +71,26 @@ class Kernel(NamedTuple):
         return Kernel(
             np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
             np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.2),
-            np.log(0.2), COARSE,
+            np.log(0.2), np.append(np.zeros(p - 1), COARSE),
         )  # fmt: skip
 
-    def larger(self, size, xp=np):
-        """Deviations at scaled sizes of spheres over those at 0."""
-        return xp.exp(self.coarse * size)
+    def larger(self, x, xp=np):
+        """Deviations (n,) at scaled points (n, p) over those at 0."""
+        return xp.exp(x @ self.scattering)
 
 
 class Blocks(NamedTuple):
-    """Which rows share a packing, and which also a soil, as ones in matrices (n, n); the scaled
-    size of their spheres (n,)."""
+    """Which rows share a packing, and which also a soil, as ones in matrices (n, n)."""
 
     packing: np.ndarray
     soil_block: np.ndarray
-    size: np.ndarray
 
     @staticmethod
     def of(x: np.ndarray, packing: np.ndarray) -> "Blocks":
         soil = np.unique(np.delete(x, PACE, axis=1), axis=0, return_inverse=True)[1].ravel()
         same = packing[:, None] == packing
         one_soil = same & (soil[:, None] == soil)
-        return Blocks(same.astype(float), one_soil.astype(float), x[:, -1])
+        return Blocks(same.astype(float), one_soil.astype(float))
 
 
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
@@ -112,13 +111,13 @@ def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
 
 
 def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
-    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, blocks, xp)
+    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, x, blocks, xp)
 
 
-def _noise(kernel: Kernel, blocks: Blocks, xp=np):
+def _noise(kernel: Kernel, x, blocks: Blocks, xp=np):
     """Covariance (n, n) of what packings, soils in them and rest add."""
     rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
-    larger = kernel.larger(blocks.size, xp)
+    larger = kernel.larger(x, xp)
     return (larger[:, None] * larger) * (
         xp.exp(2 * kernel.packing) * blocks.packing
         + xp.exp(2 * kernel.soil_block) * blocks.soil_block
@@ -131,8 +130,9 @@ def _loss(kernel: Kernel, start: Kernel, x, s, blocks: Blocks, y):
     """Minus the log marginal likelihood, with a weak pull to the start."""
     lower = jnp.linalg.cholesky(_total(kernel, x, s, blocks, jnp))
     white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
-    pull = sum(jnp.sum((a - b) ** 2) for a, b in zip(kernel, start, strict=True))
-    return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull / PULL_SD**2
+    sd = Kernel(*[PULL_SD] * len(kernel))._replace(scattering=SLOPE_SD)
+    pull = sum(jnp.sum(((a - b) / d) ** 2) for a, b, d in zip(kernel, start, sd, strict=True))
+    return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull
 
 
 _loss_and_slope = jax.jit(jax.value_and_grad(_loss))
@@ -250,7 +250,7 @@ class FeatureEmulator:
     """Features (m,) and slopes at any point of a library.
 
     x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
-    residuals (n, m) are what is left of the warped simulated features, as at the size 0 of spheres.
+    residuals (n, m) are what is left of the warped simulated features, as large as at x = 0.
     """
 
     x: np.ndarray
@@ -290,6 +290,10 @@ class FeatureEmulator:
         parts = self.basis.components(self.basis.mean + residuals)
         return residuals + (parts * (np.sqrt(factors) - 1)) @ self.basis.carried.T
 
+    def larger(self, x: np.ndarray) -> np.ndarray:
+        """Deviations (c,) of components at a point (p,) over those at x = 0."""
+        return np.array([float(c.kernel.larger(x)) for c in self.components])
+
     @cached_property
     def _mean_over_median(self) -> np.ndarray:
         """Of the hyperbolic sine of a normal that scatters as features do, shape (m,)."""
@@ -326,26 +330,28 @@ def fit_emulator(
         kernel = given or fit_kernel(x[few], s[few], packing[few], y[few])
         factor = np.ones(len(y)) if noise is None else noise[:, c]
         parts.append(_component(kernel, x, s, blocks, y, factor))
-    left = np.array([_as_large_as_stated(c.kernel, c.left, x[:, -1]) for c in parts])
-    dropped = _at_size_0(warped - basis.mean - scores @ basis.carried.T, x[:, -1])
+    left = np.array([_as_large_as_stated(c.kernel, c.left, x) for c in parts])
+    dropped = _at_centre(warped - basis.mean - scores @ basis.carried.T, x)
     residuals = dropped + left.T @ basis.carried.T
     return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals)
 
 
-def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Residuals (n,) of a component at sizes of spheres (n,) with the variance that its process
-    gives to packings, soils in them and rest at size 0: those of a fit are smaller, as some of the
-    scatter is fitted."""
-    alike = residuals / kernel.larger(size)
+def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Residuals (n,) of a component at points (n, p) with the variance that its process gives to
+    packings, soils in them and rest at x = 0: those of a fit are smaller, as some of the scatter is
+    fitted."""
+    alike = residuals / kernel.larger(x)
     return alike * np.sqrt(kernel.scatter / max(float(alike.var()), 1e-300))
 
 
-def _at_size_0(dropped: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """What no component holds (n, m), as large as at the size 0 of spheres."""
-    if np.ptp(size) == 0 or np.abs(dropped).max() < ROUND_OFF:
+def _at_centre(dropped: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """What no component holds (n, m), as large as at x = 0."""
+    if np.abs(dropped).max() < ROUND_OFF:
         return dropped
     level = 0.5 * np.log(np.maximum((dropped**2).mean(axis=1), 1e-300))
-    return dropped / np.exp(np.polyfit(size, level, 1)[0] * size)[:, None]
+    terms = np.hstack([np.ones((len(x), 1)), x])
+    slopes = np.linalg.lstsq(terms, level, rcond=None)[0][1:]
+    return dropped / np.exp(x @ slopes)[:, None]
 
 
 def _spread(packing: np.ndarray) -> np.ndarray:
@@ -357,7 +363,7 @@ def _spread(packing: np.ndarray) -> np.ndarray:
 
 
 def _component(kernel: Kernel, x, s, blocks: Blocks, y, factor) -> Component:
-    scatter = _noise(kernel, blocks) * np.sqrt(np.outer(factor, factor))
+    scatter = _noise(kernel, x, blocks) * np.sqrt(np.outer(factor, factor))
     lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
     weights = cho_solve((lower, True), y)
     return Component(kernel, weights, lower, scatter @ weights)

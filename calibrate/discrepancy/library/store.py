@@ -128,7 +128,11 @@ def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
     if not parts:
         return ()
     parts.setdefault("soil_block", np.full_like(parts["rest"], NO_SOIL_BLOCKS))
-    scalars = ("curved", "packing", "soil_block", "rest", "coarse")
+    if "scattering" not in parts:  # earlier files: with the size of spheres alone
+        known = np.zeros((len(parts["rest"]), parts["linear"].shape[1]))
+        known[:, -1:] = stored["kernel_coarse"].values
+        parts["scattering"] = known
+    scalars = ("curved", "packing", "soil_block", "rest")
     return tuple(
         Kernel(**{n: v[c, 0] if n in scalars else v[c] for n, v in parts.items()})
         for c in range(len(parts["linear"]))
