@@ -2,7 +2,10 @@
 
 Reality here is this project's simulator with other numbers of spheres, other packings, next to no
 roundings, another porosity and another pace than any library of runs; specimens of a case differ in
-packing, density and moisture.  What leaves the laboratory are records as machines write them: a way
+packing, density and moisture.  A denser specimen is a bed of less porosity: spheres that grow in a
+finished bed, as the effect `specimen_density` has them do, press on each other from the start, so
+that the toe of a loading curve shortens with every denser specimen and looser ones do not make up
+for it.  What leaves the laboratory are records as machines write them: a way
 through the air before contact, any zero of displacement, noise, few digits.
 """
 
@@ -34,6 +37,7 @@ from calibrate.validation.plan import (
 from jdem.effects.composite import EFFECTS
 
 DENSITY_SD = 0.004  # of density, from specimen to specimen
+POROSITY_STEP = 0.001  # specimens of one porosity share their packings and a compiled program
 MOISTURE_SD = 0.03  # of stiffness and surface energy together
 FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
 READINGS = 160  # of a curve
@@ -131,25 +135,34 @@ class Laboratory:
         random = np.random.default_rng([case.seed, number])
         density, moisture = DENSITY_SD * random.standard_normal(), random.standard_normal()
         strengths = {h.name: h.strength for h in case.hidden}
-        strengths["specimen_density"] = strengths.get("specimen_density", 0.0) + density
+        loose, density = self._filled(case.spheres, density)
         wet = float(np.exp(MOISTURE_SD * moisture))
         values = dict(case.soil)
         values |= {n: values[n] * wet for n in ("shear_modulus", "surface_energy")}
-        run = self._run(case, number, values, strengths)
+        run = self._run(case, number, values, strengths, loose)
         share = strengths.get("trapped_air", 0.0)
         if share and not run.failure:
-            run = self._with_air(case, number, values, strengths, run)
+            run = self._with_air(case, number, values, strengths, loose, run)
         return (None if run.failure else run), density
 
-    def _run(self, case: WithheldCase, number: int, values, strengths) -> Run:
+    def _filled(self, spheres: int, density: float) -> tuple[float, float]:
+        """Porosity of a specimen over its case's, in steps, and its relative density error, for a
+        density that is off by a share."""
+        solid = 1 - self._simulator.porosity(spheres)
+        loose = round(-solid * density / POROSITY_STEP) * POROSITY_STEP
+        return loose, -loose / solid
+
+    def _run(self, case: WithheldCase, number: int, values, strengths, loose: float) -> Run:
         soil = with_values(base_soil(self.lab), {**self.centre, **values})
         pool = len(POROSITIES) * SPHERES.index(case.spheres) + POROSITIES.index(case.porosity)
         seed = case.first_seed + 1000 * pool + case.packings[number]
         given = [strengths.get(name, 0.0) for name in self._effects]
-        setting = (SMOOTHING, case.porosity, PACE)
+        setting = (SMOOTHING, case.porosity + loose, PACE)
         return self._simulator.run(soil, setting, given, case.spheres, seed)
 
-    def _with_air(self, case: WithheldCase, number: int, values, strengths, run: Run) -> Run:
+    def _with_air(
+        self, case: WithheldCase, number: int, values, strengths, loose: float, run: Run
+    ) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
         share, high = strengths["trapped_air"], self.lab.pair().compression.force_high
         top = int(run.curves[TESTS[0]][:, 0].argmax()) + 1
@@ -157,7 +170,7 @@ class Laboratory:
         together = np.maximum.accumulate(force + self._air(way, share))
         soil_share = float(np.interp(high, together, force))
         early = {**strengths, "early_turn": high - soil_share}
-        turned = self._run(case, number, values, early)
+        turned = self._run(case, number, values, early, loose)
         pressed = turned.curves[TESTS[0]].copy()
         pressed[:, 1] += self._air(pressed[:, 0], share)
         depth = np.interp([self.lab.pair().compression.force_low, high], together, way)

@@ -73,6 +73,12 @@ class Simulator:
         one = replace(shared, lab=lab, progress=Silent(), workers=1)
         return one.each([[soil]], [seed], "")[0][0]
 
+    def porosity(self, spheres: int) -> float:
+        """The usual one of a bed of this many spheres."""
+        usual = specimen(self.lab, replace(PRESET, spheres=spheres)).porosity
+        assert usual is not None  # PRESET grows its beds
+        return usual
+
     def _campaign(self, spheres: int, loose: float, pace: float, lean: bool) -> Campaign:
         key = (spheres, loose, pace, lean)
         if key not in self._campaigns:
