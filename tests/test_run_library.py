@@ -395,6 +395,14 @@ def test_a_library_grows_only_by_more_of_the_same():
         run_library.check_extends(other, LAB, smaller, "library.nc")
 
 
+@pytest.mark.parametrize("field", ["rate", "pressed_at"])
+def test_a_test_faster_than_any_run_is_refused_by_its_field(field):
+    library, lab = toy_library.library(), load_lab(bundled_lab())
+    fast = lab.tests[0].model_copy(update={field: 0.2})
+    with pytest.raises(InputError, match=f"'confined.{field}': 200 mm/s is faster than any run"):
+        soil_prior_for(replace(lab, tests=(fast, *lab.tests[1:])), library)
+
+
 def test_further_rows_move_what_they_are_about_and_make_it_surer():
     """Forty rows at one point, on packings of their own, twice as strong as the library knows."""
     emulated = EmulatedLibrary.of(toy_library.library())

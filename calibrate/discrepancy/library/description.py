@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
@@ -184,7 +185,7 @@ def soil_prior_of(
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
-    mean = {**SETTING_PRIOR_MEAN, "pace": min(pace, 1.0)}
+    mean = {**SETTING_PRIOR_MEAN, "pace": pace}
     return SoilPrior(
         np.array([*offset, *(mean[name] for name in SETTINGS)]),
         np.array([*spread, *(SETTING_PRIOR_SD[name] for name in SETTINGS)]),
@@ -197,8 +198,22 @@ def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
     soil, names = base_soil(lab), library.design.soil_names
     stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
     values = {name: float(getattr(soil, name)) for name in names}
-    pace = lab.pair().compression.speed / SPEEDS[0]
+    pace = _pace(lab)
     return soil_prior_of(library, values, pace, {n: s for n, s in stated.items() if n in names})
+
+
+def _pace(lab: Lab) -> float:
+    """The platen's speed in the mould over the library's fast one; faster ones are refused."""
+    test = lab.pair().compression
+    if test.speed > SPEEDS[0]:
+        field = "rate" if test.pressed_at is None else "pressed_at"
+        raise InputError(
+            lab.file,
+            f"{test.called}.{field}",
+            f"{1e3 * test.speed:g} mm/s is faster than any run of the library, {1e3 * SPEEDS[0]:g}",
+            "test more slowly; what dashpots carry at this speed is not known here",
+        )
+    return test.speed / SPEEDS[0]
 
 
 def describe(
