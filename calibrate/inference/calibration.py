@@ -137,11 +137,8 @@ def scatter_of_packings(
     return covariance, freedom + 1
 
 
-def explored(
-    calibration: Calibration, correction: Correction, start: np.ndarray | None = None
-) -> Descent | None:
-    """The fit of smaller beds to corrected targets from `start` (p,), by default the base soil's
-    values; None where there are no smaller beds, or none succeeds."""
+def explored(calibration: Calibration, correction: Correction) -> Descent | None:
+    """The fit of smaller beds to corrected targets; None where there are none, or none succeeds."""
     coarse = calibration.coarse
     if coarse is None:
         return None
@@ -153,7 +150,7 @@ def explored(
         coarse=None,
         settings=EXPLORING,
     )
-    found = descend(small, start)
+    found = descend(small)
     return None if found.best is None or found.best.failures else found
 
 
