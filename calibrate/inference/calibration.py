@@ -11,11 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.inference.evaluation import Calibration, Settings, finished_features
+from calibrate.inference.evaluation import (
+    Calibration,
+    Settings,
+    finished_features,
+    packing_scatter,
+)
 from calibrate.inference.fit import Descent, Fit, descend, fit
 from calibrate.inference.identifiability import choose_free
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space
-from calibrate.inference.problem import Problem, pose, shrunk_covariance
+from calibrate.inference.problem import Problem, pose
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
@@ -125,15 +130,15 @@ def scatter_of_packings(
 
     With smaller beds, few large ones are run, those that the fit needs in any case."""
 
-    def features(campaign: AbstractCampaign, packings: Sequence[int]) -> np.ndarray:
-        runs = campaign.runs([soil], packings, "scatter of packings")[0]
-        return finished_features(problem, runs)
+    def runs(campaign: AbstractCampaign, packings: Sequence[int]) -> list[Run]:
+        return campaign.runs([soil], packings, "scatter of packings")[0]
 
     if coarse is None:
-        alone = features(work, seeds.scatter)
-        return shrunk_covariance(alone / alone.mean(axis=0)), len(seeds.scatter)
-    both = features(work, seeds.fitted), features(coarse.campaign, seeds.scatter)
-    covariance, freedom = pooled(*both, coarse)
+        alone = packing_scatter(problem, lambda packings: runs(work, packings), seeds.scatter)
+        return alone, len(seeds.scatter)
+    large = finished_features(problem, runs(work, seeds.fitted))
+    small = finished_features(problem, runs(coarse.campaign, seeds.scatter))
+    covariance, freedom = pooled(large, small, coarse)
     return covariance, freedom + 1
 
 

@@ -238,9 +238,8 @@ def _profiles(
         for steps in PROFILE_STEPS:
             shift = covariance[:, column] / sd[column] * steps
             values = np.exp(calibration.space.inside(np.log(found.values) + shift))
-            evaluation = best
-            if steps:
-                evaluation = calibration.estimate(values, correction, f"profile of {name}")
+            what = f"profile of {name}"
+            evaluation = calibration.estimate(values, correction, what) if steps else best
             rows.append(
                 {
                     "value": float(evaluation.values[column]),
