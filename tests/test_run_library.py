@@ -16,19 +16,24 @@ from calibrate.discrepancy.library.cross_validation import (
     BLOCK,
     FOLDS,
     EmulatorErrors,
+    Repeats,
+    Split,
     TrainingPoints,
     by_effects,
     cross_validate,
+    dropped_split,
     fold_of,
 )
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
 from calibrate.discrepancy.library.design import (
     ACTIVE,
     ALONE,
+    FIRST_REPEAT,
     FURTHEST,
     LIMITS,
     OF,
     POROSITIES,
+    SPECIMENS,
     SPEEDS,
     TURN,
     WEAKEST,
@@ -234,7 +239,8 @@ def test_a_file_whose_scatter_depends_on_size_alone_is_read(tmp_path: Path):
 
 def test_emulator_is_less_certain_far_away(emulator):
     none = np.zeros(K)
-    near, far = (emulator.error_directions(np.full(P, at), none) for at in (0.0, 4.0))
+    nothing = EmulatorErrors.nothing(len(emulator.components), len(SCALE))
+    near, far = (nothing.of_values(emulator, np.full(P, at), none) for at in (0.0, 4.0))
     assert ((far**2).sum(axis=1) > 3 * (near**2).sum(axis=1)).all()
 
 
@@ -265,15 +271,89 @@ def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
 
 
 def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
-    honest = cross_validate(points(emulator))
-    sure = cross_validate(points(emulator, packing=np.log(0.01)))  # forgets that packings differ
+    honest = cross_validate(points(emulator), emulator)
+    sure = cross_validate(points(emulator, packing=np.log(0.01)), emulator)  # packings do not differ
     most = int(np.argmax([component.kernel.packing for component in emulator.components]))
     assert 1 / 3 < honest.scatter[most] < 3.0  # 22 packings in one sample and 22 in the other
     assert sure.scatter[most] > 3 * honest.scatter[most]
 
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
-    assert (cross_validate(points(emulator)).widening >= 1.0).all()
+    assert (cross_validate(points(emulator), emulator).widening >= 1.0).all()
+
+
+MISSED, SCATTERED = 0.10, 0.05  # of ln force: by soils beside a smooth function, by specimens
+
+
+@pytest.fixture(scope="module")
+def split_errors() -> tuple[FeatureEmulator, EmulatorErrors, EmulatorErrors]:
+    """Errors of an emulator of two forces, with and without repeats of 40 soils on four packings:
+    each soil differs from the smooth function, and each specimen from its soil, by as much in
+    either force."""
+    rng, n, soils, specimens = np.random.default_rng(14), 200, 40, 4
+    x, s, packing = rng.normal(size=(n, P)), np.zeros((n, 1)), np.arange(n)
+    scale = np.full(2, 20.0)
+
+    def forces(x: np.ndarray) -> np.ndarray:
+        smooth = np.stack([0.4 * x[:, 0] + 0.2 * x[:, 1], 0.3 * x[:, 1] + 0.2 * x[:, 2]], axis=1)
+        return np.log(200) + smooth
+
+    def scattered(sd: float, *shape: int) -> np.ndarray:
+        return sd * rng.normal(size=(*shape, 2))
+
+    values = np.exp(forces(x) + scattered(MISSED, n) + scattered(SCATTERED, n))
+    emulator = fit_emulator(x, s, packing, values, scale)
+    again = rng.normal(size=(soils, P))
+    soil = (forces(again) + scattered(MISSED, soils))[:, None]
+    repeats = Repeats(again, list(np.exp(soil + scattered(SCATTERED, soils, specimens))))
+    kernels = [component.kernel for component in emulator.components]
+    known = TrainingPoints(x, s, packing, values, scale, kernels)
+    return (
+        emulator, cross_validate(known, emulator, repeats), cross_validate(known, emulator)
+    )  # fmt: skip
+
+
+def test_repeats_tell_scatter_of_specimens_from_what_is_missed(split_errors):
+    """Rows scatter by both; 120 differences of repeats know their variance to 13 %."""
+    emulator, errors, without = split_errors
+    whole = MISSED**2 + SCATTERED**2
+    assert np.exp(2 * emulator.components[0].kernel.rest) < 1  # standardised: not a trivial fit
+    assert errors.scatter == pytest.approx(SCATTERED**2 / whole, rel=0.4)
+    assert errors.misfit == pytest.approx(MISSED**2 / whole, rel=0.6)
+    assert not without.misfit.any() and without.scatter == pytest.approx(1.0, rel=0.3)
+
+
+def test_what_is_missed_counts_for_values_and_scatter_for_specimens(split_errors):
+    emulator, errors, without = split_errors
+    here, none = np.zeros(P), np.zeros(1)
+    value = [np.sqrt((e.of_values(emulator, here, none) ** 2).sum(axis=1)) for e in (errors, without)]
+    assert value[0] == pytest.approx(MISSED, rel=0.35)
+    assert (value[1] < 0.5 * value[0]).all()
+    specimens = errors.specimens(emulator, emulator.residuals, here)
+    assert specimens.std(axis=0) == pytest.approx(SCATTERED, rel=0.35)
+
+
+def test_what_no_component_holds_is_split_too():
+    """Six features of which one component is kept; the others miss as much by soil as they
+    scatter."""
+    rng, n, soils, m = np.random.default_rng(15), 300, 60, 6
+    scale = np.full(m, 20.0)
+
+    def features(x: np.ndarray, *more: int) -> np.ndarray:
+        """In ln, with what is missed."""
+        plain = np.log(200) + 0.4 * x[:, :1] + MISSED * rng.normal(size=(len(x), m))
+        specimens = plain.reshape(len(x), *[1] * len(more), m)
+        return np.exp(specimens + SCATTERED * rng.normal(size=(len(x), *more, m)))
+
+    x, s = rng.normal(size=(n, P)), np.zeros((n, 1))
+    values = features(x)
+    basis = leading(np.arcsinh(values / scale), x, s, count=1)
+    emulator = fit_emulator(x, s, np.arange(n), values, scale, basis=basis)
+    again = rng.normal(size=(soils, P))
+    split = dropped_split(emulator, Repeats(again, list(features(again, 4))), scale)
+    whole = MISSED**2 + SCATTERED**2
+    assert split.scatter == pytest.approx(SCATTERED**2 / whole, rel=0.25)
+    assert split.misfit == pytest.approx(MISSED**2 / whole, rel=0.25)
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
@@ -304,25 +384,58 @@ def test_emulator_errors_survive_their_file(tmp_path):
     """Earlier files know nothing of effects; their widening counts all the same."""
     library = toy_library.library()
     m, ones = len(library.features), np.ones(len(library.kernels))
-    known = EmulatorErrors(1.5 * ones, ones, RNG.normal(size=(m, 2)), np.array([0, 1]))
+    known = EmulatorErrors(
+        1.5 * ones, ones, 0.5 * ones, Split(0.5, 0.25), RNG.normal(size=(m, 2)), np.array([0, 1])
+    )
     path = tmp_path / "library.nc"
     store.save(replace(library, emulator_errors=known), path)
     again = store.load(path).emulator_errors
     assert again is not None and (again.directions == known.directions).all()
-    assert (again.along(np.array([0.5, 0.0, 0.0])) == known.directions * [0.5, 0.0]).all()
+    assert (again.misfit == known.misfit).all() and again.dropped == known.dropped
     with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
-        older = stored.load().drop_vars(["missed_directions", "missed_effect"])
+        older = stored.load().drop_vars(["missed_directions", "missed_effect", "misfit", "dropped"])
     older.to_netcdf(path, engine=store.NETCDF)
     again = store.load(path).emulator_errors
     assert again is not None and again.directions.shape == (m, 0)
     assert (again.widening == known.widening).all()
+    assert not again.misfit.any() and again.dropped == Split()
 
 
-def test_rescaled_residuals_have_components_of_the_new_size(emulator):
+def test_repeats_survive_their_file_and_growth(tmp_path):
+    library = toy_library.library()
+    base, packing = library.design.repeats()
+    none, rng = np.zeros((len(base), 3)), np.random.default_rng(2)
+    values = rng.normal(size=(len(base), len(library.features)))
+    rows = run_library.Rows(base, none, (packing - FIRST_REPEAT) // SPECIMENS, values)
+    path = tmp_path / "library.nc"
+    store.save(replace(library, repeats=rows), path)
+    again = store.load(path).repeats
+    assert again is not None
+    assert np.allclose(again.values, values, rtol=1e-6) and np.allclose(again.base, base, rtol=1e-6)
+    assert (again.packing == rows.packing).all()
+    assert store.load(path).joined(rows).repeats is not None
+
+
+def test_repeats_are_soils_on_packings_of_their_own():
+    design = Design()
+    base, packing = design.repeats()
+    of_soil = base.reshape(design.repeated, SPECIMENS, -1)
+    assert (of_soil == of_soil[:, :1]).all() and len(set(packing)) == len(packing)
+    assert packing.min() > design.of_packing.max()
+    assert len(np.unique(of_soil[:, 0, 0])) == design.repeated
+    pace = of_soil[:, 0, design.base_names.index("pace")]
+    assert np.mean(pace < 1) == pytest.approx(1 / design.slow_in)
+    size = of_soil[:, 0, design.base_names.index("sphere_size")]
+    assert len(np.unique(size)) == 3
+
+
+def test_specimens_have_components_of_the_size_that_is_known(emulator):
     factors = np.array([4.0, 1.0, 0.25])
+    known = replace(EmulatorErrors.nothing(3, len(SCALE)), scatter=factors)
+    scattered = known.specimens(emulator, emulator.residuals, np.zeros(P))
     parts = [
         emulator.basis.components(emulator.basis.mean + residuals).var(axis=0)
-        for residuals in (emulator.residuals, emulator.rescaled(emulator.residuals, factors))
+        for residuals in (emulator.residuals, scattered)
     ]
     assert parts[1] / parts[0] == pytest.approx(factors)
 
@@ -415,7 +528,10 @@ def test_further_rows_move_what_they_are_about_and_make_it_surer():
     better = emulated.joined(rows, library)
     ratio = better.emulator(here, none)[0] / emulated.emulator(here, none)[0]
     assert np.median(ratio) == pytest.approx(2.0, rel=0.15)
-    errors = [np.linalg.norm(r.emulator.error_directions(here, none)) for r in (emulated, better)]
+    errors = [
+        np.linalg.norm(r.emulator_errors.of_values(r.emulator, here, none))
+        for r in (emulated, better)
+    ]
     assert errors[1] < 0.7 * errors[0]
     assert len(better.specimens(here)) == len(emulated.specimens(here)) + count
 

@@ -12,7 +12,9 @@ import typer
 
 from calibrate.commands.options import renamed
 
-DESIGN = "packings x 6 simulations; a larger library goes on from a smaller one"
+DESIGN = (
+    "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -43,8 +45,13 @@ def library_command(
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import store
     from calibrate.discrepancy.library.design import Design
-    from calibrate.discrepancy.library.run_library import check_extends, collect
-    from calibrate.discrepancy.library.simulate import Simulator, reference_run, run_design
+    from calibrate.discrepancy.library.run_library import check_extends, collect, repeats_of
+    from calibrate.discrepancy.library.simulate import (
+        Simulator,
+        reference_run,
+        run_design,
+        run_repeats,
+    )
     from calibrate.io.lab import bundled_lab, load_lab
     from calibrate.io.soil import base_soil
 
@@ -66,6 +73,9 @@ def library_command(
         check_extends(design, measured, smaller, str(onto))
         runs = run_design(design, simulator, progress, first=smaller.design.packings)
         library = smaller.grown(design, runs)
+    if library.repeats is None:
+        repeats = repeats_of(design, measured, run_repeats(design, simulator, progress))
+        library = replace(library, repeats=repeats)
     progress.say(f"{len(library.values)} simulations have all features; fitting")
     store.save(library.fitted(), out)
     print(f"library of {len(library.values)} runs in {out}")

@@ -1,11 +1,17 @@
-"""Errors of the emulator by cross-validation: packings are left out in turn, in blocks.
+"""Errors of the emulator: packings left out in turn, and soils repeated on several packings.
 
-    e = y - f(x, s)        of a held-out row, in a standardised component
-    e ~ N(0, w v(x, s) + q n(x))     n = packing + soil block + rest, at their soil and size
+    e = y - f(x, s)                                      in a standardised component
+    held-out row                e ~ N(0, w v(x, s) + (u + q) n(x))
+    mean of k repeats           e ~ N(0, w v(x, s) + (u + q/k) n(x))
+    repeats about their mean    sum of squares ~ q n(x) chi2(k - 1)
 
-w widens the variance v that the process states of itself, q the scatter n of specimens; both
-by maximum likelihood over rows with at most one effect, w with a weak pull to 1, as a few
-errors of values hide in much scatter.
+v is the variance that the process states of itself, n = packing + soil block + rest the scatter
+that it states of specimens.  Part of n is no scatter but what a smooth function misses, the same
+for all specimens of a soil: its misfit u.  Rows have a packing each and cannot tell u from q, the
+scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
+without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
+w with a weak pull to 1, as a few errors of values hide in much scatter.  What no component holds
+is split likewise, as a whole.
 
 Where an effect is on, features err together, along a few directions that few components hold (the
 turn of a curve recorded with a lag).  These are the leading principal directions of the errors of
@@ -15,6 +21,7 @@ rows without an effect have by chance; they grow with its strength.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -30,6 +37,7 @@ CHANCES = 50  # draws of rows without an effect
 SMALLEST = 1e-9  # variance of errors along a direction, of the largest
 FURTHEST = np.log(10.0)  # of ln w and ln q
 PULL_SD = 0.5  # of ln w about 0
+LEAST = 1e-3  # of u and q, and where a search for them begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +52,24 @@ class TrainingPoints:
     kernels: Sequence[Kernel]
 
 
+class Split(NamedTuple):
+    """Scatter of specimens and misfit, over the scatter that the emulator states."""
+
+    scatter: float = 1.0
+    misfit: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class EmulatorErrors:
-    """Factors on the variances that components' processes state of their values, widening (c,),
-    and of specimens, scatter (c,); directions (m, q) of warped features' errors at the full
-    strength of an effect, whose number is in effect (q,)."""
+    """Factors on the variances that components' processes state: of their values, widening (c,);
+    of specimens, scatter (c,), and misfit (c,); the same two of what no component holds; and
+    directions (m, q) of warped features' errors at the full strength of an effect, whose number is
+    in effect (q,)."""
 
     widening: np.ndarray
     scatter: np.ndarray
+    misfit: np.ndarray
+    dropped: Split
     directions: np.ndarray
     effect: np.ndarray
 
@@ -59,15 +77,65 @@ class EmulatorErrors:
     def nothing(components: int, features: int) -> "EmulatorErrors":
         """For an emulator whose stated variances hold."""
         ones = np.ones(components)
-        return EmulatorErrors(ones, ones, np.zeros((features, 0)), np.zeros(0, int))
+        return EmulatorErrors(
+            ones, ones, 0 * ones, Split(), np.zeros((features, 0)), np.zeros(0, int)
+        )
 
-    def along(self, s: np.ndarray) -> np.ndarray:
-        """Directions (m, q) of errors at scaled strengths (k,), one standard deviation each."""
-        return self.directions * s[self.effect]
+    def of_values(self, emulator: FeatureEmulator, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Directions (m, c) of errors of warped values at a scaled point, one deviation each."""
+        scatter = np.array([c.kernel.scatter for c in emulator.components])
+        stated = self.widening * emulator.variances(x, s)
+        missed = self.misfit * scatter * emulator.larger(x) ** 2
+        found = [emulator.basis.carried * np.sqrt(stated + missed), self.directions * s[self.effect]]
+        if self.dropped.misfit:
+            found.append(np.sqrt(self.dropped.misfit) * emulator.dropped_directions)
+        return np.hstack(found)
+
+    def specimens(self, emulator: FeatureEmulator, residuals: np.ndarray, x: np.ndarray):
+        """Warped residuals (n, m) at x = 0 as specimens scatter at a scaled point (p,)."""
+        parts = emulator.basis.components(emulator.basis.mean + residuals)
+        carried = emulator.basis.carried.T
+        larger = np.sqrt(self.scatter) * emulator.larger(x)
+        return np.sqrt(self.dropped.scatter) * (residuals - parts @ carried) + (
+            parts * larger
+        ) @ carried
 
 
-def cross_validate(points: TrainingPoints) -> EmulatorErrors:
-    """Errors of the emulator of all points with these kernels."""
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Scaled points (r, p) of repeated soils, and the features (k, m) of each one's specimens."""
+
+    x: np.ndarray
+    values: Sequence[np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors (n, c) of components, stated variances (n, c) of values and of specimens; specimens
+    (n,) behind each error, and the sum of squares (n, c) of these about their mean."""
+
+    error: np.ndarray
+    stated: np.ndarray
+    noise: np.ndarray
+    specimens: np.ndarray
+    squares: np.ndarray
+
+
+def cross_validate(
+    points: TrainingPoints, emulator: FeatureEmulator, repeats: Repeats | None = None
+) -> EmulatorErrors:
+    """Errors of the emulator of all points, with its kernels."""
+    rows, whole, strengths = _of_rows(points)
+    known = rows if repeats is None else _joined(rows, _of_repeats(emulator, repeats, points.scale))
+    fitted = np.array([
+        _factors(known, c, repeats is not None) for c in range(len(emulator.components))
+    ])  # fmt: skip
+    dropped = Split() if repeats is None else dropped_split(emulator, repeats, points.scale)
+    return EmulatorErrors(*fitted.T, dropped, *by_effects(whole, strengths))
+
+
+def _of_rows(points: TrainingPoints) -> tuple[Errors, np.ndarray, np.ndarray]:
+    """Errors of held-out rows; those of warped features (n, m), and strengths (n, k)."""
     errors, stated, whole, strengths, at = [], [], [], [], []
     for emulator, x, s, value in _held_out_rows(points):
         warped = np.arcsinh(value / points.scale)
@@ -76,11 +144,52 @@ def cross_validate(points: TrainingPoints) -> EmulatorErrors:
         whole.append(warped - emulator.warped(x, s))
         strengths.append(s)
         at.append(x)
-    noise = [k.scatter * k.larger(np.array(at)) ** 2 for k in points.kernels]
-    by_component = zip(np.array(errors).T, np.array(stated).T, noise, strict=True)
-    widening, scatter = np.array([_factors(*parts) for parts in by_component]).T
-    directions = by_effects(np.array(whole), np.array(strengths))
-    return EmulatorErrors(widening, scatter, *directions)
+    noise = np.array([k.scatter * k.larger(np.array(at)) ** 2 for k in points.kernels]).T
+    error = np.array(errors)
+    found = Errors(error, np.array(stated), noise, np.ones(len(error)), np.zeros_like(error))
+    return found, np.array(whole), np.array(strengths)
+
+
+def _of_repeats(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) -> Errors:
+    """Errors of the means of repeats, which the emulator has not seen."""
+    none = np.zeros(emulator.s.shape[1])
+    found = []
+    for x, values in zip(repeats.x, repeats.values, strict=True):
+        parts = emulator.basis.components(np.arcsinh(values / scale))
+        mean = parts.mean(axis=0)
+        noise = [c.kernel.scatter for c in emulator.components] * emulator.larger(x) ** 2
+        found.append((
+            mean - emulator.of_components(x, none), emulator.variances(x, none), noise,
+            len(parts), ((parts - mean) ** 2).sum(axis=0),
+        ))  # fmt: skip
+    return Errors(*(np.array(part) for part in zip(*found, strict=True)))
+
+
+def _joined(*parts: Errors) -> Errors:
+    fields = zip(*(vars(part).values() for part in parts), strict=True)
+    return Errors(*(np.concatenate(field) for field in fields))
+
+
+def dropped_split(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) -> Split:
+    """Scatter and misfit of what no component holds, over the variance of the library's rows."""
+    basis = emulator.basis
+
+    def standard(warped: np.ndarray) -> np.ndarray:
+        """In units of scatter (n, m), without what components hold."""
+        left = warped - basis.components(basis.mean + warped) @ basis.carried.T
+        return np.linalg.solve(basis.root, left.T).T
+
+    within, freedom, between, each = 0.0, 0, [], []
+    for values in repeats.values:
+        warped = standard(np.arcsinh(values / scale) - basis.mean)
+        mean = warped.mean(axis=0)
+        within += ((warped - mean) ** 2).sum()
+        freedom += len(warped) - 1
+        between.append((mean**2).sum())
+        each.append(1 / len(warped))
+    stated = (standard(emulator.residuals) ** 2).sum(axis=1).mean()
+    scatter = within / freedom / stated
+    return Split(scatter, max(np.mean(between) / stated - np.mean(each) * scatter, 0.0))
 
 
 def by_effects(errors: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,15 +251,26 @@ def fold_of(packing: np.ndarray) -> np.ndarray:
     return (block + block // FOLDS) % FOLDS
 
 
-def _factors(errors: np.ndarray, stated: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
-    """w and q that make the errors (n,) likeliest, given stated variances and noise (n,)."""
+def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, float, float]:
+    """w, q and u that make a component's errors likeliest; u is 0 where no soil is repeated."""
+    errors, stated, noise, squares = (
+        part[:, component] for part in (known.error, known.stated, known.noise, known.squares)
+    )
+    count = known.specimens
 
     def loss(ln_factors: np.ndarray) -> float:
-        w, q = np.exp(ln_factors)
-        variance = w * stated + q * noise
+        w, q, u = _split(ln_factors, repeated)
+        variance = w * stated + (u + q / count) * noise
+        within = (count - 1) * np.log(q * noise) + squares / (q * noise)
         pull = (ln_factors[0] / PULL_SD) ** 2
-        return float((np.log(variance) + errors**2 / variance).sum() + pull)
+        return float((np.log(variance) + errors**2 / variance + within).sum() + pull)
 
-    bounds = [(0.0, FURTHEST), (-FURTHEST, FURTHEST)]
-    w, q = np.exp(minimize(loss, np.zeros(2), bounds=bounds).x)
-    return float(w), float(q)
+    low = np.log(LEAST)
+    bounds = [(0.0, FURTHEST), (low, FURTHEST), (low, FURTHEST)][: 2 + repeated]
+    start = np.log([1.0, 0.5, 0.5]) if repeated else np.zeros(2)
+    return _split(minimize(loss, start, bounds=bounds).x, repeated)
+
+
+def _split(ln_factors: np.ndarray, repeated: bool) -> tuple[float, float, float]:
+    w, q = map(float, np.exp(ln_factors[:2]))
+    return w, q, float(np.exp(ln_factors[2])) if repeated else 0.0

@@ -73,7 +73,8 @@ class EmulatedLibrary:
             behind = library.lag_shifts(emulator)[len(self.library.lag_shift) :]
             library = replace(library, lag_shift=np.vstack([self.library.lag_shift, behind]))
         noise = np.ones((len(library.values), len(emulator.components)))
-        noise[len(own.values) :] = emulator_errors.scatter / emulator_errors.widening
+        of_rows = emulator_errors.scatter + emulator_errors.misfit
+        noise[len(own.values) :] = of_rows / emulator_errors.widening
         fitted = fit_emulator(
             *library.scaled(), library.packing, library.without_lag, library.scale(),
             library.kernels, emulator.basis, noise,
@@ -85,8 +86,8 @@ class EmulatedLibrary:
         scatter at the soil of a scaled point (p,) with spheres of the design's size."""
         _, first = np.unique(self.library.packing, return_index=True)
         soil = np.append(x[:-1], 0.0)
-        factors = self.emulator_errors.scatter * self.emulator.larger(soil) ** 2
-        return self.emulator.rescaled(self.emulator.residuals[first], factors)
+        residuals = self.emulator.residuals[first]
+        return self.emulator_errors.specimens(self.emulator, residuals, soil)
 
     @property
     def emulator_errors(self) -> EmulatorErrors:
@@ -131,8 +132,7 @@ class LocalEmulator:
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""
         x, s = self._scaled(delta, strengths)
-        stated = self.emulator.error_directions(x, s) * np.sqrt(self.emulator_errors.widening)
-        roots = np.hstack([stated, self.emulator_errors.along(s)])
+        roots = self.emulator_errors.of_values(self.emulator, x, s)
         return self.emulator.steepness(x, s)[:, None] * roots
 
     def _scaled(self, delta, strengths):

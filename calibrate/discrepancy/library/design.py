@@ -21,6 +21,10 @@ ends of a specimen count in proportion to it, and the limit of fine grains lies 
 A simulated press is twenty times as fast as a laboratory's, and what dashpots carry goes with
 its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
 soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
+
+Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
+effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
+misses, as a row has a soil and nearly a packing of its own; repeats can.
 """
 
 from collections.abc import Mapping
@@ -41,6 +45,8 @@ POROSITIES = (0.0, -0.02, 0.01)  # over the usual one of spheres of their size, 
 WEAKEST = 0.3  # of its limit, an effect by itself
 SPEEDS = (0.16, 0.045)  # m/s, of the platen in the mould: fast and slow
 TURN = 16  # packings in a row that are slow too, or are not
+SPECIMENS = 4  # packings of each repeated soil
+FIRST_REPEAT = 500  # number of the first packing of repeats: no library has as many rows' packings
 SETTINGS = ("smoothing", "porosity", "pace", "sphere_size")
 SETTING_SPREAD = (0.5, 0.02, 0.5, 0.3)
 
@@ -100,7 +106,7 @@ class Design:
     """The plan of a library; `base` holds the soil's values that are not varied.
 
     packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
-    TURN packings in `slow_in` again, slowly (0: of none).
+    TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils.
     """
 
     packings: int = 160
@@ -108,6 +114,7 @@ class Design:
     spheres: int = 1000
     seed: int = 40
     slow_in: int = 4
+    repeated: int = 24
     centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
     soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
@@ -152,6 +159,20 @@ class Design:
         base = base[row]
         base[slow, self.base_names.index("pace")] = SPEEDS[1] / SPEEDS[0]
         return base, strengths[row]
+
+    def repeats(self) -> tuple[np.ndarray, np.ndarray]:
+        """Base coordinates (n, p) of repeats and their packings (n,), soil by soil; of `slow_in`
+        soils one is slow."""
+        soil = np.arange(self.repeated)
+        unit = _sobol(len(self.soil_names), self.repeated, self.seed + 1)
+        porosity = np.array(POROSITIES)[soil % len(POROSITIES)]
+        size = [self.sphere_size(self.spheres_of(int(j))) for j in soil]
+        slow = soil % self.slow_in == self.slow_in - 1 if self.slow_in else soil < 0
+        pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
+        least = np.full(self.repeated, SMOOTHING[0])
+        base = np.column_stack([self._soil(unit), least, porosity, pace, size])
+        again = np.repeat(base, SPECIMENS, axis=0)
+        return again, FIRST_REPEAT + np.arange(len(again))
 
     def _fast_row(self) -> tuple[np.ndarray, np.ndarray]:
         """For each row (n,) the fast one of the same soil and effects, and whether it is slow."""

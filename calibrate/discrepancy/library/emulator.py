@@ -280,15 +280,16 @@ class FeatureEmulator:
         """Warped features (m,) at a point."""
         return self.basis.mean + self.basis.carried @ self.of_components(x, s)
 
-    def error_directions(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Directions (m, c) of the warped values' errors at a point, one standard deviation each,
-        from the finite number of runs."""
-        return self.basis.carried * np.sqrt(self.variances(x, s))
+    @cached_property
+    def dropped_directions(self) -> np.ndarray:
+        """Directions (m, r) of what no component holds of a row, one standard deviation each."""
+        left = self.residuals - self._held(self.residuals)
+        _, size, axes = np.linalg.svd(left, full_matrices=False)
+        return axes.T * (size / np.sqrt(len(left)))
 
-    def rescaled(self, residuals: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        """Warped residuals (n, m) with the variances of components times factors (c,)."""
-        parts = self.basis.components(self.basis.mean + residuals)
-        return residuals + (parts * (np.sqrt(factors) - 1)) @ self.basis.carried.T
+    def _held(self, residuals: np.ndarray) -> np.ndarray:
+        """What components hold of warped residuals (n, m)."""
+        return self.basis.components(self.basis.mean + residuals) @ self.basis.carried.T
 
     def larger(self, x: np.ndarray) -> np.ndarray:
         """Deviations (c,) of components at a point (p,) over those at x = 0."""

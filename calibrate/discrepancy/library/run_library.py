@@ -12,10 +12,11 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
+    Repeats,
     TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import FIRST_REPEAT, SPECIMENS, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.io.lab import Lab
@@ -65,8 +66,8 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class RunLibrary:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the mould;
-    once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the load
+    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the mould, and
+    repeats, of which a soil has one number as its packing; once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the load
     cell adds to the rows, lag_shift (n, m)."""
 
     design: Design
@@ -81,6 +82,7 @@ class RunLibrary:
     emulator_errors: EmulatorErrors | None = None
     lag_shift: np.ndarray | None = None
     speed: float = 8.0
+    repeats: Rows | None = None
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -159,11 +161,26 @@ class RunLibrary:
         """The library with its kernels and their errors by cross-validation; takes minutes."""
         lag_shift = self.lag_shifts(self._rows_without_lag().emulator()) if self.lag.any() else None
         library = replace(self, lag_shift=lag_shift, kernels=())
-        kernels = tuple(c.kernel for c in library.emulator().components)
+        emulator = library.emulator()
+        kernels = tuple(c.kernel for c in emulator.components)
         points = TrainingPoints(
             *library.scaled(), library.packing, library.without_lag, library.scale(), kernels
         )
-        return replace(library, kernels=kernels, emulator_errors=cross_validate(points))
+        errors = cross_validate(points, emulator, library._soils_repeated())
+        return replace(library, kernels=kernels, emulator_errors=errors)
+
+    def _soils_repeated(self) -> Repeats | None:
+        """Soils with two specimens or more that have all features; None where there are none."""
+        if self.repeats is None:
+            return None
+        soils, count = np.unique(self.repeats.packing, return_counts=True)
+        each = [self.repeats.packing == soil for soil in soils[count > 1]]
+        scaled = self.repeats.base / self.design.spread()
+        found = Repeats(
+            np.array([scaled[of_soil][0] for of_soil in each]),
+            [self.repeats.values[of_soil] for of_soil in each],
+        )
+        return found if each else None
 
 
 SCALES = {"largest force": 100.0, "peak displacement": 1.0}  # by kind, else by unit
@@ -204,8 +221,17 @@ def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.n
     return values
 
 
+def repeats_of(design: Design, lab: Lab, runs: Sequence[Run | None]) -> Rows:
+    """A design's repeats by soil, without failed and incomplete ones."""
+    base, packing = design.repeats()
+    none = np.zeros((len(base), len(design.limits)))
+    soil = (packing - FIRST_REPEAT) // SPECIMENS
+    return Rows.of(declared(lab.pair().compression.force_high), base, none, soil, runs)
+
+
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
-    """The library of a design's runs (None: not simulated), without failed and incomplete ones."""
+    """The library of a design's runs (None: not simulated), without failed and incomplete ones and
+    without repeats."""
     high = lab.pair().compression.force_high
     rows = Rows.of(declared(high), *design.rows(), design.of_packing, runs)
     return RunLibrary(

@@ -2,7 +2,8 @@
 
 It says which engine made the runs, for which cylinder and forces, and how far its points reach.
 Variables keep the names of the first files: `late` is the shift by the load cell's lag, `twin`
-the variance of soil blocks, `widening`, `scatter` and `missed_*` the emulator's errors.
+the variance of soil blocks, `widening`, `scatter`, `misfit`, `dropped` and `missed_*` the
+emulator's errors.
 """
 
 import json
@@ -15,10 +16,10 @@ import numpy as np
 import xarray as xr
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.library.cross_validation import EmulatorErrors
+from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, Design
 from calibrate.discrepancy.library.emulator import Kernel
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
 
 NETCDF = "h5netcdf"
@@ -45,8 +46,15 @@ def save(library: RunLibrary, path: Path) -> None:
     if library.emulator_errors is not None:
         data["widening"] = (("component",), library.emulator_errors.widening)
         data["scatter"] = (("component",), library.emulator_errors.scatter)
+        data["misfit"] = (("component",), library.emulator_errors.misfit)
+        data["dropped"] = (("split",), np.array(library.emulator_errors.dropped))
         data["missed_directions"] = (("feature", "missed"), library.emulator_errors.directions)
         data["missed_effect"] = (("missed",), library.emulator_errors.effect)
+    if library.repeats is not None:
+        data["repeats_base"] = (("repeat", "coordinate"), library.repeats.base.astype(np.float32))
+        data["repeats_soil"] = (("repeat",), library.repeats.packing.astype(np.int32))
+        values = library.repeats.values.astype(np.float32)
+        data["repeats_values"] = (("repeat", "feature"), values)
     names = {
         "coordinate": list(library.design.base_names),
         "effect": list(library.design.effect_names),
@@ -105,20 +113,35 @@ def _read(stored: xr.Dataset) -> RunLibrary:
         emulator_errors=_emulator_errors(stored),
         lag_shift=stored["late"].values.astype(float) if "late" in stored else None,
         speed=float(stored.attrs.get("speed", RunLibrary.speed)),
+        repeats=_repeats(stored, design),
     )
+
+
+def _repeats(stored: xr.Dataset, design: Design) -> Rows | None:
+    """Repeats of a file; None in earlier ones."""
+    if "repeats_base" not in stored:
+        return None
+    base = stored["repeats_base"].sel(coordinate=list(design.base_names)).values.astype(float)
+    none = np.zeros((len(base), len(design.limits)))
+    values = stored["repeats_values"].values.astype(float)
+    return Rows(base, none, stored["repeats_soil"].values, values)
 
 
 def _emulator_errors(stored: xr.Dataset) -> EmulatorErrors | None:
     """The emulator's errors of a file; None if it was not cross-validated.  Earlier files have no
-    directions by effect."""
+    misfit, or no directions by effect."""
     if "widening" not in stored:
         return None
     widening, scatter = stored["widening"].values, stored["scatter"].values
-    if "missed_effect" not in stored:
-        nothing = EmulatorErrors.nothing(len(widening), stored.sizes["feature"])
-        return replace(nothing, widening=widening, scatter=scatter)
-    directions, effect = stored["missed_directions"].values, stored["missed_effect"].values
-    return EmulatorErrors(widening, scatter, directions, effect)
+    found = EmulatorErrors.nothing(len(widening), stored.sizes["feature"])
+    found = replace(found, widening=widening, scatter=scatter)
+    if "misfit" in stored:
+        dropped = Split(*stored["dropped"].values.tolist())
+        found = replace(found, misfit=stored["misfit"].values, dropped=dropped)
+    if "missed_effect" in stored:
+        directions, effect = stored["missed_directions"].values, stored["missed_effect"].values
+        found = replace(found, directions=directions, effect=effect)
+    return found
 
 
 def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
