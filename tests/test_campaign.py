@@ -23,6 +23,7 @@ from calibrate.core.progress import PlainLines, Silent, duration
 from calibrate.simulation import NETCDF, side_by_side, store
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.seal import LENGTH, sealed, unsealed
+from calibrate.simulation.session import Session
 from calibrate.simulation.specimens import coarse, simulation_json
 
 SEEDS = (0, 1)
@@ -423,3 +424,10 @@ def test_a_run_of_an_earlier_cache_states_its_resolution(tmp_path):
 def test_few_spheres_across_are_said():
     assert "4.6 spheres across" in coarse({"spheres_across": 4.6})
     assert coarse({"spheres_across": 8.0}) == coarse({}) == ""
+
+
+def test_a_session_in_single_precision_simulates_in_it(tmp_path):
+    session = Session.open(None, "quick", tmp_path)
+    both = (session, session.in_single_precision())
+    campaigns = [each.campaign_of_one(tmp_path, None) for each in both]
+    assert [work.lab.numerics.dtype for work in campaigns] == ["float64", "float32"]

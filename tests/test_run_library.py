@@ -272,7 +272,8 @@ def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
 
 def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
     honest = cross_validate(points(emulator), emulator)
-    sure = cross_validate(points(emulator, packing=np.log(0.01)), emulator)  # packings do not differ
+    alike = points(emulator, packing=np.log(0.01))  # forgets that packings differ
+    sure = cross_validate(alike, emulator)
     most = int(np.argmax([component.kernel.packing for component in emulator.components]))
     assert 1 / 3 < honest.scatter[most] < 3.0  # 22 packings in one sample and 22 in the other
     assert sure.scatter[most] > 3 * honest.scatter[most]
@@ -326,9 +327,11 @@ def test_repeats_tell_scatter_of_specimens_from_what_is_missed(split_errors):
 def test_what_is_missed_counts_for_values_and_scatter_for_specimens(split_errors):
     emulator, errors, without = split_errors
     here, none = np.zeros(P), np.zeros(1)
-    value = [np.sqrt((e.of_values(emulator, here, none) ** 2).sum(axis=1)) for e in (errors, without)]
-    assert value[0] == pytest.approx(MISSED, rel=0.35)
-    assert (value[1] < 0.5 * value[0]).all()
+    of_values, stated = (
+        np.linalg.norm(e.of_values(emulator, here, none), axis=1) for e in (errors, without)
+    )
+    assert of_values == pytest.approx(MISSED, rel=0.35)
+    assert (stated < 0.5 * of_values).all()
     specimens = errors.specimens(emulator, emulator.residuals, here)
     assert specimens.std(axis=0) == pytest.approx(SCATTERED, rel=0.35)
 

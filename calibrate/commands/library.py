@@ -12,9 +12,7 @@ import typer
 
 from calibrate.commands.options import renamed
 
-DESIGN = (
-    "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
-)
+DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
 
 
 def register(app: typer.Typer) -> None:

@@ -1,6 +1,7 @@
 """`calibrate simulate`: a lab's virtual tests on several packings."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -28,6 +29,9 @@ def simulate_command(
     preset: PresetName = "quick",
     seed: Seed = 0,
     prepare_with_soil: Preparation = False,
+    single: Annotated[
+        bool, typer.Option("--single/--double", help="Numbers in single precision: faster.")
+    ] = False,
     out: Out = Path("results/simulate"),
     dask: Dask = None,
     json: Json = None,
@@ -40,6 +44,8 @@ def simulate_command(
 
     check_writable(json)
     session = Session.open(lab, preset, out, dask)
+    if single:
+        session = session.in_single_precision()
     values = parse_changes(changes or [])
     work = session.campaign(out, values if prepare_with_soil else None)
     result, runs = specimens.simulate(session.lab, session.preset, values, seed, work)

@@ -28,8 +28,8 @@ from jdem.packing.specimen import Specimen
 class Preset:
     """Number of spheres, simulated platen speeds (m/s) on a specimen in its mould and on a free
     one, packings averaged over; whether beds grow to a porosity or settle as they fall; fresh
-    packings that a fit is checked on, and spheres of the beds that it explores with (None: the
-    same)."""
+    packings that a fit is checked on, spheres of the beds that it explores with (None: the same);
+    numbers are kept in double precision (float64) or in single (float32)."""
 
     name: str
     spheres: int
@@ -39,6 +39,7 @@ class Preset:
     grown: bool = False
     fresh: int = 3
     explored: int | None = None
+    dtype: str = "float64"
 
 
 NARROWEST = 3.0  # spheres across a specimen
@@ -69,7 +70,7 @@ def virtual_lab(
     """The tests on one of the lab's specimens at the preset's simulated rates."""
     tested = lab.specimens()[number]
     filled = _filled(lab, tested.cylinder, preset)
-    numerics = numerics_for(filled) if numerics is None else numerics
+    numerics = numerics_for(filled, dtype=preset.dtype) if numerics is None else numerics
     pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
     apparatus = tuple(test.apparatus(tested.cylinder, pace) for test in tested.tests)
     return VirtualLab.of(filled, TestSequence(apparatus), numerics)

@@ -41,6 +41,10 @@ class Session:
         """The same session with another number of spheres in the preset."""
         return replace(self, preset=replace(self.preset, spheres=spheres))
 
+    def in_single_precision(self) -> "Session":
+        """The same session with numbers of half the size."""
+        return replace(self, preset=replace(self.preset, dtype="float32"))
+
     def campaign(self, out: Path, preparation: dict[str, float] | None) -> AbstractCampaign:
         """Simulations of this session; beds settle with the soil under test if its changed
         parameters are given, with a neutral soil if not."""

@@ -86,7 +86,10 @@ class EmulatorErrors:
         scatter = np.array([c.kernel.scatter for c in emulator.components])
         stated = self.widening * emulator.variances(x, s)
         missed = self.misfit * scatter * emulator.larger(x) ** 2
-        found = [emulator.basis.carried * np.sqrt(stated + missed), self.directions * s[self.effect]]
+        found = [
+            emulator.basis.carried * np.sqrt(stated + missed),
+            self.directions * s[self.effect],
+        ]
         if self.dropped.misfit:
             found.append(np.sqrt(self.dropped.misfit) * emulator.dropped_directions)
         return np.hstack(found)
@@ -96,9 +99,10 @@ class EmulatorErrors:
         parts = emulator.basis.components(emulator.basis.mean + residuals)
         carried = emulator.basis.carried.T
         larger = np.sqrt(self.scatter) * emulator.larger(x)
-        return np.sqrt(self.dropped.scatter) * (residuals - parts @ carried) + (
-            parts * larger
-        ) @ carried
+        return (
+            np.sqrt(self.dropped.scatter) * (residuals - parts @ carried)
+            + (parts * larger) @ carried
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,8 +67,8 @@ class Rows:
 class RunLibrary:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
     all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the mould, and
-    repeats, of which a soil has one number as its packing; once fitted, kernels, the emulator's errors by cross-validation, and what the lag of the load
-    cell adds to the rows, lag_shift (n, m)."""
+    repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
+    errors, and what the lag of the load cell adds to the rows, lag_shift (n, m)."""
 
     design: Design
     cylinder: Cylinder
