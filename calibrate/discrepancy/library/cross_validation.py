@@ -11,7 +11,8 @@ for all specimens of a soil: its misfit u.  Rows have a packing each and cannot 
 scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
 without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
 w with a weak pull to 1, as a few errors of values hide in much scatter.  What no component holds
-is split likewise, as a whole.
+is split likewise, as a whole; it scatters more in coarse beds and some soils as components do on
+average.
 
 Where an effect is on, features err together, along a few directions that few components hold (the
 turn of a curve recorded with a lag).  These are the leading principal directions of the errors of
@@ -98,11 +99,14 @@ class EmulatorErrors:
         """Warped residuals (n, m) at x = 0 as specimens scatter at a scaled point (p,)."""
         parts = emulator.basis.components(emulator.basis.mean + residuals)
         carried = emulator.basis.carried.T
-        larger = np.sqrt(self.scatter) * emulator.larger(x)
-        return (
-            np.sqrt(self.dropped.scatter) * (residuals - parts @ carried)
-            + (parts * larger) @ carried
-        )
+        of_parts = np.sqrt(self.scatter) * emulator.larger(x)
+        of_rest = np.sqrt(self.dropped.scatter * _larger_on_average(emulator, x))
+        return of_rest * (residuals - parts @ carried) + (parts * of_parts) @ carried
+
+
+def _larger_on_average(emulator: FeatureEmulator, x: np.ndarray) -> float:
+    """Variance of components at a scaled point (p,) over that at x = 0, their geometric mean."""
+    return float(np.exp(2 * np.mean(np.log(emulator.larger(x)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,11 +135,13 @@ def cross_validate(
     """Errors of the emulator of all points, with its kernels."""
     rows, whole, strengths = _of_rows(points)
     known = rows if repeats is None else _joined(rows, _of_repeats(emulator, repeats, points.scale))
-    fitted = np.array([
+    of_components = (
         _factors(known, c, repeats is not None) for c in range(len(emulator.components))
-    ])  # fmt: skip
+    )
+    widening, scatter, misfit = np.array(list(of_components)).T
     dropped = Split() if repeats is None else dropped_split(emulator, repeats, points.scale)
-    return EmulatorErrors(*fitted.T, dropped, *by_effects(whole, strengths))
+    directions, effect = by_effects(whole, strengths)
+    return EmulatorErrors(widening, scatter, misfit, dropped, directions, effect)
 
 
 def _of_rows(points: TrainingPoints) -> tuple[Errors, np.ndarray, np.ndarray]:
@@ -184,13 +190,13 @@ def dropped_split(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray
         return np.linalg.solve(basis.root, left.T).T
 
     within, freedom, between, each = 0.0, 0, [], []
-    for values in repeats.values:
+    for x, values in zip(repeats.x, repeats.values, strict=True):
         warped = standard(np.arcsinh(values / scale) - basis.mean)
-        mean = warped.mean(axis=0)
-        within += ((warped - mean) ** 2).sum()
+        mean, larger = warped.mean(axis=0), _larger_on_average(emulator, x)
+        within += ((warped - mean) ** 2).sum() / larger
         freedom += len(warped) - 1
         between.append((mean**2).sum())
-        each.append(1 / len(warped))
+        each.append(larger / len(warped))
     stated = (standard(emulator.residuals) ** 2).sum(axis=1).mean()
     scatter = within / freedom / stated
     return Split(scatter, max(np.mean(between) / stated - np.mean(each) * scatter, 0.0))
