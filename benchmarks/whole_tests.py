@@ -179,8 +179,8 @@ def main() -> None:
                 theirs(bed, Path(place) / "theirs"),
             )
             found += [{"round": number, **row} for row in rows]
-        origin = reporting.provenance()
-        reporting.write("whole_tests", {**origin, "rows": found}, markdown(found, origin))
+            origin = reporting.provenance()
+            reporting.write("whole_tests", {**origin, "rows": found}, markdown(found, origin))
 
 
 if __name__ == "__main__":

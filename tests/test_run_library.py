@@ -11,7 +11,8 @@ import toy_library
 from formulas import LAB
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.library import run_library, store
+from calibrate.core.progress import Silent
+from calibrate.discrepancy.library import run_library, simulate, store
 from calibrate.discrepancy.library.cross_validation import (
     BLOCK,
     FOLDS,
@@ -28,7 +29,6 @@ from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prio
 from calibrate.discrepancy.library.design import (
     ACTIVE,
     ALONE,
-    FIRST_REPEAT,
     FURTHEST,
     LIMITS,
     OF,
@@ -318,7 +318,7 @@ def test_repeats_tell_scatter_of_specimens_from_what_is_missed(split_errors):
     """Rows scatter by both; 120 differences of repeats know their variance to 13 %."""
     emulator, errors, without = split_errors
     whole = MISSED**2 + SCATTERED**2
-    assert np.exp(2 * emulator.components[0].kernel.rest) < 1  # standardised: not a trivial fit
+    assert emulator.residuals.var(axis=0) == pytest.approx(whole, rel=0.25)
     assert errors.scatter == pytest.approx(SCATTERED**2 / whole, rel=0.4)
     assert errors.misfit == pytest.approx(MISSED**2 / whole, rel=0.6)
     assert not without.misfit.any() and without.scatter == pytest.approx(1.0, rel=0.3)
@@ -337,16 +337,16 @@ def test_what_is_missed_counts_for_values_and_scatter_for_specimens(split_errors
 
 
 def test_what_no_component_holds_is_split_too():
-    """Six features of which one component is kept; the others miss as much by soil as they
-    scatter."""
+    """Six features of which one component is kept; each misses something of each soil beside what
+    specimens scatter by."""
     rng, n, soils, m = np.random.default_rng(15), 300, 60, 6
     scale = np.full(m, 20.0)
 
     def features(x: np.ndarray, *more: int) -> np.ndarray:
         """In ln, with what is missed."""
         plain = np.log(200) + 0.4 * x[:, :1] + MISSED * rng.normal(size=(len(x), m))
-        specimens = plain.reshape(len(x), *[1] * len(more), m)
-        return np.exp(specimens + SCATTERED * rng.normal(size=(len(x), *more, m)))
+        every = plain.reshape(len(x), *[1] * len(more), m)
+        return np.exp(every + SCATTERED * rng.normal(size=(len(x), *more, m)))
 
     x, s = rng.normal(size=(n, P)), np.zeros((n, 1))
     values = features(x)
@@ -404,19 +404,49 @@ def test_emulator_errors_survive_their_file(tmp_path):
     assert not again.misfit.any() and again.dropped == Split()
 
 
+def toy_repeats() -> run_library.Rows:
+    """Repeats of the toy library's design, by formula; the first run of the second soil failed."""
+    design = toy_library.DESIGN
+    base, packing = design.repeats()
+    soils = zip(base[:, :2], packing, strict=True)
+    runs = [toy_library.run(soil, np.zeros(3), int(seed)) for soil, seed in soils]
+    return run_library.repeats_of(design, LAB, [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]])
+
+
 def test_repeats_survive_their_file_and_growth(tmp_path):
-    library = toy_library.library()
-    base, packing = library.design.repeats()
-    none, rng = np.zeros((len(base), 3)), np.random.default_rng(2)
-    values = rng.normal(size=(len(base), len(library.features)))
-    rows = run_library.Rows(base, none, (packing - FIRST_REPEAT) // SPECIMENS, values)
-    path = tmp_path / "library.nc"
-    store.save(replace(library, repeats=rows), path)
-    again = store.load(path).repeats
-    assert again is not None
-    assert np.allclose(again.values, values, rtol=1e-6) and np.allclose(again.base, base, rtol=1e-6)
-    assert (again.packing == rows.packing).all()
-    assert store.load(path).joined(rows).repeats is not None
+    rows, path = toy_repeats(), tmp_path / "library.nc"
+    store.save(replace(toy_library.library(), repeats=rows), path)
+    library = store.load(path)
+    assert library.repeats is not None
+    assert np.allclose(library.repeats.values, rows.values, rtol=1e-6)
+    assert np.allclose(library.repeats.base, rows.base, rtol=1e-6, atol=1e-7)
+    assert library.repeats.packing.tolist() == rows.packing.tolist()
+    larger = replace(toy_library.DESIGN, packings=toy_library.PACKINGS + 2)
+    grown = library.grown(larger, [None] * (2 * toy_library.ROWS))
+    assert grown.repeats is library.repeats
+
+
+def test_a_fitted_library_knows_scatter_from_repeats():
+    """A soil with a failed run has three specimens."""
+    rows = toy_repeats()
+    assert np.bincount(rows.packing).tolist() == [4, 3, *[4] * (toy_library.DESIGN.repeated - 2)]
+    alone = replace(toy_library.library(), kernels=()).fitted().emulator_errors
+    fitted = replace(toy_library.library(), kernels=(), repeats=rows).fitted().emulator_errors
+    assert alone is not None and fitted is not None
+    assert not alone.misfit.any() and alone.dropped == Split()
+    assert fitted.misfit.any() and fitted.dropped != Split()
+
+
+def test_repeats_are_simulated_on_their_packings(monkeypatch):
+    seen = []
+    monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))
+    design = Design()
+    simulate.run_repeats(design, None, Silent())  # pyright: ignore[reportArgumentType]
+    (points,), (base, packing) = seen, design.repeats()
+    assert (points.base == base).all() and not points.strengths.any()
+    assert (points.seeds == 1000 * design.seed + packing).all()
+    sizes = [design.sphere_size(spheres) for spheres in points.spheres]
+    assert sizes == base[:, design.base_names.index("sphere_size")].tolist()
 
 
 def test_repeats_are_soils_on_packings_of_their_own():

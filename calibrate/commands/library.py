@@ -26,7 +26,7 @@ def library_command(
         Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: bundled soil.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="The library's file.")] = Path("library.nc"),
-    packings: Annotated[int, typer.Option("--packings", min=8, help=DESIGN)] = 160,
+    packings: Annotated[int, typer.Option("--packings", min=8, max=500, help=DESIGN)] = 160,
     onto: Annotated[
         Path | None,
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),

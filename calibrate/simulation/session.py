@@ -42,7 +42,7 @@ class Session:
         return replace(self, preset=replace(self.preset, spheres=spheres))
 
     def in_single_precision(self) -> "Session":
-        """The same session with numbers of half the size."""
+        """The same session in single precision (float32)."""
         return replace(self, preset=replace(self.preset, dtype="float32"))
 
     def campaign(self, out: Path, preparation: dict[str, float] | None) -> AbstractCampaign:
@@ -74,5 +74,6 @@ def place_of(dask: str | None) -> AbstractPlace:
 
 
 def origin_of(session: Session) -> dict:
-    """What made a result from a laboratory's data: `made_by`, soil and preset."""
-    return {"soil": session.lab.name, "preset": session.preset.name, **made_by()}
+    """What made a result from a laboratory's data: `made_by`, soil, preset and precision."""
+    preset = session.preset
+    return {"soil": session.lab.name, "preset": preset.name, "dtype": preset.dtype, **made_by()}

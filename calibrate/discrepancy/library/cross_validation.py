@@ -10,9 +10,11 @@ that it states of specimens.  Part of n is no scatter but what a smooth function
 for all specimens of a soil: its misfit u.  Rows have a packing each and cannot tell u from q, the
 scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
 without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
-w with a weak pull to 1, as a few errors of values hide in much scatter.  What no component holds
-is split likewise, as a whole; it scatters more in coarse beds and some soils as components do on
-average.
+w with a weak pull to 1, as a few errors of values hide in much scatter.
+
+What no component holds is split as a whole, by mean squares over repeats.  Its scatter goes with
+size and soil as that of components does on average; its misfit is taken for the same everywhere.
+Rows with effects miss more there, along directions of their own, and do not count.
 
 Where an effect is on, features err together, along a few directions that few components hold (the
 turn of a curve recorded with a lag).  These are the leading principal directions of the errors of
@@ -36,9 +38,9 @@ FEWEST = 20  # rows with an effect, for its directions
 MOST = 5  # directions of an effect
 CHANCES = 50  # draws of rows without an effect
 SMALLEST = 1e-9  # variance of errors along a direction, of the largest
-FURTHEST = np.log(10.0)  # of ln w and ln q
+FURTHEST = np.log(10.0)  # of ln w, ln q and ln u
 PULL_SD = 0.5  # of ln w about 0
-LEAST = 1e-3  # of u and q, and where a search for them begins
+LEAST = 1e-3  # of u and q
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class TrainingPoints:
 
 
 class Split(NamedTuple):
-    """Scatter of specimens and misfit, over the scatter that the emulator states."""
+    """Variances of specimens, at x = 0, and of misfit, over that of the rows' residuals."""
 
     scatter: float = 1.0
     misfit: float = 0.0
@@ -83,7 +85,7 @@ class EmulatorErrors:
         )
 
     def of_values(self, emulator: FeatureEmulator, x: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Directions (m, c) of errors of warped values at a scaled point, one deviation each."""
+        """Directions (m, r) of errors of warped values at a scaled point, one deviation each."""
         scatter = np.array([c.kernel.scatter for c in emulator.components])
         stated = self.widening * emulator.variances(x, s)
         missed = self.misfit * scatter * emulator.larger(x) ** 2
@@ -95,18 +97,20 @@ class EmulatorErrors:
             found.append(np.sqrt(self.dropped.misfit) * emulator.dropped_directions)
         return np.hstack(found)
 
-    def specimens(self, emulator: FeatureEmulator, residuals: np.ndarray, x: np.ndarray):
+    def specimens(
+        self, emulator: FeatureEmulator, residuals: np.ndarray, x: np.ndarray
+    ) -> np.ndarray:
         """Warped residuals (n, m) at x = 0 as specimens scatter at a scaled point (p,)."""
+        held = emulator.held(residuals)
         parts = emulator.basis.components(emulator.basis.mean + residuals)
-        carried = emulator.basis.carried.T
         of_parts = np.sqrt(self.scatter) * emulator.larger(x)
-        of_rest = np.sqrt(self.dropped.scatter * _larger_on_average(emulator, x))
-        return of_rest * (residuals - parts @ carried) + (parts * of_parts) @ carried
+        of_rest = np.sqrt(self.dropped.scatter) * _larger_on_average(emulator, x)
+        return of_rest * (residuals - held) + (parts * of_parts) @ emulator.basis.carried.T
 
 
 def _larger_on_average(emulator: FeatureEmulator, x: np.ndarray) -> float:
-    """Variance of components at a scaled point (p,) over that at x = 0, their geometric mean."""
-    return float(np.exp(2 * np.mean(np.log(emulator.larger(x)))))
+    """Deviation of components at a scaled point (p,) over that at x = 0, their geometric mean."""
+    return float(np.exp(np.mean(np.log(emulator.larger(x)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,13 +123,13 @@ class Repeats:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors (n, c) of components, stated variances (n, c) of values and of specimens; specimens
-    (n,) behind each error, and the sum of squares (n, c) of these about their mean."""
+    """Errors (n, c) of components, stated variances (n, c) of values and of specimens; the count
+    (n,) of specimens behind each error, and their sum of squares (n, c) about their mean."""
 
     error: np.ndarray
     stated: np.ndarray
     noise: np.ndarray
-    specimens: np.ndarray
+    count: np.ndarray
     squares: np.ndarray
 
 
@@ -181,25 +185,26 @@ def _joined(*parts: Errors) -> Errors:
 
 
 def dropped_split(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) -> Split:
-    """Scatter and misfit of what no component holds, over the variance of the library's rows."""
+    """Scatter and misfit of what no component holds, over the variance of rows without effects."""
     basis = emulator.basis
 
-    def standard(warped: np.ndarray) -> np.ndarray:
-        """In units of scatter (n, m), without what components hold."""
-        left = warped - basis.components(basis.mean + warped) @ basis.carried.T
-        return np.linalg.solve(basis.root, left.T).T
+    def dropped(warped: np.ndarray) -> np.ndarray:
+        """In units of scatter (n, m)."""
+        return np.linalg.solve(basis.root, (warped - emulator.held(warped)).T).T
 
-    within, freedom, between, each = 0.0, 0, [], []
+    within, freedom, between, share = 0.0, 0, [], []
     for x, values in zip(repeats.x, repeats.values, strict=True):
-        warped = standard(np.arcsinh(values / scale) - basis.mean)
-        mean, larger = warped.mean(axis=0), _larger_on_average(emulator, x)
-        within += ((warped - mean) ** 2).sum() / larger
-        freedom += len(warped) - 1
+        left = dropped(np.arcsinh(values / scale) - basis.mean)
+        mean, larger = left.mean(axis=0), _larger_on_average(emulator, x) ** 2
+        within += ((left - mean) ** 2).sum() / larger
+        freedom += len(left) - 1
         between.append((mean**2).sum())
-        each.append(larger / len(warped))
-    stated = (standard(emulator.residuals) ** 2).sum(axis=1).mean()
+        share.append(larger / len(left))
+    stated = (dropped(emulator.without_effects) ** 2).sum(axis=1).mean()
     scatter = within / freedom / stated
-    return Split(scatter, max(np.mean(between) / stated - np.mean(each) * scatter, 0.0))
+    return Split(
+        float(scatter), float(max(np.mean(between) / stated - np.mean(share) * scatter, 0.0))
+    )
 
 
 def by_effects(errors: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -266,10 +271,10 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
     errors, stated, noise, squares = (
         part[:, component] for part in (known.error, known.stated, known.noise, known.squares)
     )
-    count = known.specimens
+    count = known.count
 
     def loss(ln_factors: np.ndarray) -> float:
-        w, q, u = _split(ln_factors, repeated)
+        w, q, u = _factors_of(ln_factors, repeated)
         variance = w * stated + (u + q / count) * noise
         within = (count - 1) * np.log(q * noise) + squares / (q * noise)
         pull = (ln_factors[0] / PULL_SD) ** 2
@@ -278,9 +283,9 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
     low = np.log(LEAST)
     bounds = [(0.0, FURTHEST), (low, FURTHEST), (low, FURTHEST)][: 2 + repeated]
     start = np.log([1.0, 0.5, 0.5]) if repeated else np.zeros(2)
-    return _split(minimize(loss, start, bounds=bounds).x, repeated)
+    return _factors_of(minimize(loss, start, bounds=bounds).x, repeated)
 
 
-def _split(ln_factors: np.ndarray, repeated: bool) -> tuple[float, float, float]:
+def _factors_of(ln_factors: np.ndarray, repeated: bool) -> tuple[float, float, float]:
     w, q = map(float, np.exp(ln_factors[:2]))
     return w, q, float(np.exp(ln_factors[2])) if repeated else 0.0

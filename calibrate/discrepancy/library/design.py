@@ -46,7 +46,7 @@ WEAKEST = 0.3  # of its limit, an effect by itself
 SPEEDS = (0.16, 0.045)  # m/s, of the platen in the mould: fast and slow
 TURN = 16  # packings in a row that are slow too, or are not
 SPECIMENS = 4  # packings of each repeated soil
-FIRST_REPEAT = 500  # number of the first packing of repeats: no library has as many rows' packings
+FIRST_REPEAT = 500  # number of the first packing of repeats; a library has fewer (`--packings`)
 SETTINGS = ("smoothing", "porosity", "pace", "sphere_size")
 SETTING_SPREAD = (0.5, 0.02, 0.5, 0.3)
 

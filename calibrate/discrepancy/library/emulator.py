@@ -280,14 +280,21 @@ class FeatureEmulator:
         """Warped features (m,) at a point."""
         return self.basis.mean + self.basis.carried @ self.of_components(x, s)
 
+    @property
+    def without_effects(self) -> np.ndarray:
+        """Residuals (l, m) of the rows without effects; all where there are fewer than two."""
+        plain = (self.s == 0).all(axis=1)
+        return self.residuals[plain] if plain.sum() > 1 else self.residuals
+
     @cached_property
     def dropped_directions(self) -> np.ndarray:
-        """Directions (m, r) of what no component holds of a row, one standard deviation each."""
-        left = self.residuals - self._held(self.residuals)
+        """Directions (m, r) of what no component holds of a row without effects, one standard
+        deviation each."""
+        left = self.without_effects - self.held(self.without_effects)
         _, size, axes = np.linalg.svd(left, full_matrices=False)
         return axes.T * (size / np.sqrt(len(left)))
 
-    def _held(self, residuals: np.ndarray) -> np.ndarray:
+    def held(self, residuals: np.ndarray) -> np.ndarray:
         """What components hold of warped residuals (n, m)."""
         return self.basis.components(self.basis.mean + residuals) @ self.basis.carried.T
 
