@@ -5,9 +5,10 @@
     both      what `calibrate fit --preset standard` does: slopes from 500, values from 2000
 
 Each fits the same parameters to the soil's targets, from the same start, on four packings, and is
-checked on fresh packings of 2000 spheres.  Costs are processor seconds of the fit, compiling in;
-beds are made before, and the check is not counted.  One soil from one start takes 20 minutes of
-two cores for fits of large beds and of both.
+checked on fresh packings of 2000 spheres.  Costs are processor seconds of the fit, compiling in,
+and particle-steps, which other work on the machine does not change; beds are made before, and the
+check is not counted.  One soil from one start takes 20 minutes of two cores for fits of large beds
+and of both.
 
     python benchmarks/sizes.py --soils wheat_after_rice --starts base
 
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import reporting
+import xarray as xr
 
 from calibrate.core.progress import for_terminal
 from calibrate.inference.calibration import THRIFTY, explored, fit_from, scatter_of_packings
@@ -35,6 +37,7 @@ from calibrate.inference.resolutions import Coarse
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.composite import label
+from calibrate.simulation import NETCDF
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import Seeds, campaign, mean_observables, spread_observables
@@ -48,8 +51,8 @@ STARTS = {
     "soft, weak": {"shear_modulus": 0.8, "surface_energy": 0.7},
 }
 WAYS = ("small", "large", "both")
-HEADER = ("soil", "start", "beds", "processor (s)", "over large only", "observable", "measured",
-          "fresh packings: mean ± s.e.", "error")  # fmt: skip
+HEADER = ("soil", "start", "beds", "processor (s)", "runs", "M particle-steps", "over large only",
+          "observable", "measured", "fresh packings: mean ± s.e.", "error")  # fmt: skip
 
 
 def fitted(lab: Lab, start: str, way: str, folder: Path, beds: Path) -> dict:
@@ -62,11 +65,11 @@ def fitted(lab: Lab, start: str, way: str, folder: Path, beds: Path) -> dict:
     large, small = (campaign(lab, preset, folder, for_terminal()) for preset in (LARGE, SMALL))
     seeds, begun = Seeds.of(0, LARGE.packings, LARGE.fresh), time.process_time()
     found = _fit(lab, start, way, large, small, seeds)
-    cost = time.process_time() - begun
+    cost = {"processor_s": time.process_time() - begun, **simulated(folder)}
     runs = large.runs([found], seeds.fresh, "fresh packings")[0]
     entry = {
         "way": way,
-        "processor_s": cost,
+        **cost,
         "parameters": {name: float(getattr(found, name)) for name in FREE},
         "mean": mean_observables(runs),
         "scatter": spread_observables(runs),
@@ -74,6 +77,18 @@ def fitted(lab: Lab, start: str, way: str, folder: Path, beds: Path) -> dict:
     }
     done.write_text(json.dumps(entry), encoding="utf-8")
     return entry
+
+
+def simulated(folder: Path) -> dict:
+    """How many runs a fit has kept in its folder, by spheres, and their particle-steps."""
+    counts: dict[str, int] = {}
+    steps = 0.0
+    for path in folder.glob("runs/*.nc"):
+        with xr.open_dataset(path, engine=NETCDF) as run:
+            spheres = int(run.attrs["spheres"])
+            counts[str(spheres)] = counts.get(str(spheres), 0) + 1
+            steps += spheres * float(run.attrs["steps"])
+    return {"runs": counts, "particle_steps": steps}
 
 
 def _fit(lab, start: str, way: str, large: AbstractCampaign, small: AbstractCampaign, seeds):
@@ -100,7 +115,7 @@ def prepared(lab: Lab, folder: Path) -> None:
 
 
 def markdown(found: list[dict], origin: dict) -> str:
-    dear = {(r["soil"], r["start"]): r["processor_s"] for r in found if r["way"] == "large"}
+    dear = {(r["soil"], r["start"]): r["particle_steps"] for r in found if r["way"] == "large"}
     rows = [_cells(row, name, dear) for row in found for name in row["measured"]]
     return (
         f"# Beds of a fit\n\nSmall: {SMALL.spheres} spheres, large: {LARGE.spheres}; four "
@@ -115,7 +130,9 @@ def _cells(row: dict, name: str, dear: dict) -> list[str]:
     return [
         *(row["soil"], row["start"], row["way"]),
         f"{row['processor_s']:.0f}",
-        f"{row['processor_s'] / large:.2f}" if large else "-",
+        ", ".join(f"{n} of {spheres}" for spheres, n in sorted(row["runs"].items())),
+        f"{1e-6 * row['particle_steps']:.0f}",
+        f"{row['particle_steps'] / large:.2f}" if large else "-",
         label(name),
         f"{measured:.4g}",
         f"{mean:.4g} ± {error:.2g}",
