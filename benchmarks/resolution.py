@@ -8,6 +8,7 @@ and roughness, the deviation from a line through 1 mm around each point, over th
 
     python benchmarks/resolution.py                       all sizes, some 25 minutes on two cores
     python benchmarks/resolution.py --most 2000           up to 2000 spheres, 6 minutes
+    python benchmarks/resolution.py --check --most 1000   are values those on file?  two minutes
 
 Of 150 spheres there are six packings: the seventh does not reach its usual porosity.
 Runs are kept in results/benchmarks; a second call resumes.  Writes resolution.json and .md in
@@ -15,7 +16,10 @@ benchmarks/results and docs/images/resolution.png after each size.
 """
 
 import argparse
+import json
 import resource
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -154,14 +158,31 @@ def picture(found: dict) -> None:
     plt.close(figure)
 
 
+def check(lab: Lab, most: int) -> str | None:
+    """Runs beds of the usual porosity anew; what differs from the file, None where nothing does."""
+    kept = json.loads(reporting.file_of("resolution").read_text(encoding="utf-8"))
+    rows, differ = kept["beds"]["usual porosity"], []
+    with tempfile.TemporaryDirectory() as folder:
+        for spheres in [n for n in PACKINGS if n <= most]:
+            now = row(measured(lab, spheres, Path(folder)), lab.specimen.height)["values"]
+            same = now == rows[str(spheres)]["values"]
+            print(f"{spheres} spheres: {'the same bit for bit' if same else 'differ'}")
+            differ += [] if same else [str(spheres)]
+    print(f"file: engine {kept['engine']}; now {reporting.provenance()['engine']}")
+    return f"values differ: {', '.join(differ)} spheres" if differ else None
+
+
 def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("--most", type=int, default=20_000, help="largest number of spheres")
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
+    parser.add_argument("--check", action="store_true", help="compare with the file, write none")
     chosen = parser.parse_args()
     reporting.configure()
     lab = load_lab(bundled_lab())
+    if chosen.check:
+        sys.exit(check(lab, chosen.most))
     same = replace(lab, particles=replace(lab.particles, porosity=MATCHED))
     found: dict = {}
     for spheres in [n for n in PACKINGS if n <= chosen.most]:
