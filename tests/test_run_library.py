@@ -437,6 +437,26 @@ def test_a_fitted_library_knows_scatter_from_repeats():
     assert fitted.misfit.any() and fitted.dropped != Split()
 
 
+def test_the_bundled_library_is_whole():
+    """It predicts its own repeats, which it has not seen, as well as it says."""
+    library = store.load(store.bundled_library())
+    emulated = EmulatedLibrary.of(library)
+    errors, none = emulated.emulator_errors, np.zeros(len(library.design.limits))
+    assert library.repeats is not None and len(library.repeats.values) == 96
+    assert errors.misfit.any() and errors.dropped.misfit > 0
+    squares = []
+    for soil in range(library.design.repeated):
+        of_soil = library.repeats.packing == soil
+        x = (library.repeats.base[of_soil] / library.design.spread())[0]
+        mean = np.arcsinh(library.repeats.values[of_soil] / library.scale()).mean(axis=0)
+        missed = mean - emulated.emulator.warped(x, none)
+        scatter = errors.specimens(emulated.emulator, emulated.emulator.without_effects, x)
+        stated = (errors.of_values(emulated.emulator, x, none) ** 2).sum(axis=1)
+        squares.append(missed**2 / (stated + scatter.var(axis=0) / 4))
+    assert 0.7 < np.median(np.mean(squares, axis=0)) < 1.4
+    assert 0.6 < np.mean(squares) < 1.6
+
+
 def test_repeats_are_simulated_on_their_packings(monkeypatch):
     seen = []
     monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))
