@@ -1,6 +1,6 @@
 """How often the diagnosis names what is hidden in resolved beds, and nothing where nothing is.
 
-    python benchmarks/open_cases.py --parts "nothing hidden"     27 minutes, other work beside
+    python benchmarks/open_cases.py        27 minutes with nothing hidden, then one minute a case
 
 Specimens of 1100 and 2200 spheres of this simulator, other packings and porosities than the library
 of runs, four a case: 30 with nothing hidden, 8 and 8 with one effect at a signal-to-noise of 2 to

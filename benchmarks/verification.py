@@ -2,7 +2,7 @@
 
 For each soil and choice of packings: the command's fresh packings against what was measured, with
 the standard error of their mean and the error that a publication states for its own simulation,
-and the time that the whole command took.  One fit takes some seven minutes on two idle cores.
+and the time that the whole command took.  One fit takes some ten minutes on two idle cores.
 
     python benchmarks/verification.py --soils wheat_after_rice --seeds 0 1 2
     python benchmarks/verification.py --soils trumao --seeds 0

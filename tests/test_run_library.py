@@ -438,7 +438,7 @@ def test_a_fitted_library_knows_scatter_from_repeats():
 
 
 def test_the_bundled_library_is_whole():
-    """It predicts its own repeats, which it has not seen, as well as it says."""
+    """It predicts its repeats, which set its errors and nothing else, as well as it says."""
     library = store.load(store.bundled_library())
     emulated = EmulatedLibrary.of(library)
     errors, none = emulated.emulator_errors, np.zeros(len(library.design.limits))

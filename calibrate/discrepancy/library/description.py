@@ -85,11 +85,9 @@ class EmulatedLibrary:
         """Warped residuals (l, m) of independent specimens, one row without effects of each packing
         that has one, as they scatter at the soil of a scaled point (p,) with spheres of the
         design's size."""
-        plain = np.flatnonzero((self.library.strengths == 0).all(axis=1))
-        plain = plain if len(plain) > 1 else np.arange(len(self.library.packing))
-        _, first = np.unique(self.library.packing[plain], return_index=True)
+        _, first = np.unique(self.library.packing[self.emulator.plain], return_index=True)
         soil = np.append(x[:-1], 0.0)
-        residuals = self.emulator.residuals[plain[first]]
+        residuals = self.emulator.without_effects[first]
         return self.emulator_errors.specimens(self.emulator, residuals, soil)
 
     @property

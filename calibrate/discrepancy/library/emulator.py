@@ -281,10 +281,15 @@ class FeatureEmulator:
         return self.basis.mean + self.basis.carried @ self.of_components(x, s)
 
     @property
+    def plain(self) -> np.ndarray:
+        """Rows (l,) without effects; all where there are fewer than two."""
+        found = np.flatnonzero((self.s == 0).all(axis=1))
+        return found if len(found) > 1 else np.arange(len(self.s))
+
+    @property
     def without_effects(self) -> np.ndarray:
-        """Residuals (l, m) of the rows without effects; all where there are fewer than two."""
-        plain = (self.s == 0).all(axis=1)
-        return self.residuals[plain] if plain.sum() > 1 else self.residuals
+        """Residuals (l, m) of the rows without effects."""
+        return self.residuals[self.plain]
 
     @cached_property
     def dropped_directions(self) -> np.ndarray:
