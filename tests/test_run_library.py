@@ -407,9 +407,8 @@ def test_emulator_errors_survive_their_file(tmp_path):
 def toy_repeats() -> run_library.Rows:
     """Repeats of the toy library's design, by formula; the first run of the second soil failed."""
     design = toy_library.DESIGN
-    base, packing = design.repeats()
-    soils = zip(base[:, :2], packing, strict=True)
-    runs = [toy_library.run(soil, np.zeros(3), int(seed)) for soil, seed in soils]
+    base, _ = design.repeats()
+    runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(base[:, :2])]
     return run_library.repeats_of(design, LAB, [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]])
 
 
@@ -462,19 +461,20 @@ def test_repeats_are_simulated_on_their_packings(monkeypatch):
     monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))
     design = Design()
     simulate.run_repeats(design, None, Silent())  # pyright: ignore[reportArgumentType]
-    (points,), (base, packing) = seen, design.repeats()
+    (points,), (base, _) = seen, design.repeats()
     assert (points.base == base).all() and not points.strengths.any()
-    assert (points.seeds == 1000 * design.seed + packing).all()
+    assert len(set(points.seeds)) == len(base)
+    assert points.seeds.min() > 1000 * design.seed + design.of_packing.max()
     sizes = [design.sphere_size(spheres) for spheres in points.spheres]
     assert sizes == base[:, design.base_names.index("sphere_size")].tolist()
 
 
-def test_repeats_are_soils_on_packings_of_their_own():
+def test_repeats_are_soils_of_several_specimens():
     design = Design()
-    base, packing = design.repeats()
+    base, soil = design.repeats()
     of_soil = base.reshape(design.repeated, SPECIMENS, -1)
-    assert (of_soil == of_soil[:, :1]).all() and len(set(packing)) == len(packing)
-    assert packing.min() > design.of_packing.max()
+    assert (of_soil == of_soil[:, :1]).all()
+    assert np.bincount(soil).tolist() == [SPECIMENS] * design.repeated
     assert len(np.unique(of_soil[:, 0, 0])) == design.repeated
     pace = of_soil[:, 0, design.base_names.index("pace")]
     assert np.mean(pace < 1) == pytest.approx(1 / design.slow_in)

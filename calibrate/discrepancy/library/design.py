@@ -161,8 +161,8 @@ class Design:
         return base, strengths[row]
 
     def repeats(self) -> tuple[np.ndarray, np.ndarray]:
-        """Base coordinates (n, p) of repeats and their packings (n,), soil by soil; of `slow_in`
-        soils one is slow."""
+        """Base coordinates (n, p) of repeats and the numbers (n,) of their soils, specimen by
+        specimen, each on a packing of its own; of `slow_in` soils one is slow."""
         soil = np.arange(self.repeated)
         unit = _sobol(len(self.soil_names), self.repeated, self.seed + 1)
         porosity = np.array(POROSITIES)[soil % len(POROSITIES)]
@@ -171,8 +171,7 @@ class Design:
         pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
         least = np.full(self.repeated, SMOOTHING[0])
         base = np.column_stack([self._soil(unit), least, porosity, pace, size])
-        again = np.repeat(base, SPECIMENS, axis=0)
-        return again, FIRST_REPEAT + np.arange(len(again))
+        return np.repeat(base, SPECIMENS, axis=0), np.repeat(soil, SPECIMENS)
 
     def _fast_row(self) -> tuple[np.ndarray, np.ndarray]:
         """For each row (n,) the fast one of the same soil and effects, and whether it is slow."""

@@ -16,7 +16,7 @@ from calibrate.discrepancy.library.cross_validation import (
     TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import FIRST_REPEAT, SPECIMENS, Design
+from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.io.lab import Lab
@@ -223,9 +223,8 @@ def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.n
 
 def repeats_of(design: Design, lab: Lab, runs: Sequence[Run | None]) -> Rows:
     """A design's repeats by soil, without failed and incomplete ones."""
-    base, packing = design.repeats()
+    base, soil = design.repeats()
     none = np.zeros((len(base), len(design.limits)))
-    soil = (packing - FIRST_REPEAT) // SPECIMENS
     return Rows.of(declared(lab.pair().compression.force_high), base, none, soil, runs)
 
 

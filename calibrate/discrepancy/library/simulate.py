@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import SMOOTHING, SPECIMENS, SPEEDS, Design
+from calibrate.discrepancy.library.design import FIRST_REPEAT, SMOOTHING, SPEEDS, Design
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign, Run, side_by_side
@@ -128,10 +128,10 @@ def run_repeats(
     design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
 ) -> list[Run]:
     """Runs of a design's repeats, in their order; failed ones keep their place."""
-    base, packing = design.repeats()
-    soils = np.arange(len(base)) // SPECIMENS
+    base, soils = design.repeats()
     none = np.zeros((len(base), len(design.limits)))
     spheres = [design.spheres_of(int(soil)) for soil in soils]
+    packing = FIRST_REPEAT + np.arange(len(base))
     points = RunPoints(base, none, spheres, 1000 * design.seed + packing)
     return run_points(design, points, simulator, progress, workers)
 
