@@ -55,7 +55,7 @@ def audit_command(
 
     check_writable(json)
     session = Session.open(lab, preset, out, dask).resized(spheres)
-    values = parse_changes(changes or [])
+    values = parse_changes(changes or [], session.lab.particles.conventions)
     names = parse_strategies(strategy or ["fit"])
     base = with_values(base_soil(session.lab), values)
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)

@@ -40,7 +40,7 @@ def doe_command(
 
     check_writable(json)
     session = Session.open(lab, preset, out, dask).on_soil()
-    values = parse_changes(changes or [])
+    values = parse_changes(changes or [], session.lab.particles.conventions)
     work = session.campaign(out, None)
     done = design(session.lab, session.preset, values, seed, work)
     report.write(session, done, json)

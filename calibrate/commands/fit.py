@@ -7,6 +7,7 @@ import typer
 
 from calibrate.commands.options import (
     Changes,
+    Conventions,
     Dask,
     Json,
     LabFile,
@@ -30,6 +31,7 @@ def fit_command(
         str | None, typer.Option("--free", help="Names, comma-separated; default: chosen by data.")
     ] = None,
     changes: Changes = None,
+    conventions: Conventions = None,
     preset: PresetName = "quick",
     seed: Seed = 0,
     prepare_with_soil: Preparation = False,
@@ -41,13 +43,15 @@ def fit_command(
     from calibrate.core.files import check_writable
     from calibrate.inference.calibration import calibrate
     from calibrate.inference.resolutions import Coarse
+    from calibrate.io.conventions import check_free
     from calibrate.reports.results import write_fit
     from calibrate.simulation.session import Session
 
     check_writable(json)
-    session = Session.open(lab, preset, out, dask)
-    values = parse_changes(changes or [])
+    session = Session.open(lab, preset, out, dask, conventions)
+    values = parse_changes(changes or [], session.lab.particles.conventions)
     names = parse_free(free)
+    check_free(session.lab.particles.conventions, names or (), COMMAND_LINE, "--free ")
     preparation = values if prepare_with_soil else None
     work, spheres = session.campaign(out, preparation), session.preset.explored
     coarse = None

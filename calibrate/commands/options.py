@@ -29,6 +29,10 @@ Dask = Annotated[
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
 ]
+Conventions = Annotated[
+    str | None,
+    typer.Option("--conventions", help="Of the contact law: eepa, liggghts, liggghts_history."),
+]
 LibraryFile = Annotated[
     Path | None,
     typer.Option("--library", "--bank", help="Library of runs; default: the bundled one."),
@@ -57,8 +61,9 @@ def renamed(command: Callable[..., None], old: str, new: str) -> Callable[..., N
     return with_notice
 
 
-def parse_changes(changes: Sequence[str]) -> dict[str, float]:
-    """`--set name=value` options as numbers in SI units."""
+def parse_changes(changes: Sequence[str], conventions: str | None = None) -> dict[str, float]:
+    """`--set name=value` options as numbers in SI units; `conventions` are those of the lab."""
+    from calibrate.io.conventions import check_values
     from calibrate.io.labfile import check_parameter
 
     values = {}
@@ -69,4 +74,6 @@ def parse_changes(changes: Sequence[str]) -> dict[str, float]:
         values[name.strip()] = check_parameter(
             name.strip(), value.strip(), COMMAND_LINE, f"--set {name.strip()}"
         )
+    if conventions is not None:
+        check_values(conventions, values, COMMAND_LINE, "--set ")
     return values

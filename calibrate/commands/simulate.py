@@ -7,6 +7,7 @@ import typer
 
 from calibrate.commands.options import (
     Changes,
+    Conventions,
     Dask,
     Json,
     LabFile,
@@ -26,6 +27,7 @@ def register(app: typer.Typer) -> None:
 def simulate_command(
     lab: LabFile = None,
     changes: Changes = None,
+    conventions: Conventions = None,
     preset: PresetName = "quick",
     seed: Seed = 0,
     prepare_with_soil: Preparation = False,
@@ -43,10 +45,10 @@ def simulate_command(
     from calibrate.simulation.session import Session
 
     check_writable(json)
-    session = Session.open(lab, preset, out, dask)
+    session = Session.open(lab, preset, out, dask, conventions)
     if single:
         session = session.in_single_precision()
-    values = parse_changes(changes or [])
+    values = parse_changes(changes or [], session.lab.particles.conventions)
     work = session.campaign(out, values if prepare_with_soil else None)
     result, runs = specimens.simulate(session.lab, session.preset, values, seed, work)
     write_simulation(session, result, runs, json)

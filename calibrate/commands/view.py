@@ -41,7 +41,9 @@ def view_command(
     check_writable(json)
     session = Session.open(lab, preset, out)
     make_folder(out / "vtk")
-    soil = with_values(base_soil(session.lab), parse_changes(changes or []))
+    soil = with_values(
+        base_soil(session.lab), parse_changes(changes or [], session.lab.particles.conventions)
+    )
     work = session.campaign_of_one(out, None)
     (packing,) = work.packings([seed])
     seen = states(work.lab, packing, soil, frames, session.progress.say)

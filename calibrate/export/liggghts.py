@@ -3,21 +3,27 @@
 Types: 1 soil, 2 mould, 3 platen and base.  Include it after `create_box` (three types) or
 `read_data`, before particles move; give walls the same models and their type.
 
-The normal force is that of the calibrated law.  Friction is not: `tangential history` limits
-it by mu |F_n| alone.  `tan_luding` adds the adhesive share k_adh d, which is EEPA's where the
-tensile exponent is 1, and its spring takes the tangential multiplier; with slope and tensile
-exponent 1 it is therefore used, with the rolling model that goes with it.
+The normal force is that of the calibrated law.  A soil that was calibrated with LIGGGHTS'
+conventions (`jdem.materials.conventions`) is written one to one.  For others friction and rolling
+are matched as far as they go: `tangential history` limits friction by mu |F_n| alone; `tan_luding`
+adds the adhesive share k_adh d, which is EEPA's where the tensile exponent is 1, and its spring
+takes the tangential multiplier; with slope and tensile exponent 1 it is therefore used, with the
+rolling model that goes with it.
 """
 
 from math import sqrt
 
+from calibrate.core.errors import InputError
 from calibrate.export.notes import PRESSURE, comment, heading, overlap_under, scale_up, uncertainty
 from calibrate.export.source import Found
 from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.conventions import FRICTION_VISCOSITY
 
 HISTORY = "edinburgh tangential history rolling_friction epsd2"
 LUDING = "edinburgh tangential tan_luding rolling_friction luding"
+OWN = {"liggghts": LUDING, "liggghts_history": HISTORY}  # models of LIGGGHTS' own conventions
 TYPES = 3
+KEPT = "atom_modify sort 0 0.0"  # LIGGGHTS' edinburgh loses its memory when spheres are sorted
 _SOFTEST, _HARDEST = 5e6, 1e9  # Pa; beyond these LIGGGHTS wants to be told so
 _LEAST_RESTITUTION = 0.05  # LIGGGHTS accepts more than this
 
@@ -38,32 +44,50 @@ _DIFFERENCES = {
         "  R/2",
     ),
 }
+_SAME = (
+    "- nothing in friction and rolling: the soil was calibrated with these models",
+    "- here kinks are rounded and the bed is damped a little: both are numerics",
+)
 _EVERY = (
     "- walls carry no surface energy, as in the calibration (unless wall_adhesion was set)",
     "coefficientAdhesionStiffness must be given but is not used (fixKc is off).",
+    "Leave sorting off, and use one process: LIGGGHTS 3.8 turns the sign of edinburgh's plastic",
+    "memory where two spheres change places in its lists, and the contact forgets its load.",
 )
 _HERTZ = (
     "- at slope exponent 1.5 LIGGGHTS' dashpot does not follow the overlap and is far stronger:",
     "  nothing rebounds",
 )
-_LUDING_CONSTANTS = {  # what tan_luding and luding want besides; as tried in peers' inputs
+_LUDING_CONSTANTS = {  # what tan_luding and luding want besides
     "FluidViscosity": 1.0,  # ratio of static to dynamic friction
-    "FrictionViscosity": 1.0,
-    "coeffRollingStiffness": 1.0,
-    "coefficientRollingViscousDamping": 0.3,
+    "FrictionViscosity": FRICTION_VISCOSITY,  # tangential over normal dashpot
+    "coeffRollingStiffness": 1.0,  # rolling over tangential stiffness, over R*^2
+    "coefficientRollingViscousDamping": 0.0,
 }
 
 
 def text(found: Found) -> str:
-    """The input section."""
+    """The input section; `InputError` for what `tan_luding` cannot follow."""
+    _check(found)
     notes = [*heading(found), "", *uncertainty(found), "", *scale_up(found), ""]
-    lines = [*_allowances(found), *_properties(found)]
+    lines = [KEPT, *_allowances(found), *_properties(found)]
     lines += [f"pair_style gran model {model(found)}", "pair_coeff * *"]
     return comment([*notes, *_differences(found)]) + "\n".join(lines) + "\n"
 
 
+def _check(found: Found) -> None:
+    if found.conventions == "liggghts" and found["tensile_exponent"] != 1:
+        value = f"{found['tensile_exponent']:g}"
+        repair = "calibrate with 1, or without --conventions liggghts"
+        raise InputError(
+            found.origin, "tensile_exponent", f"{value}, but tan_luding knows 1 alone", repair
+        )
+
+
 def model(found: Found) -> str:
-    """The contact models that come nearest to the calibrated law."""
+    """The contact models of the calibrated law, or those that come nearest to it."""
+    if found.conventions in OWN:
+        return OWN[found.conventions]
     linear = found["slope_exponent"] == 1 and found["tensile_exponent"] == 1
     return LUDING if linear else HISTORY
 
@@ -78,8 +102,11 @@ def young_modulus(found: Found) -> float:
 
 
 def friction_stiffness(found: Found) -> float:
-    """coeffFrictionStiffness: multiplier x sqrt(R*/d) at the overlap d under PRESSURE, so that
-    the factor times 2 E* sqrt(R* d) is the multiplier times 2 E* R* there."""
+    """coeffFrictionStiffness: the multiplier itself where that is what it was fitted as; else
+    multiplier x sqrt(R*/d) at the overlap d under PRESSURE, so that the factor times
+    2 E* sqrt(R* d) is the multiplier times 2 E* R* there."""
+    if found.conventions in OWN:
+        return found["tangential_multiplier"]
     radius = found.diameter / 4  # effective
     return found["tangential_multiplier"] * sqrt(radius / overlap_under(PRESSURE, found))
 
@@ -95,6 +122,7 @@ def _properties(found: Found) -> list[str]:
     """One `fix property/global` for each property."""
     restitution = max(found["restitution"], 1.001 * _LEAST_RESTITUTION)
     rolling = found["rolling_friction"]
+    between = rolling if found.conventions in OWN else 2 * rolling
     of_pairs = {
         _called("restitution"): (restitution,) * TYPES,
         _called("static_friction"): (
@@ -102,7 +130,7 @@ def _properties(found: Found) -> list[str]:
             found["wall_friction"],
             found["platen_friction"],
         ),
-        _called("rolling_friction"): (2 * rolling, rolling, rolling),
+        _called("rolling_friction"): (between, rolling, rolling),
         _called("plasticity_ratio"): (found.stiffness_ratio,) * TYPES,
         "coefficientAdhesionStiffness": (0.0,) * TYPES,
         _called("pull_off_force"): (found["pull_off_force"],) * TYPES,
@@ -142,7 +170,8 @@ def _differences(found: Found) -> list[str]:
     """What the section does not carry over, and how walls are written."""
     chosen = model(found)
     multiplier = found["tangential_multiplier"]
-    lines = [line.format(multiplier=multiplier, pressure=PRESSURE) for line in _DIFFERENCES[chosen]]
+    known = _SAME if found.conventions in OWN else _DIFFERENCES[chosen]
+    lines = [line.format(multiplier=multiplier, pressure=PRESSURE) for line in known]
     return [
         "What differs from the law that was calibrated (docs/export.md has the numbers):",
         *lines,

@@ -8,6 +8,7 @@ Strength of a cohesive packing scales as surface energy over diameter (Rumpf 196
 import textwrap
 
 from calibrate.export.source import UNITS, Found, in_order
+from jdem.materials.conventions import DEFAULT
 
 PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ
 _NOT_EXPORTED = ("wall_adhesion", "stiffness_factor", "reference_diameter")
@@ -18,6 +19,11 @@ _OTHER_SIZES = (0.5, 1.0, 2.0)  # times the exported diameter
 def heading(found: Found) -> list[str]:
     """Which soil, from where, for which particles."""
     lines = [f"EEPA soil: {_one_line(found.soil)}", f"from {_one_line(found.origin)}"]
+    if found.conventions != DEFAULT:
+        lines.append(
+            f"with the conventions {found.conventions}: tangential_multiplier and rolling_friction "
+            "are LIGGGHTS', and mean other things elsewhere"
+        )
     size = f"for particles of mean diameter {1e3 * found.diameter:.4g} mm"
     if found.fitted_diameter is None:
         return [*lines, size]

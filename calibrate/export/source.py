@@ -14,6 +14,7 @@ from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.conventions import CONVENTIONS, DEFAULT
 from jdem.packing import specimen as packing
 
 RESULT = "result.json"  # what `calibrate fit` writes into its folder
@@ -27,7 +28,7 @@ class Found:
 
     `diameter` (m) is that of the particles that the export is for; `fitted_diameter` (m) the
     mean of the spheres of the calibration, None if not known; `origin` says in words where
-    the numbers come from.
+    the numbers come from; `conventions` whose contact law they are for.
     """
 
     soil: str
@@ -36,6 +37,7 @@ class Found:
     intervals: dict[str, tuple[float, float]]
     diameter: float
     fitted_diameter: float | None
+    conventions: str = DEFAULT
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -89,7 +91,8 @@ def _of_lab(path: Path) -> Found:
     lab = load_lab(path)
     values = soil_json(base_soil(lab))
     origin = f"starting values of {path.name}, not calibrated"
-    return Found(lab.name, origin, values, {}, math.nan, _mean_diameter(lab))
+    conventions = lab.particles.conventions
+    return Found(lab.name, origin, values, {}, math.nan, _mean_diameter(lab), conventions)
 
 
 def _mean_diameter(lab: Lab) -> float:
@@ -105,7 +108,13 @@ def _of_result(path: Path) -> Found:
     intervals = {name: _interval(name, found[name], path) for name in UNITS if name in found}
     soil = str(result.get("soil", "soil"))
     origin = f"{path}, preset {result.get('preset', 'unknown')}"
-    return Found(soil, origin, values, intervals, math.nan, _packing_diameter(path.parent))
+    conventions = result.get("conventions", DEFAULT)
+    if not isinstance(conventions, str) or conventions not in CONVENTIONS:
+        raise InputError(
+            str(path), "conventions", f"{shown(conventions)} is unknown", "run the fit again"
+        )
+    diameter = _packing_diameter(path.parent)
+    return Found(soil, origin, values, intervals, math.nan, diameter, conventions)
 
 
 def _packing_diameter(folder: Path) -> float | None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import FRACTION, STRESS, Kind, positive_quantity, unit_factor
+from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
 from calibrate.io.labfile import check_parameter, read_tables
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
@@ -21,16 +22,19 @@ from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
 from calibrate.labtests.pair import Pair, pair_of
 from calibrate.labtests.protocol import program
+from jdem.materials.conventions import DEFAULT
 
 
 @dataclass(frozen=True)
 class Particles:
     """How the soil is represented: surface energy is scaled by d/`reference_diameter` [m]
-    (None: not given); Poisson's ratio; porosity of the bed of spheres (None: the usual one)."""
+    (None: not given); Poisson's ratio; porosity of the bed of spheres (None: the usual one); whose
+    `conventions` the contact law follows."""
 
     reference_diameter: float | None
     poisson_ratio: float
     porosity: float | None = None
+    conventions: str = DEFAULT
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,17 @@ class Lab:
         """The specimen on which the test of this name is made."""
         return next(s.cylinder for s in self.specimens() if test in [t.called for t in s.tests])
 
+    def following(self, conventions: str, field: str = "--conventions") -> "Lab":
+        """The lab with conventions by name; what these hold is held, in named sets too."""
+        held = held_by(conventions, self.file, field)
+        choices = {n: ParameterChoice(v, None, None, None, False) for n, v in held.items()}
+        return replace(
+            self,
+            particles=replace(self.particles, conventions=conventions),
+            parameters={**self.parameters, **choices},
+            named_sets={name: {**values, **held} for name, values in self.named_sets.items()},
+        )
+
     def called(self, test: str) -> AbstractLabTest:
         """The test of this name."""
         return next(each for each in self.tests if each.called == test)
@@ -132,7 +147,7 @@ def load_lab(path: Path) -> Lab:
     _check_something_measured(stated, file)
     cylinders = _cylinders(stated, tables.specimen.cylinder())
     _check_protocols(stated, cylinders, file)
-    return Lab(
+    lab = Lab(
         file=file,
         name=tables.soil.name,
         source=tables.soil.source,
@@ -146,6 +161,15 @@ def load_lab(path: Path) -> Lab:
         parameters={n: _choice(n, table, file) for n, table in tables.parameters.items()},
         named_sets={n: _named_set(n, table, file) for n, table in tables.named_sets.items()},
     )
+    return _as_its_conventions(lab)
+
+
+def _as_its_conventions(lab: Lab) -> Lab:
+    """The lab with what its own conventions hold; refused where it states or frees that."""
+    name, choices = lab.particles.conventions, lab.parameters
+    check_values(name, {n: c.value for n, c in choices.items()}, lab.file, "parameters.")
+    check_free(name, [n for n, c in choices.items() if c.free], lab.file, "parameters.")
+    return lab.following(name, "particles.conventions")
 
 
 def bundled_lab(name: str = "wheat_after_rice") -> Path:

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from calibrate.io.lab import Lab
+from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import SoilParameters
 
 
@@ -27,7 +28,8 @@ def with_values(soil: SoilParameters, values: dict) -> SoilParameters:
 
 def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:
     """The soil that a lab file describes: defaults, its particles, its parameters."""
-    soil = with_values(SoilParameters(), {"poisson_ratio": lab.particles.poisson_ratio})
+    soil = SoilParameters(conventions=CONVENTIONS[lab.particles.conventions])
+    soil = with_values(soil, {"poisson_ratio": lab.particles.poisson_ratio})
     if lab.particles.reference_diameter is not None:
         soil = with_values(soil, {"reference_diameter": lab.particles.reference_diameter})
     chosen = {n: c.value for n, c in lab.parameters.items() if c.value is not None}

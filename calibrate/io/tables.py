@@ -18,6 +18,7 @@ from calibrate.core.tables import (
 )
 from calibrate.labtests.composite import PLAIN
 from calibrate.labtests.measured import CurveTable, SpecimenTable, TargetTable
+from jdem.materials.conventions import DEFAULT
 
 
 class SoilTable(AbstractTable):
@@ -30,11 +31,13 @@ class SoilTable(AbstractTable):
 
 
 class ParticlesTable(AbstractTable):
-    """How the soil is represented; the reference diameter in m, the porosity that of the bed."""
+    """How the soil is represented; the reference diameter in m, the porosity that of the bed;
+    conventions by name (`calibrate.io.conventions`)."""
 
     reference_diameter: Length | None = None
     poisson_ratio: float = Field(default=0.3, ge=0, lt=0.5)
     porosity: float | None = Field(default=None, gt=0, lt=1)
+    conventions: str = DEFAULT
 
 
 class ParameterTable(AbstractTable):

@@ -29,11 +29,17 @@ class Session:
     place: AbstractPlace = HERE
 
     @staticmethod
-    def open(lab: Path | None, preset: str, out: Path, dask: str | None = None) -> "Session":
+    def open(
+        lab: Path | None, preset: str, out: Path, dask: str | None = None,
+        conventions: str | None = None,
+    ) -> "Session":  # fmt: skip
+        """`conventions` stand in for those that the lab file states."""
         if preset not in PRESETS:
             known = ", ".join(PRESETS)
             raise InputError(COMMAND_LINE, "--preset", f"no preset '{preset}'", f"give {known}")
         loaded = load_lab(bundled_lab() if lab is None else lab)
+        if conventions is not None:
+            loaded = loaded.following(conventions)
         make_folder(out)
         return Session(loaded, PRESETS[preset], out, for_terminal(), place_of(dask))
 
@@ -74,6 +80,13 @@ def place_of(dask: str | None) -> AbstractPlace:
 
 
 def origin_of(session: Session) -> dict:
-    """What made a result from a laboratory's data: `made_by`, soil, preset and precision."""
-    preset = session.preset
-    return {"soil": session.lab.name, "preset": preset.name, "dtype": preset.dtype, **made_by()}
+    """What made a result from a laboratory's data: `made_by`, soil, conventions, preset and
+    precision."""
+    preset, lab = session.preset, session.lab
+    return {
+        "soil": lab.name,
+        "conventions": lab.particles.conventions,
+        "preset": preset.name,
+        "dtype": preset.dtype,
+        **made_by(),
+    }

@@ -114,6 +114,7 @@ MEANING = {
     "ParticlesTable.poisson_ratio": "of the particles",
     "TargetTable.published_error": "relative error of a published simulation, for comparison",
     "ParticlesTable.porosity": "of the bed of spheres; default: usual for their size",
+    "ParticlesTable.conventions": "of the contact law: eepa, liggghts or liggghts_history",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",

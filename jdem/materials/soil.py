@@ -7,7 +7,7 @@ coarser than the soil's own grains carry more surface energy: `surface_energy` k
 its meaning at `reference_diameter` while the spheres are of any size.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import equinox as eqx
@@ -17,9 +17,8 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractContactLaw, AbstractNormalLaw
 from jdem.laws.composite import ContactLaw
-from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.eepa import EEPA
-from jdem.laws.rolling import ConstantTorque
+from jdem.materials.conventions import Parts, eepa
 from jdem.mechanics.elasticity import (
     AbstractStiffness,
     HertzStiffness,
@@ -47,6 +46,9 @@ class NormalLaw(Protocol):
         ...
 
 
+_CHOICES = ("law", "conventions", "further")  # fields of a soil that are no numbers
+
+
 class SoilParameters(eqx.Module):
     """Contact parameters of one soil; SI units, defaults are those of the bundled soil.
 
@@ -55,7 +57,8 @@ class SoilParameters(eqx.Module):
     reference_diameter (m); shear_modulus in Pa; pull_off_force in N (<= 0);
     wall_friction and platen_friction belong to the mould and to the platens.
     slope_exponent (1 or 1.5) chooses the law, so it is static; so is `law`, the normal law, whose
-    parameters beyond these are in `further`, by name.
+    parameters beyond these are in `further`, by name; so are `conventions`, what stands beside the
+    normal law (one of `jdem.materials.conventions.CONVENTIONS`).
     """
 
     restitution: Real = quantity(0.322)
@@ -75,6 +78,7 @@ class SoilParameters(eqx.Module):
     stiffness_factor: Real = quantity(2.0)
     slope_exponent: float = eqx.field(static=True, default=1.0)
     law: NormalLaw = eqx.field(static=True, default=EEPA)
+    conventions: Callable[[Parts], ContactLaw] = eqx.field(static=True, default=eepa)
     further: dict[str, Array] = eqx.field(default_factory=dict)
 
     def __check_init__(self):
@@ -83,7 +87,7 @@ class SoilParameters(eqx.Module):
 
     def values(self) -> dict[str, Real]:
         """All parameters by name, SI."""
-        names = (name for name in self.__dataclass_fields__ if name not in ("law", "further"))
+        names = (name for name in self.__dataclass_fields__ if name not in _CHOICES)
         return {**{name: getattr(self, name) for name in names}, **self.further}
 
 
@@ -112,12 +116,6 @@ def elasticity(soil: SoilParameters) -> AbstractStiffness:
 def _law(
     soil: SoilParameters, mean_diameter: Array, adhesion: Real, smoothing: Smoothing
 ) -> ContactLaw:
-    stiffness = elasticity(soil)
-    normal = soil.law.of(soil.values(), mean_diameter, adhesion, stiffness, smoothing)
-    return ContactLaw(
-        normal=normal,
-        shear=stiffness,
-        tangential=CoulombSpring(soil.restitution, smoothing),
-        rolling=ConstantTorque(soil.rolling_friction, smoothing),
-        tangential_multiplier=soil.tangential_multiplier,
-    )
+    stiffness, values = elasticity(soil), soil.values()
+    normal = soil.law.of(values, mean_diameter, adhesion, stiffness, smoothing)
+    return soil.conventions(Parts(values, normal, stiffness, smoothing))

@@ -74,6 +74,19 @@ class LinearStiffness(AbstractLinear):
         return self.factor * self.modulus * radius
 
 
+class EdinburghStiffness(AbstractLinear):
+    """n = 1 as `model edinburgh` of LIGGGHTS 3.8 has it: k1 is that of `linear`, and the tangential
+    spring grows with the overlap, k1 sqrt(d/R*), which is 2 E* sqrt(R* d) at k1 = 2 E* R*."""
+
+    linear: AbstractStiffness
+
+    def normal(self, radius):
+        return self.linear.normal(radius)
+
+    def tangential(self, radius, overlap):
+        return self.normal(radius) * square_root(overlap / radius)
+
+
 class HertzStiffness(AbstractStiffness):
     """n = 1.5, k1 = 4/3 E* sqrt(R*); tangential 8 G* sqrt(R* d) (Mindlin)."""
 
@@ -87,7 +100,7 @@ class HertzStiffness(AbstractStiffness):
         return 8 * self.shear_modulus * self._contact_radius(radius, overlap)
 
     def raised(self, overlap):
-        return overlap * self._sqrt(overlap)
+        return overlap * square_root(overlap)
 
     def root(self, raised):
         positive = raised > 0
@@ -100,12 +113,13 @@ class HertzStiffness(AbstractStiffness):
         return 2 * self.modulus * self._contact_radius(radius, 0.01 * radius)
 
     def _contact_radius(self, radius, overlap):
-        return self._sqrt(radius * overlap)
+        return square_root(radius * overlap)
 
-    @staticmethod
-    def _sqrt(x):
-        positive = x > 0
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+def square_root(x):
+    """sqrt(x), and 0 with slope 0 where x is not positive."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
 def contact_modulus(shear_modulus, poisson_ratio):

@@ -7,6 +7,7 @@ folder of the caller's; nothing of them is part of this project.
 
 import shutil
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,63 @@ def run_program(command: list[str], folder: Path) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=3600)
     if done.returncode != 0:
         raise RuntimeError(f"{command[0]} failed: {(done.stdout + done.stderr)[-600:]}")
+
+
+_ON_WALL = """\
+atom_style granular
+atom_modify map array
+boundary f f f
+newton off
+communicate single vel yes
+units si
+region box block -{box} {box} -{box} {box} -{box} {box} units box
+create_box 3 box
+neighbor {skin:.6g} bin
+neigh_modify delay 0
+include soil.liggghts
+create_atoms 1 single 0 0 {height:.12g} units box
+set group all density {density} diameter {diameter:.12g}
+fix gr all gravity 9.81 vector 0 0 -1
+fix base all wall/gran model {model} primitive type 3 zplane 0.0
+fix motion all nve/sphere
+velocity all set {speed:.6g} 0 0 units box
+variable place equal x[1]
+variable rate equal vx[1]
+timestep {step:.12g}
+thermo 1000000
+fix out all print {every} "${{place}} ${{rate}}" file wall.txt screen no
+run {steps}
+"""
+
+
+def liggghts_on_wall(section: str, model: str, sphere: "Rolling", folder: Path) -> np.ndarray:
+    """Place (m) and speed (m/s) of a sphere that slides and rolls on the base, (rows, 2)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "soil.liggghts").write_text(section, encoding="utf-8")
+    script = _ON_WALL.format(
+        box=max(40 * sphere.radius, 2 * sphere.speed * sphere.step * sphere.steps),
+        skin=sphere.radius / 2,
+        height=sphere.radius,
+        density=DENSITY,
+        diameter=2 * sphere.radius,
+        model=model,
+        speed=sphere.speed,
+        step=sphere.step,
+        steps=sphere.steps,
+        every=sphere.every,
+    )
+    (folder / "in.wall").write_text(script, encoding="utf-8")
+    run_program(["liggghts", "-in", "in.wall", "-log", "log.wall"], folder)
+    return np.loadtxt(folder / "wall.txt", comments="#", ndmin=2)
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """A sphere sent along the base: radius (m), speed at the start (m/s), time step (s), steps,
+    and steps between readings."""
+
+    radius: float
+    speed: float
+    step: float
+    steps: int
+    every: int
