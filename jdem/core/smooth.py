@@ -90,6 +90,16 @@ def saturate_slope(s, width) -> Array:
     return jnp.where(width > 0, jnp.clip(divide(1 + width - s, 2 * width), 0.0, 1.0), sharp)
 
 
+def limited(spring: Vector, load, width) -> tuple[Vector, Array]:
+    """A spring whose force over its limit is `load`, cut to where it reaches the limit for good,
+    and the share of its force that acts: force = k spring share, at most the limit.  At load = 1:
+    share 1 - width/4."""
+    longest = 1 + width
+    spring = spring * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0)
+    load = jnp.minimum(load, longest)
+    return spring, jnp.where(load > 0, divide(saturate(load, width), load), 1.0)
+
+
 def norm(vector: Vector) -> Array:
     """|vector|, with zero gradient at zero."""
     square = vector.dot(vector)

@@ -13,7 +13,6 @@ k_t.  Separation clears the stretch u.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
 from jdem.core import smooth
 from jdem.core.fusion import once
@@ -50,7 +49,7 @@ class LudingSpring(AbstractTangentialLaw):
         stretch = history.without(contact.normal) + contact.slip * contact.time_step
         stretch = once(stretch * loaded)
         load = smooth.divide(stiffness * smooth.norm(stretch), limit)
-        stretch, share = limited(stretch, load, self.smoothing.slip)
+        stretch, share = once(smooth.limited(stretch, load, self.smoothing.slip))
         sticks = loaded * smooth.saturate_slope(load, self.smoothing.slip)
         normal_stiffness = self.stiffness.damping_stiffness(contact.radius, contact.overlap)
         beta = self.viscosity * dashpot_constant(self.restitution, contact.mass, normal_stiffness)
@@ -65,13 +64,3 @@ class LudingSpring(AbstractTangentialLaw):
     def memory(self, shape, dtype):
         """Elastic stretch of the spring, m."""
         return Vector.zeros(shape, dtype)
-
-
-def limited(spring: Vector, load, width) -> tuple[Vector, Array]:
-    """A spring whose force over its limit is `load`, cut to where it reaches the limit for good,
-    and the share of its force that acts: force = k spring share, at most the limit."""
-    longest = 1 + width
-    spring = once(spring * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0))
-    load = jnp.minimum(load, longest)
-    saturated = smooth.saturate(load, width)
-    return spring, jnp.where(load > 0, smooth.divide(saturated, load), 1.0)

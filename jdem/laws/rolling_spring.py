@@ -19,7 +19,6 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractRollingLaw
-from jdem.laws.luding import limited
 from jdem.mechanics.contact import Contact, NormalForce
 from jdem.mechanics.elasticity import AbstractStiffness
 
@@ -44,7 +43,7 @@ class RollingSpring(AbstractRollingLaw):
         turn = history + contact.spin.without(contact.normal) * (stiffness * contact.time_step)
         turn = once(turn.without(contact.normal) * jnp.where(limit > 0, 1.0, 0.0))
         load = smooth.divide(smooth.norm(turn), limit)
-        turn, share = limited(turn, load, self.smoothing.slip)
+        turn, share = once(smooth.limited(turn, load, self.smoothing.slip))
         return once((turn * -share, turn))
 
     def memory(self, shape, dtype):
