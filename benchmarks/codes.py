@@ -287,7 +287,7 @@ def figure(found: dict[str, list[dict]]) -> None:
         _diagonal(axis)
     axes[0].legend(frameon=False, fontsize=7)
     soils = dict.fromkeys(row["soil"] for row in found["carried"])
-    for soil, (colour, mark) in zip(soils, MARKS, strict=True):
+    for soil, (colour, mark) in zip(soils, MARKS, strict=False):
         rows = [row for row in found["carried"] if row["soil"] == soil]
         _scatter(axes[2], rows, "crushing_force_n", color=colour, marker=mark, label=soil)
     axes[2].set(xlabel="F (N), ours", ylabel="F (N), LIGGGHTS", title="fitted soils, 2000 spheres")

@@ -113,18 +113,21 @@ def _of_result(path: Path) -> Found:
         raise InputError(
             str(path), "conventions", f"{shown(conventions)} is unknown", "run the fit again"
         )
-    diameter = _packing_diameter(path.parent)
+    diameter = _packing_diameter(path.parent, result.get("spheres"))
     return Found(soil, origin, values, intervals, math.nan, diameter, conventions)
 
 
-def _packing_diameter(folder: Path) -> float | None:
-    """Mean diameter (m) of the spheres of the fit's packings, None if there are none."""
+def _packing_diameter(folder: Path, spheres: int | None) -> float | None:
+    """Mean diameter (m) of the spheres of the fit's packings, None if there are none; those of
+    other numbers of spheres, with which a fit explores, do not count."""
     diameters = []
     for file in sorted((folder / "packings").glob("*.npz")):
         try:
-            diameters.append(float(packing.load(file).mean_diameter()))
+            bed = packing.load(file)
         except (OSError, ValueError):
             continue
+        if spheres in (None, bed.spheres.count):
+            diameters.append(float(bed.mean_diameter()))
     return sum(diameters) / len(diameters) if diameters else None
 
 
