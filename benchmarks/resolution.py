@@ -12,7 +12,7 @@ and roughness, the deviation from a line through 1 mm around each point, over th
 
 Of 150 spheres there are six packings: the seventh does not reach its usual porosity.
 Runs are kept in results/benchmarks; a second call resumes.  Writes resolution.json and .md in
-benchmarks/results and docs/images/resolution.png after each size.
+benchmarks/results and a picture in results/benchmarks after each size.
 """
 
 import argparse
@@ -43,7 +43,7 @@ HEADER = (
     *("beds", "spheres", "D/d", "porosity", "packings", "H (mm)", "F (N)", "peak at strain"),
     *("residual / peak", "roughness", "run (s)", "M particle-steps/s", "µs a step"),
 )
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "resolution.png"
+PICTURE = reporting.CACHE / "resolution.png"
 
 
 def measured(lab: Lab, spheres: int, folder: Path) -> list[Run]:

@@ -14,7 +14,7 @@ from calibrate.discrepancy.library.instruments import (
     TaredEmulator,
     lagged,
 )
-from calibrate.discrepancy.library.measurements import ScaledMeasurements
+from calibrate.discrepancy.library.measurements import Measurements
 from calibrate.labtests.diagnosis.base import UsualSizes
 from calibrate.labtests.diagnosis.curves import declare
 
@@ -137,4 +137,4 @@ def test_features_of_tared_curves_do_not_see_the_offset():
 )
 def test_tests_are_tared_where_a_force_before_contact_is_known(before, tests):
     nothing: Any = None
-    assert ScaledMeasurements(nothing, nothing, before, {}, (), {}).tared == tests
+    assert Measurements(nothing, nothing, before, {}, (), {}).tared == tests

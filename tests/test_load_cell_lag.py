@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from calibrate.discrepancy.library.load_cell_lag import LoadCellLag
-from calibrate.discrepancy.library.run_library import declared
+from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import feature_values
 
 SPEED = 8.0  # mm/s
-FEATURES = declared(400.0)
+FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
 LAG_FILTER = LoadCellLag(FEATURES, SPEED)
 UP = np.array([f.kind == "loading" for f in FEATURES])
 DOWN = np.array([f.kind == "unloading" for f in FEATURES])

@@ -113,7 +113,7 @@ def test_conditions_follow_from_tables_of_tests(lab):
 
 def test_every_offer_can_come_back(known, lab):
     d, _, comparison = known
-    for offer in menu(d, comparison.noise, lab.pair().rates):
+    for offer in menu(d, comparison.noise, lab.pair().rates, 400.0):
         assert {"type", "name"} <= set(offer.entries), offer.name
 
 

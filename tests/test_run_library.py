@@ -40,7 +40,7 @@ from calibrate.discrepancy.library.design import (
     Design,
 )
 from calibrate.discrepancy.library.emulator import Blocks, FeatureEmulator, fit_emulator, leading
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, declared
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
@@ -497,7 +497,7 @@ def small_library() -> RunLibrary:
     """Rows of a design with made-up features."""
     design = replace(Design(), packings=8)
     base, strengths = design.rows()
-    features = declared(400.0)
+    features = Cylinder(0.05, 0.1, 200.0, 400.0).features()
     values = RNG.uniform(1, 2, size=(len(base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(

@@ -21,7 +21,7 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.discrepancy.library.run_library import declared
+from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import load_lab
 from calibrate.validation import laboratory, run
 from calibrate.validation.canary import canary
@@ -30,6 +30,8 @@ from calibrate.validation.laboratory import READINGS, recorded, write_case
 from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
 from calibrate.validation.plan import Hidden, Visibility, WithheldCase, relative_error
 from calibrate.validation.seal import HASHES, LABELS, digest, open_seal, write_seal
+
+FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
 
 # ---------------------------------------------------------------- recording
 
@@ -108,10 +110,11 @@ def test_all_cases_have_the_same_form(tmp_path):
 def test_a_denser_specimen_is_a_bed_of_less_porosity(tmp_path):
     """Solid share 0.557 at 1100 spheres: 0.4 % denser is 0.0022 less porosity, 0.002 in steps."""
     there = laboratory.Laboratory(tmp_path, CENTRE)
-    loose, density = there._filled(1100, 0.004)
+    case = WithheldCase("a", "none", "", 0.0, (), dict(CENTRE), 1100, 0.0, (0,), 1, "")
+    loose, density = there._filled(case, 0.004)
     assert loose == pytest.approx(-0.002) and density == pytest.approx(0.002 / 0.557, rel=0.01)
-    assert there._filled(1100, -0.004) == pytest.approx((-loose, -density))
-    assert there._filled(2200, 0.0004) == (0.0, 0.0)
+    assert there._filled(case, -0.004) == pytest.approx((-loose, -density))
+    assert there._filled(replace(case, spheres=2200), 0.0004) == (0.0, 0.0)
 
 
 # ---------------------------------------------------------------- specimens held back
@@ -341,12 +344,12 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
 
     monkeypatch.setattr(made, "_specimen", specimen)
     changes = made.changes(case)
-    peak = [f.name for f in declared(400.0)].index("peak force, unconfined")
+    peak = [f.name for f in FEATURES].index("peak force, unconfined")
     expected = [
         formulas.specimen(formulas.BASE, n).curves["unconfined"][:, 1].max() for n in (0, 1, 3)
     ]
     assert changes[:, peak] == pytest.approx(expected, rel=1e-3)  # averaged over a window
-    confined = [i for i, f in enumerate(declared(400.0)[:-2]) if f.test == "confined"]
+    confined = [i for i, f in enumerate(FEATURES[:-2]) if f.test == "confined"]
     assert not changes[:, confined].any()
 
 

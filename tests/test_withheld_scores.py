@@ -15,7 +15,7 @@ from rich.console import Console
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.probability_calibration import NONE
-from calibrate.discrepancy.library.run_library import declared
+from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import recorded_feature_values
 from calibrate.reports import kinds
 from calibrate.reports import withheld as report
@@ -40,6 +40,7 @@ from calibrate.validation.scores import (
 # ---------------------------------------------------------------- scores
 
 
+CYLINDER = Cylinder(0.05, 0.1, 200.0, 400.0)
 ROW = Row("a", "single", 7.0, "wall_friction", "wall_friction", 0.9, 0.9, "none", True, 2, 0.01, {},
           None, None)  # fmt: skip
 
@@ -233,7 +234,7 @@ def test_mcnemar_on_a_textbook_table():
 
 def test_shrinkage_on_fresh_specimens_by_hand():
     """Specimens all alike, so no scatter is taken off: d^2 of 3 shrinks to 5/4, E of 2 to 1.5."""
-    features = declared(400.0)[:-2]
+    features = CYLINDER.features()[:-2]
     fresh = specimens(3, count=1) * 2
     true = recorded_feature_values(
         features, {t: (r[:, 0], r[:, 1]) for t, r in fresh[0].records.items()}
@@ -246,16 +247,16 @@ def test_shrinkage_on_fresh_specimens_by_hand():
         "best": (true[keep] + np.sqrt(5 / 4)).tolist(),
         "weight": np.full(len(keep), 1 / len(keep)).tolist(),
     }
-    found = run.realised_shrinkage(fits, fresh)
+    found = run.realised_shrinkage(fits, fresh, CYLINDER)
     assert found.value == pytest.approx(0.5) and found.error is None
-    assert run.realised_shrinkage(fits, fresh * 2).error == pytest.approx(0.0, abs=1e-9)
+    assert run.realised_shrinkage(fits, fresh * 2, CYLINDER).error == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_untared_load_cell_shows_on_fresh_specimens_too():
     """What is read before contact is part of the gap that is claimed to shrink."""
     names = ["force before contact, confined", "force before contact, unconfined"]
     fits = {"features": names, "base": [20.0, 20.0], "best": [0.0, 0.0], "weight": [2.0, 2.0]}
-    found = run.realised_shrinkage(fits, specimens(4))
+    found = run.realised_shrinkage(fits, specimens(4), CYLINDER)
     assert found.value > 0.95 and found.error is not None and found.error < 0.05
 
 
@@ -401,8 +402,8 @@ def test_another_code_s_cases_without_signal_to_noise_are_still_scored():
 
 # ---------------------------------------------------------------- files of earlier versions
 
-# liggghts_before_shrinkage is withheld_liggghts_third of commit a289456; the others hold the scores
-# of its withheld_fourth and withheld_own, and rows of at most three cases of each kind and outcome.
+# liggghts_before_shrinkage is withheld_liggghts_third of commit a289456; the other holds the scores
+# of its withheld_own, and rows of at most three cases of each kind and outcome.
 SCORED = sorted((Path(__file__).parent / "data" / "scores").glob("*.json"))
 
 

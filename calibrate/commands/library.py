@@ -13,6 +13,7 @@ import typer
 from calibrate.commands.options import renamed
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
+SHAPED = "packings x 6 simulations of specimens of other heights and largest stresses; 0: none"
 
 
 def register(app: typer.Typer) -> None:
@@ -31,6 +32,7 @@ def library_command(
         Path | None,
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
     ] = None,
+    shaped: Annotated[int, typer.Option("--shaped", min=0, max=300, help=SHAPED)] = 48,
     spheres: Annotated[
         int, typer.Option("--spheres", min=60, help="Spheres of the middle of three sizes.")
     ] = 1000,
@@ -43,12 +45,18 @@ def library_command(
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import store
     from calibrate.discrepancy.library.design import Design
-    from calibrate.discrepancy.library.run_library import check_extends, collect, repeats_of
+    from calibrate.discrepancy.library.run_library import (
+        check_extends,
+        collect,
+        lacks_shapes,
+        repeats_of,
+    )
     from calibrate.discrepancy.library.simulate import (
         Simulator,
         reference_run,
         run_design,
         run_repeats,
+        run_shaped,
     )
     from calibrate.io.lab import bundled_lab, load_lab
     from calibrate.io.soil import base_soil
@@ -57,7 +65,7 @@ def library_command(
     measured.pair()  # refuses other tests than those of a library
     make_folder(out.parent)
     smaller = None if onto is None else store.load(onto)
-    design = Design(packings=packings, spheres=spheres)
+    design = Design(packings=packings, spheres=spheres, shaped=shaped)
     if centred:
         soil = base_soil(measured)
         centre = {name: float(getattr(soil, name)) for name in design.soil_names}
@@ -65,12 +73,15 @@ def library_command(
     progress = for_terminal()
     simulator = Simulator(measured, out.parent / f"{out.stem}_runs")
     if smaller is None:
-        runs = run_design(design, simulator, progress)
-        library = collect(design, measured, runs, reference_run(design, simulator))
+        plain = replace(design, shaped=0)
+        runs = run_design(plain, simulator, progress)
+        library = collect(plain, measured, runs, reference_run(plain, simulator))
     else:
         check_extends(design, measured, smaller, str(onto))
         runs = run_design(design, simulator, progress, first=smaller.design.packings)
-        library = smaller.grown(design, runs)
+        library = smaller.grown(design, runs) if runs else smaller
+    if lacks_shapes(design, library):
+        library = library.with_shapes(design, run_shaped(design, simulator, progress))
     if library.repeats is None:
         repeats = repeats_of(design, measured, run_repeats(design, simulator, progress))
         library = replace(library, repeats=repeats)

@@ -20,8 +20,14 @@ def withheld_command(
     library: LibraryFile = None,
     discrepancy: DiscrepancyFile = None,
     share: Annotated[
-        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 200 cases.")
+        float, typer.Option("--share", min=0.01, max=1.0, help="Of the usual 200 or 30 cases.")
     ] = 1.0,
+    shapes: Annotated[
+        bool,
+        typer.Option(
+            "--shapes/--usual-shape", help="30 cases of six other sizes and largest stresses."
+        ),
+    ] = False,
     fresh: Annotated[
         bool, typer.Option("--fresh/--no-fresh", help="Check shrinkage on fresh specimens.")
     ] = True,
@@ -42,7 +48,7 @@ def withheld_command(
     from calibrate.reports import withheld as report
     from calibrate.simulation.origin import made_by
     from calibrate.validation import run
-    from calibrate.validation.plan import COUNTS
+    from calibrate.validation.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
 
     check_writable(json)
     make_folder(out)
@@ -50,8 +56,9 @@ def withheld_command(
     emulated = EmulatedLibrary.of(store.load(library or store.bundled_library()))
     estimated = None if discrepancy is None else load_discrepancy(discrepancy, emulated)
     if given is None:
-        counts = {kind: max(round(share * count), 1) for kind, count in COUNTS.items()}
-        run.generate(out, emulated, counts, None, progress)
+        usual, sizes = (OF_SHAPES, SHAPES) if shapes else (COUNTS, (USUAL,))
+        counts = {kind: max(round(share * count), 1) for kind, count in usual.items()}
+        run.generate(out, emulated, counts, None, progress, sizes=sizes)
     source = out if given is None else given
     run.judge(source, out, emulated, seed, progress, estimated)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more

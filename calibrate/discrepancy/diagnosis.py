@@ -43,7 +43,8 @@ from calibrate.discrepancy.library.description import (
 )
 from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.instruments import with_forces_before_contact, with_instruments
-from calibrate.discrepancy.library.measurements import ScaledMeasurements, read_measurements
+from calibrate.discrepancy.library.measurements import Measurements, read_measurements
+from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
@@ -69,7 +70,7 @@ class Diagnosis:
     """Everything that a report shows of one lab."""
 
     lab: Lab
-    found: ScaledMeasurements
+    found: Measurements
     measured: Measured
     prepared: Prepared
     localisation: Localisation
@@ -97,16 +98,18 @@ def described(
     seed: int,
     discrepancy: ModelDiscrepancy | None = None,
     before_contact: bool = True,
-) -> tuple[ScaledMeasurements, Linearised, Measured]:
+) -> tuple[Measurements, Linearised, Measured]:
     """What was measured, and the simulator about the best base fit to it; baseline: with the
     forces before contact."""
-    found = read_measurements(lab, emulated.library)
+    emulated = emulated.for_lab(lab)
+    found = read_measurements(lab, emulated.size.features)
     soil_prior = soil_prior_for(lab, emulated.library)
     density = lab.density_kg_m3
     scatter = float(np.std(density, ddof=1) / np.mean(density)) if len(density) > 1 else DENSITY_SD
     scatter = min(scatter, LARGEST_DENSITY_SD)
     d = describe(emulated, soil_prior, found.measured.mean, found.chosen, scatter, discrepancy)
-    d = with_instruments(d, found, emulated.library, seed)
+    like, usual = emulated.size.curves(emulated.library.reference), emulated.size.cylinder
+    d = with_instruments(d, found, like, usual.usual_sizes(), seed)
     d, measured = with_forces_before_contact(d, found) if before_contact else (d, found.measured)
     return found, d, robust(measured, scatter_of(d))
 
@@ -150,7 +153,7 @@ def diagnosed(
     prepared = prepared_diagnosis(d, measured, seed, setup)
     say("comparing explanations")
     comparison = compare(prepared, measured)
-    cylinder = emulated.library.cylinder
+    cylinder = Cylinder.of(lab)
     made, unused = outcomes(lab, further, cylinder, d, comparison.noise)
     learned = None
     if made:
@@ -164,7 +167,7 @@ def diagnosed(
             d, measured, comparison.noise, comparison.base, comparison.refits[comparison.best], seed
         )
     say("weighing further tests")
-    offers = menu(d, comparison.noise, lab.pair().rates)
+    offers = menu(d, comparison.noise, lab.pair().rates, cylinder.force_high)
     proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
     return Diagnosis(
         lab, found, measured, prepared, localisation, comparison, reduction, proposals, learned,

@@ -25,7 +25,13 @@ from calibrate.discrepancy.library.description import (
     SoilPrior,
     soil_prior_for,
 )
-from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SMOOTHING, SPEEDS
+from calibrate.discrepancy.library.design import (
+    POROSITIES,
+    SETTINGS,
+    SHAPE_COLUMNS,
+    SMOOTHING,
+    SPEEDS,
+)
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
 from calibrate.io.lab import Lab, bundled_lab, load_lab
@@ -67,6 +73,7 @@ def with_infill_runs(
     """The library with runs about this lab's leading explanations."""
     effects = switched_off({name: EFFECTS[name] for name in emulated.library.design.effect_names})
     simulator = Simulator(simulated_lab(lab, emulated.library), plan.folder, effects)
+    emulated = emulated.for_lab(lab)
     per_round = plan.packings // ROUNDS
     extended = emulated
     for number in range(ROUNDS):
@@ -76,19 +83,19 @@ def with_infill_runs(
         points = scattered_about(locations, emulated.library, packings, seed)
         runs = run_points(emulated.library.design, points, simulator, plan.progress, plan.workers)
         of_packing = points.seeds - FIRST_SEED - number * per_round
-        rows = Rows.of(emulated.library.features, points.base, points.strengths, of_packing, runs)
+        rows = Rows.of(emulated.library.cylinder, points.base, points.strengths, of_packing, runs)
         extended = extended.joined(rows, emulated.library) if len(rows.values) else extended
     return extended
 
 
 def simulated_lab(lab: Lab, library: RunLibrary) -> Lab:
-    """The lab file whose specimen is that of the library: the bundled one, or the one at hand."""
+    """A lab whose cylinder is the library's: the bundled one, or the one at hand."""
     for candidate in (load_lab(bundled_lab()), lab):
         if Cylinder.of(candidate) == library.cylinder:
             return candidate
-    problem = "its size is not that of the library's, which simulations about this lab would need"
+    problem = "the library was made for a cylinder that neither this lab nor the bundled one has"
     raise InputError(
-        lab.file, "specimen", problem, "leave --simulate out, or make a library for it"
+        lab.file, "specimen", problem, "leave --simulate out, or give the bundled library"
     )
 
 
@@ -115,8 +122,10 @@ def leading_fits(comparison: Comparison) -> list[Refit]:
 
 
 def location_of(fit: Refit, soil_prior: SoilPrior, library: RunLibrary) -> InfillLocation:
-    """A fit in the coordinates of a library, within what it covers."""
+    """A fit in the coordinates of a library, within what it covers; of the lab's own shape, so
+    that one packing serves all."""
     base = soil_prior.offset + fit.delta[: len(soil_prior.offset)]
+    base[SHAPE_COLUMNS] = np.round(soil_prior.offset[SHAPE_COLUMNS], 6)
     strengths = np.where(np.abs(fit.strengths) > LEAST_STRENGTH, fit.strengths, 0.0)
     low, high = np.array(list(library.design.limits.values())).T
     return InfillLocation(base, np.clip(strengths * library.design.typical(), low, high))
@@ -136,7 +145,7 @@ def scattered_about(
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
     factor = np.repeat([SIZES[j % len(SIZES)] for j in packings], len(locations))
     spheres = np.round(design.spheres * factor).astype(int)
-    smoothing, porosity, pace, size = (wide + SETTINGS.index(name) for name in SETTINGS)
+    smoothing, porosity, pace, *_, size = (wide + SETTINGS.index(name) for name in SETTINGS)
     base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
     looser = np.mean([location.base[porosity] for location in locations])
     base[:, porosity] = min(POROSITIES, key=lambda level: abs(level - looser))

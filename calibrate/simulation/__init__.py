@@ -13,7 +13,7 @@ from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.compiled import blank
 from calibrate.simulation.executors import AbstractPlace, Here, cores, side_by_side
 from calibrate.simulation.keys import engine_hash
-from calibrate.simulation.run import Run, summary
+from calibrate.simulation.run import Run, not_simulated, summary
 from calibrate.simulation.store import NETCDF
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "blank",
     "cores",
     "engine_hash",
+    "not_simulated",
     "side_by_side",
     "summary",
 ]

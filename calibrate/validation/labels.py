@@ -14,7 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
-from calibrate.validation.plan import SPECIMENS, Visibility, relative_error
+from calibrate.validation.plan import (
+    SPECIMENS,
+    USUAL,
+    SpecimenSize,
+    Visibility,
+    relative_error,
+)
 from calibrate.validation.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
@@ -93,7 +99,8 @@ class EffectChange:
             soil = {**design.centre, **{n: soil[n] for n in alike}}
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
         soil = {n: soil[n] for n in design.soil_names}
-        visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy)
+        size = SpecimenSize(**label["size"]) if "size" in label else USUAL
+        visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy, size)
         in_library = bool(strengths) and set(strengths) <= set(design.effect_names)
         return EffectChange(
             PAIR if len(strengths) > 1 else "".join(strengths), visible,

@@ -17,9 +17,8 @@ import numpy as np
 from calibrate.core.files import write_text
 from calibrate.discrepancy.comparison.recording import interval_means
 from calibrate.discrepancy.library.design import SPEEDS
-from calibrate.discrepancy.library.run_library import curves_of, declared
+from calibrate.discrepancy.library.run_library import Cylinder, curves_of
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
-from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.simulation import Run
@@ -32,6 +31,8 @@ from calibrate.validation.plan import (
     SMOOTHING,
     SPECIMENS,
     SPHERES,
+    USUAL,
+    SpecimenSize,
     WithheldCase,
 )
 from jdem.effects.composite import EFFECTS
@@ -42,6 +43,7 @@ MOISTURE_SD = 0.03  # of stiffness and surface energy together
 FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
 READINGS = 160  # of a curve
 GAP_MM = (0.3, 1.0)  # way through the air
+USUAL_HEIGHT = USUAL.height / USUAL.diameter  # diameters
 ZERO_MM = 0.5  # the displacement's zero lies within
 
 TOML = """[soil]
@@ -49,15 +51,14 @@ name = "withheld {name}"
 density = [{density}]
 
 [specimen]
-diameter = "50 mm"
-height = "100 mm"
-mould_height = "150 mm"
+diameter = "{diameter:g} mm"
+height = "{height:g} mm"
 
 [{first}]
 rate = "8 mm/s"
 pressed_at = "{speed:g} mm/s"
-force_low = "200 N"
-force_high = "400 N"
+force_low = "{low:.5g} N"
+force_high = "{high:.5g} N"
 greased = true
 
 [{second}]
@@ -92,11 +93,16 @@ class Laboratory:
     """Simulates and measures the specimens of cases; runs are cached in `folder`."""
 
     def __init__(self, folder: Path, centre: dict[str, float]):
-        self.lab: Lab = load_lab(bundled_lab())
         self.folder, self.centre = folder, centre
         self._effects = {**EFFECTS, **CARRIED}
-        costly = (*COSTLY, AggregateCrushing)
-        self._simulator = Simulator(self.lab, folder, switched_off(self._effects), costly)
+        self._simulators: dict[SpecimenSize, Simulator] = {}
+
+    def _simulator(self, size: SpecimenSize) -> Simulator:
+        if size not in self._simulators:
+            costly = (*COSTLY, AggregateCrushing)
+            made = Simulator(size.lab(), self.folder, switched_off(self._effects), costly)
+            self._simulators.setdefault(size, made)
+        return self._simulators[size]
 
     def specimens(
         self, case: WithheldCase, numbers: range = range(SPECIMENS)
@@ -112,15 +118,14 @@ class Laboratory:
             measured.append(self._measured(case, number, run, density))
         depth = float(np.mean([r.observables["depression_depth_mm"] for r in runs]))
         force = float(np.mean([r.observables["crushing_force_n"] for r in runs]))
-        inside = ACCEPTED_DEPTH[0] <= depth <= ACCEPTED_DEPTH[1]
-        inside &= ACCEPTED_CRUSHING[0] <= force <= ACCEPTED_CRUSHING[1]
+        inside = accepted(depth, force, case.size)
         whole = numbers.start == 0 and len(numbers) >= SPECIMENS
         return measured if inside or not whole else None
 
     def changes(self, case: WithheldCase, numbers: range = range(SPECIMENS)) -> np.ndarray:
         """What the hidden effects do to the features of the curves (n, m), on each of these of the
         case's packings where both simulations have all of them."""
-        features = declared(self.lab.pair().compression.force_high)[: -len(TARGETS)]
+        features = Cylinder.of(case.size.lab()).features()[: -len(TARGETS)]
         found = []
         for number in numbers:
             runs = [self._specimen(c, number)[0] for c in (case, replace(case, hidden=()))]
@@ -135,7 +140,7 @@ class Laboratory:
         random = np.random.default_rng([case.seed, number])
         density, moisture = DENSITY_SD * random.standard_normal(), random.standard_normal()
         strengths = {h.name: h.strength for h in case.hidden}
-        loose, density = self._filled(case.spheres, density)
+        loose, density = self._filled(case, density)
         wet = float(np.exp(MOISTURE_SD * moisture))
         values = dict(case.soil)
         values |= {n: values[n] * wet for n in ("shear_modulus", "surface_energy")}
@@ -145,42 +150,39 @@ class Laboratory:
             run = self._with_air(case, number, values, strengths, loose, run)
         return (None if run.failure else run), density
 
-    def _filled(self, spheres: int, density: float) -> tuple[float, float]:
+    def _filled(self, case: WithheldCase, density: float) -> tuple[float, float]:
         """Porosity of a specimen over its case's, in steps, and its relative density error, for a
         density that is off by a share."""
-        solid = 1 - self._simulator.porosity(spheres)
+        solid = 1 - self._simulator(case.size).porosity(in_specimen(case))
         loose = round(-solid * density / POROSITY_STEP) * POROSITY_STEP
         return loose, -loose / solid
 
     def _run(self, case: WithheldCase, number: int, values, strengths, loose: float) -> Run:
-        soil = with_values(base_soil(self.lab), {**self.centre, **values})
+        simulator = self._simulator(case.size)
+        soil = with_values(base_soil(simulator.lab), {**self.centre, **values})
         pool = len(POROSITIES) * SPHERES.index(case.spheres) + POROSITIES.index(case.porosity)
         seed = case.first_seed + 1000 * pool + case.packings[number]
         given = [strengths.get(name, 0.0) for name in self._effects]
         setting = (SMOOTHING, case.porosity + loose, PACE)
-        return self._simulator.run(soil, setting, given, case.spheres, seed)
+        return simulator.run(soil, setting, given, in_specimen(case), seed)
 
     def _with_air(
         self, case: WithheldCase, number: int, values, strengths, loose: float, run: Run
     ) -> Run:
         """Turned where soil and air together reach the target, air's force added."""
-        share, high = strengths["trapped_air"], self.lab.pair().compression.force_high
+        share, high = strengths["trapped_air"], case.size.force_high
         top = int(run.curves[TESTS[0]][:, 0].argmax()) + 1
         way, force = run.curves[TESTS[0]][:top].T
-        together = np.maximum.accumulate(force + self._air(way, share))
+        together = np.maximum.accumulate(force + air(case.size, way, share))
         soil_share = float(np.interp(high, together, force))
         early = {**strengths, "early_turn": high - soil_share}
         turned = self._run(case, number, values, early, loose)
         pressed = turned.curves[TESTS[0]].copy()
-        pressed[:, 1] += self._air(pressed[:, 0], share)
-        depth = np.interp([self.lab.pair().compression.force_low, high], together, way)
+        pressed[:, 1] += air(case.size, pressed[:, 0], share)
+        depth = np.interp([high / 2, high], together, way)
         observables = {**turned.observables, "depression_depth_mm": float(depth[1] - depth[0])}
         curves = {**turned.curves, TESTS[0]: pressed}
         return Run(observables, curves, turned.quality)
-
-    def _air(self, way, share: float) -> np.ndarray:
-        size = (self.lab.specimen.height, self.lab.specimen.diameter)
-        return np.asarray(air_force(way, *size, share))
 
     def _measured(
         self, case: WithheldCase, number: int, run: Run, density: float
@@ -189,9 +191,27 @@ class Laboratory:
         at_rest = sum(h.strength for h in case.hidden if h.name == "load_cell_offset")
         records = {test: recorded(run.curves[test], at_rest, random) for test in TESTS}
         mass = 1 + 0.001 * random.standard_normal()
-        return SpecimenRecords(
-            records, float(np.mean(self.lab.density_kg_m3) * (1 + density) * mass)
-        )
+        usual = np.mean(self._simulator(case.size).lab.density_kg_m3)
+        return SpecimenRecords(records, float(usual * (1 + density) * mass))
+
+
+def in_specimen(case: WithheldCase) -> int:
+    """Number of spheres of a specimen: `spheres` in one of twice its diameter, and as many in
+    proportion in another."""
+    return round(case.spheres * case.size.height / (USUAL_HEIGHT * case.size.diameter))
+
+
+def accepted(depth: float, force: float, size: SpecimenSize) -> bool:
+    """Whether mean depth (mm) and crushing force (N) lie where soils lie; the rule is for the usual
+    size, others in proportion."""
+    longer, wider = size.height / USUAL.height, (size.diameter / USUAL.diameter) ** 2
+    inside = ACCEPTED_DEPTH[0] <= depth / longer <= ACCEPTED_DEPTH[1]
+    return inside and ACCEPTED_CRUSHING[0] <= force / wider <= ACCEPTED_CRUSHING[1]
+
+
+def air(size: SpecimenSize, way, share: float) -> np.ndarray:
+    """Force (N) of trapped air along the platen's way (mm)."""
+    return np.asarray(air_force(way, size.height, size.diameter, share))
 
 
 def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> np.ndarray:
@@ -211,8 +231,9 @@ def recorded(curve: np.ndarray, at_rest: float, random: np.random.Generator) -> 
 
 
 def write_case(
-    name: str, specimens: list[SpecimenRecords], centre: dict[str, float], folder: Path
-) -> None:
+    name: str, specimens: list[SpecimenRecords], centre: dict[str, float], folder: Path,
+    size: SpecimenSize = USUAL,
+) -> None:  # fmt: skip
     """All files of a case, with the same form whatever it hides."""
     folder.mkdir(parents=True, exist_ok=True)
     for number, specimen in enumerate(specimens, 1):
@@ -226,6 +247,10 @@ def write_case(
         first=TESTS[0],
         second=TESTS[1],
         speed=1e3 * PACE * SPEEDS[0],
+        diameter=1e3 * size.diameter,
+        height=1e3 * size.height,
+        low=size.force_high / 2,
+        high=size.force_high,
         density=", ".join(f'"{s.density:.0f} kg/m^3"' for s in specimens),
         parameters="\n".join(f"{n} = {v:g}" for n, v in centre.items()),
         curves="".join(CURVE.format(test=t, number=n) for t in TESTS for n in numbers),

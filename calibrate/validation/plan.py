@@ -10,7 +10,7 @@ the predicted one the more, the more packings differ (`expected_snr`).
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from calibrate.discrepancy.library.description import (
     soil_prior_of,
 )
 from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.validation.outside import OUTSIDE
 
 STRATA: dict[str, tuple[float, float]] = {
@@ -32,10 +33,12 @@ STRATA: dict[str, tuple[float, float]] = {
     "2-6": (2.0, 6.0),
     "above 6": (6.0, 15.0),
 }
+OF_SHAPES = {"none": 12, "2-6": 6, "above 6": 12}  # cases of other sizes and largest stresses
 COUNTS = {"none": 60, "0.5-2": 20, "2-6": 40, "above 6": 40, "outside": 25, "two": 15}
 SPECIMENS = 4
 PACKINGS = 4 * SPECIMENS  # of a case; those after the first four are for specimens held back
 SPHERES = (1100, 1100, 1100, 2200)  # other numbers than the library's
+OF_OTHER_SIZES = SPHERES[:1]  # of a specimen of twice its diameter
 POROSITIES = (-0.01, 0.005)  # over the usual one; others than the library's
 SMOOTHING = -0.95  # roundings nearly gone
 PACE = 0.3125  # the platen's speed in the mould over the library's fast one: 50 mm/s
@@ -45,6 +48,39 @@ ATTEMPTS = 6
 STARTS = 3  # of fits beside that from the soil itself
 FURTHEST = 2.0  # prior deviations of a soil
 ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means over specimens
+
+
+@dataclass(frozen=True)
+class SpecimenSize:
+    """Diameter and height (m) of specimens, and the largest force (N) of the test in the mould."""
+
+    diameter: float = 0.05
+    height: float = 0.1
+    force_high: float = 400.0
+
+    def lab(self) -> Lab:
+        """The bundled soil's tests on such specimens."""
+        usual = load_lab(bundled_lab())
+        cylinder = replace(usual.specimen, diameter=self.diameter, height=self.height)
+        forces = {"force_low": self.force_high / 2, "force_high": self.force_high}
+        tests = (usual.tests[0].model_copy(update=forces), *usual.tests[1:])
+        return replace(usual, specimen=replace(cylinder, mould_height=None), tests=tests)
+
+    @staticmethod
+    def of_stress(diameter: float, height: float, kpa: float) -> "SpecimenSize":
+        """Of a largest stress (kPa) in the mould."""
+        return SpecimenSize(diameter, height, round(1e3 * kpa * np.pi / 4 * diameter**2, 2))
+
+
+USUAL = SpecimenSize()
+SHAPES = (  # other specimens, as laboratories have them
+    SpecimenSize.of_stress(0.05, 0.06, 300.0),
+    SpecimenSize.of_stress(0.05, 0.13, 100.0),
+    SpecimenSize.of_stress(0.038, 0.076, 300.0),
+    SpecimenSize.of_stress(0.07, 0.1, 100.0),
+    SpecimenSize.of_stress(0.05, 0.1, 100.0),
+    SpecimenSize.of_stress(0.07, 0.1, 300.0),
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +108,7 @@ class WithheldCase:
     seed: int
     nonce: str
     first_seed: int = FIRST_SEED
+    size: SpecimenSize = USUAL
 
     def label(self, changes: np.ndarray) -> dict:
         """What is sealed: the case, and what its hidden effects do to features (n, m)."""
@@ -86,10 +123,14 @@ class WithheldCase:
 
 
 class Planner:
-    """Draws cases; the library tells how visible an effect is at a soil."""
+    """Draws cases, of each of the sizes in turn; the library tells how visible an effect is at a
+    soil."""
 
-    def __init__(self, emulated: EmulatedLibrary, seed: int, first_seed: int = FIRST_SEED):
-        self.emulated, self.first_seed = emulated, first_seed
+    def __init__(
+        self, emulated: EmulatedLibrary, seed: int, first_seed: int = FIRST_SEED,
+        sizes: Sequence[SpecimenSize] = (USUAL,),
+    ):  # fmt: skip
+        self.emulated, self.first_seed, self.sizes = emulated, first_seed, sizes
         self.random = np.random.default_rng(seed)
 
     def cases(self, counts: dict[str, int] | None = None) -> list[list[WithheldCase]]:
@@ -97,18 +138,23 @@ class Planner:
         kinds = [kind for kind, count in (counts or COUNTS).items() for _ in range(count)]
         names = self.random.permutation(2**20)[: len(kinds)]
         order = self.random.permutation(len(kinds))
-        return [self._attempts(f"{names[i]:05x}", kinds[k]) for i, k in enumerate(order)]
+        return [
+            self._attempts(f"{names[i]:05x}", kinds[k], self.sizes[k % len(self.sizes)])
+            for i, k in enumerate(order)
+        ]
 
-    def _attempts(self, name: str, kind: str) -> list[WithheldCase]:
-        first = self._case(name, kind, None)
-        return [first, *(self._case(name, kind, first) for _ in range(ATTEMPTS - 1))]
+    def _attempts(self, name: str, kind: str, size: SpecimenSize) -> list[WithheldCase]:
+        first = self._case(name, kind, size, None)
+        return [first, *(self._case(name, kind, size, first) for _ in range(ATTEMPTS - 1))]
 
-    def _case(self, name: str, kind: str, like: WithheldCase | None) -> WithheldCase:
+    def _case(
+        self, name: str, kind: str, size: SpecimenSize, like: WithheldCase | None
+    ) -> WithheldCase:
         soil = self._soil()
         if like is not None:
             hidden, snr = like.hidden, like.snr
         else:
-            hidden, snr = self._hidden(kind, soil)
+            hidden, snr = self._hidden(kind, soil, size)
         stratum = kind if kind in STRATA else ""
         return WithheldCase(
             name=name,
@@ -117,12 +163,13 @@ class Planner:
             snr=snr,
             hidden=hidden,
             soil=soil,
-            spheres=int(self.random.choice(SPHERES)),
+            spheres=int(self.random.choice(SPHERES if size == USUAL else OF_OTHER_SIZES)),
             porosity=float(self.random.choice(POROSITIES)),
             packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
             seed=int(self.random.integers(2**31)),
             nonce=self.random.bytes(16).hex(),
             first_seed=self.first_seed,
+            size=size,
         )
 
     def _soil(self) -> dict[str, float]:
@@ -135,7 +182,9 @@ class Planner:
         values["plasticity_ratio"] = min(values["plasticity_ratio"], 0.82)
         return values
 
-    def _hidden(self, kind: str, soil: dict[str, float]) -> tuple[tuple[Hidden, ...], float]:
+    def _hidden(
+        self, kind: str, soil: dict[str, float], size: SpecimenSize
+    ) -> tuple[tuple[Hidden, ...], float]:
         if kind == "none":
             return (), 0.0
         if kind == "outside":
@@ -144,7 +193,7 @@ class Planner:
             strength = float(low * (high / low) ** self.random.uniform())
             sign = self.random.choice([-1.0, 1.0]) if name == "height_gradient" else 1.0
             return (Hidden(name, sign * strength),), 0.0
-        visible = Visibility(self.emulated, soil)
+        visible = Visibility(self.emulated, soil, size=size)
         if kind == "two":
             return self._two(visible)
         while True:
@@ -190,10 +239,12 @@ class Visibility:
 
     def __init__(
         self, emulated: EmulatedLibrary, soil: dict[str, float], specimens: int = SPECIMENS,
-        discrepancy: ModelDiscrepancy | None = None,
+        discrepancy: ModelDiscrepancy | None = None, size: SpecimenSize = USUAL,
     ):  # fmt: skip
+        emulated = emulated.for_lab(size.lab())
         every = np.arange(len(emulated.library.features) - 2)  # curves; targets follow from them
-        soil_prior, design = soil_prior_of(emulated.library, soil, PACE), emulated.library.design
+        soil_prior = soil_prior_of(emulated.library, soil, PACE, shape=emulated.size.shape)
+        design = emulated.library.design
         values = emulated.at(soil_prior)(
             np.zeros(len(soil_prior.offset)), np.zeros(len(design.limits))
         )[0]
@@ -204,7 +255,7 @@ class Visibility:
         self.generator = SampleGenerator(
             self.description, plan, packing_covariance(self.description)
         )
-        self.typical = dict(zip(design.effect_names, design.typical(), strict=True))
+        self.typical = dict(zip(design.effect_names, emulated.typical, strict=True))
 
     def snr(self, strengths: dict[str, float]) -> float:
         """Signal-to-noise of effects of these strengths (SI) together."""

@@ -22,14 +22,22 @@ from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.reduction import shrinkage
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.discrepancy.library.run_library import declared
+from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded_feature_values
 from calibrate.simulation import side_by_side
 from calibrate.validation import seal
 from calibrate.validation.canary import canary
 from calibrate.validation.labels import normalised, with_visibility
 from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
-from calibrate.validation.plan import FIRST_SEED, SPECIMENS, Hidden, Planner, WithheldCase
+from calibrate.validation.plan import (
+    FIRST_SEED,
+    SPECIMENS,
+    USUAL,
+    Hidden,
+    Planner,
+    SpecimenSize,
+    WithheldCase,
+)
 from calibrate.validation.scores import Realised, Row, claims_shrinkage, row, scored
 from calibrate.validation.trial import (
     TrainedBaselines,
@@ -49,10 +57,11 @@ CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 def generate(
     out: Path, emulated: EmulatedLibrary, counts: dict[str, int] | None, seed: int | None,
     progress: AbstractProgress, first_seed: int = FIRST_SEED,
+    sizes: Sequence[SpecimenSize] = (USUAL,),
 ) -> None:  # fmt: skip
     """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
-    packings begin at first_seed."""
-    attempts = _plan(out, emulated, counts, seed, first_seed)
+    packings begin at first_seed; specimens have one of the sizes."""
+    attempts = _plan(out, emulated, counts, seed, first_seed, sizes)
     laboratory = Laboratory(out / "simulated", CENTRE)
 
     def label(number: int) -> list[dict]:
@@ -64,13 +73,14 @@ def generate(
 
 
 def _plan(
-    out: Path, emulated: EmulatedLibrary, counts, seed: int | None, first_seed: int = FIRST_SEED
-) -> list[list[WithheldCase]]:
+    out: Path, emulated: EmulatedLibrary, counts, seed: int | None, first_seed: int = FIRST_SEED,
+    sizes: Sequence[SpecimenSize] = (USUAL,),
+) -> list[list[WithheldCase]]:  # fmt: skip
     """The plan in `out`, drawn if there is none yet."""
     path = out / PLAN
     if not path.exists():
         secret = secrets.randbits(62) if seed is None else seed
-        drawn = Planner(emulated, secret, first_seed).cases(counts)
+        drawn = Planner(emulated, secret, first_seed, sizes).cases(counts)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
@@ -82,8 +92,12 @@ def _planned(out: Path) -> list[list[WithheldCase]]:
 
 
 def _case(entry: dict) -> WithheldCase:
-    hidden = tuple(Hidden(**h) for h in entry["hidden"])
-    return WithheldCase(**{**entry, "hidden": hidden, "packings": tuple(entry["packings"])})
+    read = {
+        "hidden": tuple(Hidden(**h) for h in entry["hidden"]),
+        "packings": tuple(entry["packings"]),
+        "size": SpecimenSize(**entry.get("size", {})),
+    }
+    return WithheldCase(**{**entry, **read})
 
 
 def _made(
@@ -99,7 +113,7 @@ def _made(
     for number, case in enumerate(attempts):
         specimens = laboratory.specimens(case)
         if specimens is not None:
-            write_case(case.name, specimens, CENTRE, folder)
+            write_case(case.name, specimens, CENTRE, folder, case.size)
             write_text(kept, str(number))
             return case
     write_text(kept, "-1")
@@ -211,16 +225,19 @@ def _fresh(
             for one in laboratory.specimens(case, range(number, number + 1)) or []
         ]  # fmt: skip
         enough = len(specimens) >= FEWEST_FRESH
-        return realised_shrinkage(said[name]["fits"], specimens) if enough else None
+        cylinder = Cylinder.of(case.size.lab())
+        return realised_shrinkage(said[name]["fits"], specimens, cylinder) if enough else None
 
     found = side_by_side(of, len(names), progress, "simulating fresh specimens")
     return {name: one for name, one in zip(names, found, strict=True) if one}
 
 
-def realised_shrinkage(fits: dict, specimens: Sequence[SpecimenRecords]) -> Realised:
+def realised_shrinkage(
+    fits: dict, specimens: Sequence[SpecimenRecords], cylinder: Cylinder
+) -> Realised:
     """(E0 - E1)/(E0 - 1) of both fits on fresh specimens, their own scatter taken off; its
     standard error by leaving out one specimen after the other (jackknife)."""
-    features = {f.name: f for f in (*declared(400.0), *declare_before_contact())}
+    features = {f.name: f for f in (*cylinder.features(), *declare_before_contact())}
     keep = [i for i, name in enumerate(fits["features"]) if name in features]
     chosen = [features[fits["features"][i]] for i in keep]
     values = np.array([

@@ -76,9 +76,8 @@ def typical(cases: Sequence[Path], emulated: EmulatedLibrary) -> Path:
 def _features_shown(case: Path, emulated: EmulatedLibrary) -> tuple[int, ...]:
     """The library's features that a case shows; none where it cannot be read."""
     try:
-        return tuple(
-            read_measurements(load_lab(case / "lab.toml"), emulated.library).chosen.tolist()
-        )
+        lab = load_lab(case / "lab.toml")
+        return tuple(read_measurements(lab, emulated.for_lab(lab).size.features).chosen.tolist())
     except InputError:
         return ()
 

@@ -5,7 +5,8 @@
 
 The description is linear about the best fit of the base coordinates to the measured means, and
 keeps the emulator for what is not linear.  Simulated scatter is carried to the soil at hand as the
-emulator warps features: large forces scatter in proportion.
+emulator warps features: large forces scatter in proportion.  Features and strengths are in the
+lab's own size (`lab_size`).
 """
 
 from dataclasses import dataclass, replace
@@ -16,8 +17,9 @@ from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import SETTINGS, SMOOTHING, SPEEDS, Design
+from calibrate.discrepancy.library.design import SETTINGS, SHAPE, SMOOTHING, SPEEDS, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
+from calibrate.discrepancy.library.lab_size import LabSize
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
 from calibrate.io.lab import Lab
@@ -27,7 +29,10 @@ from jdem.effects.composite import EFFECTS
 # A soil has no roundings and finer grains; another simulator's bed may have roundings.  The pace is
 # known; its deviation is for what real grains lose otherwise than in dashpots.
 SETTING_PRIOR_MEAN = {"smoothing": SMOOTHING[0], "porosity": 0.0, "sphere_size": -0.3}
-SETTING_PRIOR_SD = {"smoothing": 0.4, "porosity": 0.012, "pace": 0.05, "sphere_size": 0.35}
+SETTING_PRIOR_SD = {
+    "smoothing": 0.4, "porosity": 0.012, "pace": 0.05, "slenderness": 0.01, "stress": 0.01,
+    "sphere_size": 0.35,
+}  # fmt: skip
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
@@ -54,14 +59,41 @@ class ModelDiscrepancy:
 
 @dataclass(frozen=True, eq=False)
 class EmulatedLibrary:
-    """A library of runs with its emulator, the residuals of one row a packing, and its errors."""
+    """A library of runs with its emulator, the residuals of one row a packing, its errors, and the
+    size in which it speaks: its own, or a lab's."""
 
     library: RunLibrary
     emulator: FeatureEmulator
+    size: LabSize
 
     @staticmethod
     def of(library: RunLibrary) -> "EmulatedLibrary":
-        return EmulatedLibrary(library, library.emulator())
+        return EmulatedLibrary(library, library.emulator(), LabSize.of_library(library))
+
+    def for_lab(self, lab: Lab) -> "EmulatedLibrary":
+        """The same in a lab's own size; `InputError` where its shape is too far from the runs."""
+        return replace(self, size=LabSize.of(lab, self.library))
+
+    @property
+    def units(self) -> np.ndarray:
+        """By what features (m,) at the library's size are multiplied."""
+        return self.size.of_features(self.library.features)
+
+    @property
+    def typical(self) -> np.ndarray:
+        """Typical strengths (k,), SI, in the lab's own size."""
+        design = self.library.design
+        return design.typical() * self.size.of_effects(design.effect_names)
+
+    def candidates(self) -> tuple[EffectCandidate, ...]:
+        """The candidate effects, with typical strengths in the lab's own size."""
+        names, largest = self.library.design.effect_names, limits(self.library.design)
+        reach = largest / self.library.design.typical()
+        return tuple(
+            EffectCandidate(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
+                   EFFECTS[n].about.unit, EFFECTS[n].about.kind, float(r))
+            for n, t, r in zip(names, self.typical, reach, strict=True)
+        )  # fmt: skip
 
     def joined(self, rows: Rows, own: RunLibrary) -> "EmulatedLibrary":
         """With further runs behind the rows of `own`, near which the emulator's errors are as wide
@@ -79,7 +111,7 @@ class EmulatedLibrary:
             *library.scaled(), library.packing, library.without_lag, library.scale(),
             library.kernels, emulator.basis, noise,
         )  # fmt: skip
-        return EmulatedLibrary(library, fitted)
+        return replace(self, library=library, emulator=fitted)
 
     def specimens(self, x: np.ndarray) -> np.ndarray:
         """Warped residuals (l, m) of independent specimens, one row without effects of each packing
@@ -101,7 +133,7 @@ class EmulatedLibrary:
         library, design = self.library, self.library.design
         return LocalEmulator(
             self.emulator, soil_prior.offset, design.spread(), design.typical() / limits(design),
-            self.emulator_errors,
+            self.emulator_errors, self.units,
             library.load_cell_lag() if library.lag_shift is not None else None, _lag(design),
         )  # fmt: skip
 
@@ -110,7 +142,8 @@ class EmulatedLibrary:
 class LocalEmulator:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
     typical strength; with a model discrepancy, its directions are further base coordinates.
-    `emulator_errors` are those that cross-validation adds to what it states; `load_cell_lag` turns
+    `emulator_errors` are those that cross-validation adds to what it states; units (m,) bring
+    features from the library's size to the lab's; `load_cell_lag`, at the library's size, turns
     features without a lag into those with one, lag (k,) being seconds per typical strength."""
 
     emulator: FeatureEmulator
@@ -118,6 +151,7 @@ class LocalEmulator:
     scale: np.ndarray
     strength: np.ndarray
     emulator_errors: EmulatorErrors
+    units: np.ndarray
     load_cell_lag: LoadCellLag | None
     lag: np.ndarray
     discrepancy: ModelDiscrepancy | None = None
@@ -128,13 +162,17 @@ class LocalEmulator:
         found = values, base / self.scale, effects * self.strength
         if self.discrepancy is not None:
             found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
-        return self._read(self.load_cell_lag, strengths, *found) if self.load_cell_lag else found
+        if self.load_cell_lag:
+            found = self._read(self.load_cell_lag, strengths, *found)
+        values, base, effects = found
+        rows = self.units[:, None]
+        return self.units * values, rows * base, rows * effects
 
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""
         x, s = self._scaled(delta, strengths)
         roots = self.emulator_errors.of_values(self.emulator, x, s)
-        return self.emulator.steepness(x, s)[:, None] * roots
+        return (self.units * self.emulator.steepness(x, s))[:, None] * roots
 
     def _scaled(self, delta, strengths):
         return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
@@ -162,31 +200,22 @@ def _lag(design: Design) -> np.ndarray:
     return np.where(np.array(design.effect_names) == LAG, design.typical(), 0.0)
 
 
-def candidates(library: RunLibrary) -> tuple[EffectCandidate, ...]:
-    """The candidate effects of a library of runs, with typical strengths in SI."""
-    rows = zip(
-        library.design.effect_names, library.design.typical(), limits(library.design), strict=True
-    )
-    return tuple(
-        EffectCandidate(n, EFFECTS[n].about.one_sided and n not in TWO_SIDED, float(t),
-               EFFECTS[n].about.unit, EFFECTS[n].about.kind, float(largest / t))
-        for n, t, largest in rows
-    )  # fmt: skip
-
-
 def soil_prior_of(
     library: RunLibrary,
     soil: dict[str, float],
     pace: float,
     soil_sd: dict[str, float] | None = None,
+    shape: np.ndarray | None = None,
 ) -> SoilPrior:
     """The prior about a soil (SI values by name) that is pressed at a pace, the platen's speed in
-    the mould over the library's fast one; soil_sd: deviations of ln p where they differ."""
+    the mould over the library's fast one; soil_sd: deviations of ln p where they differ; shape (2,)
+    of the specimen over the library's, which is the usual one."""
     design, given = library.design, soil_sd or {}
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
     spread = [given.get(name, design.soil_sd[name]) for name in names]
-    mean = {**SETTING_PRIOR_MEAN, "pace": pace}
+    of_shape = dict(zip(SHAPE, np.zeros(len(SHAPE)) if shape is None else shape, strict=True))
+    mean = {**SETTING_PRIOR_MEAN, "pace": pace, **of_shape}
     return SoilPrior(
         np.array([*offset, *(mean[name] for name in SETTINGS)]),
         np.array([*spread, *(SETTING_PRIOR_SD[name] for name in SETTINGS)]),
@@ -195,12 +224,13 @@ def soil_prior_of(
 
 def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
     """The prior about a lab's own starting soil, with the deviations that it states, at the speed
-    of its test in the mould."""
+    of its test in the mould and in the shape of its specimen."""
     soil, names = base_soil(lab), library.design.soil_names
     stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
     values = {name: float(getattr(soil, name)) for name in names}
     pace = _pace(lab)
-    return soil_prior_of(library, values, pace, {n: s for n, s in stated.items() if n in names})
+    of_soil = {n: s for n, s in stated.items() if n in names}
+    return soil_prior_of(library, values, pace, of_soil, LabSize.of(lab, library).shape)
 
 
 def _pace(lab: Lab) -> float:
@@ -253,13 +283,19 @@ def _rough(
     values, base, effects = emulator(np.zeros(len(prior)), np.zeros(len(library.design.limits)))
     m = len(values)
     return Linearised(
-        features=library.features, mean=values, base_names=names, base_slopes=base, prior_sd=prior,
-        effects=candidates(library), effect_slopes=effects,
-        packing_residuals=emulated.specimens(np.zeros(emulated.emulator.x.shape[1])),
+        features=emulated.size.features, mean=values, base_names=names, base_slopes=base,
+        prior_sd=prior,
+        effects=emulated.candidates(), effect_slopes=effects,
+        packing_residuals=emulated.units * emulated.specimens(_centre(emulated)),
         mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
         wrong=np.zeros((m, 0)), emulator=emulator,
     )  # fmt: skip
+
+
+def _centre(emulated: EmulatedLibrary) -> np.ndarray:
+    """The scaled point (p,) of the library's centre."""
+    return np.zeros(emulated.emulator.x.shape[1])
 
 
 def _local(
@@ -275,8 +311,8 @@ def _local(
     scaled = (
         soil_prior.offset + delta[: len(soil_prior.offset)]
     ) / emulated.library.design.spread()
-    steep = emulated.emulator.steepness(scaled, none)
-    typical = emulated.library.design.typical()
+    steep = emulated.units * emulated.emulator.steepness(scaled, none)
+    typical = emulated.typical
     return replace(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
         packing_residuals=emulated.specimens(scaled) * steep,

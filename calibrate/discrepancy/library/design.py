@@ -22,11 +22,16 @@ A simulated press is twenty times as fast as a laboratory's, and what dashpots c
 its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
 soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
 
+Laboratories differ in height over diameter and in the largest stress.  Further packings, `shaped`,
+have the heights of HEIGHTS in turn, and each of their rows a largest stress within STRESSES; all
+else is as in the rows of the library's own cylinder.
+
 Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
 effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
 misses, as a row has a soil and nearly a packing of its own; repeats can.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -47,8 +52,14 @@ SPEEDS = (0.16, 0.045)  # m/s, of the platen in the mould: fast and slow
 TURN = 16  # packings in a row that are slow too, or are not
 SPECIMENS = 4  # packings of each repeated soil
 FIRST_REPEAT = 500  # number of the first packing of repeats; a library has fewer (`--packings`)
-SETTINGS = ("smoothing", "porosity", "pace", "sphere_size")
-SETTING_SPREAD = (0.5, 0.02, 0.5, 0.3)
+FIRST_SHAPED = 600  # of the first packing of other shapes
+HEIGHTS = (0.5, 1.5, 0.8, 1.25, 0.63, 1.0)  # of their specimens over the library's, in turn
+STRESSES = (0.25, 2.5)  # largest stress over the library's
+SHAPED_SIZES = (0.5, 1.0)  # spheres in the library's cylinder over the design's, after each turn
+SETTINGS = ("smoothing", "porosity", "pace", "slenderness", "stress", "sphere_size")
+SETTING_SPREAD = (0.5, 0.02, 0.5, 0.4, 0.7, 0.3)
+SHAPE = ("slenderness", "stress")  # settings that a specimen and its test state
+SHAPE_COLUMNS = [SETTINGS.index(name) - len(SETTINGS) for name in SHAPE]  # of base coordinates
 
 SOIL = (  # parameters that are varied, in the order of a point's coordinates
     "shear_modulus",
@@ -106,7 +117,8 @@ class Design:
     """The plan of a library; `base` holds the soil's values that are not varied.
 
     packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
-    TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils.
+    TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils;
+    `shaped` packings of other heights.
     """
 
     packings: int = 160
@@ -115,6 +127,7 @@ class Design:
     seed: int = 40
     slow_in: int = 4
     repeated: int = 24
+    shaped: int = 0
     centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
     soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
@@ -170,8 +183,34 @@ class Design:
         slow = soil % self.slow_in == self.slow_in - 1 if self.slow_in else soil < 0
         pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
         least = np.full(self.repeated, SMOOTHING[0])
-        base = np.column_stack([self._soil(unit), least, porosity, pace, size])
+        base = self._of_one_shape(self._soil(unit), least, porosity, pace, size)
         return np.repeat(base, SPECIMENS, axis=0), np.repeat(soil, SPECIMENS)
+
+    def shaped_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of other shapes; of
+        three turns through HEIGHTS and SHAPED_SIZES one is slow."""
+        count, soils = self.shaped * self.rows_each, len(self.soil_names)
+        unit = _sobol(soils + 2 + len(self.limits), count, self.seed + 2)
+        packing = np.repeat(np.arange(self.shaped), self.rows_each)
+        turn = packing // len(HEIGHTS)
+        slow = turn // len(SHAPED_SIZES) % 3 == 2
+        low, high = SMOOTHING
+        sizes = [self.sphere_size(self.shaped_spheres(int(j))) for j in packing]
+        settings = {
+            "smoothing": low + (high - low) * unit[:, soils] ** 2,
+            "porosity": np.array(POROSITIES)[(packing + turn) % len(POROSITIES)],
+            "pace": np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0),
+            "slenderness": np.log(np.array(HEIGHTS)[packing % len(HEIGHTS)]),
+            "stress": _between(math.log(STRESSES[0]), math.log(STRESSES[1]), unit[:, soils + 1]),
+            "sphere_size": np.array(sizes),
+        }
+        base = np.column_stack([self._soil(unit[:, :soils]), *(settings[n] for n in SETTINGS)])
+        return base, self._strengths(unit[:, soils + 2 :]), FIRST_SHAPED + packing
+
+    def shaped_spheres(self, packing: int) -> int:
+        """Number of spheres, in the library's cylinder, of a packing of another shape."""
+        turn = packing // len(HEIGHTS)
+        return round(self.spheres * SHAPED_SIZES[turn % len(SHAPED_SIZES)])
 
     def _fast_row(self) -> tuple[np.ndarray, np.ndarray]:
         """For each row (n,) the fast one of the same soil and effects, and whether it is slow."""
@@ -192,11 +231,16 @@ class Design:
         smoothing = low + (high - low) * unit[:, len(self.soil_names)] ** 2
         porosity = np.array(POROSITIES)[of_packing % len(POROSITIES)]
         size = [self.sphere_size(self.spheres_of(int(j))) for j in of_packing]
-        base = np.column_stack([soil, smoothing, porosity, np.ones(count), size])
+        base = self._of_one_shape(soil, smoothing, porosity, np.ones(count), size)
         strengths = unit[:, -len(self.limits) :]
         alone = np.isin(of_packing % OF, ALONE)
         base[alone] = base[of_packing[alone] * self.rows_each]
         return base, np.where(alone[:, None], self._single(strengths), self._strengths(strengths))
+
+    def _of_one_shape(self, soil: np.ndarray, smoothing, porosity, pace, size) -> np.ndarray:
+        """Base coordinates (n, p) in the library's own cylinder."""
+        none = np.zeros(len(soil))
+        return np.column_stack([soil, smoothing, porosity, pace, none, none, size])
 
     def _soil(self, unit: np.ndarray) -> np.ndarray:
         log = _normal(unit) * np.array(list(self.soil_sd.values()))
@@ -230,6 +274,10 @@ def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
     power = int(np.ceil(np.log2(max(count, 2))))
     # `seed`, not `rng`: the two scramble differently, and the bundled library was drawn with this.
     return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]  # pyright: ignore[reportCallIssue]
+
+
+def _between(low: float, high: float, unit: np.ndarray) -> np.ndarray:
+    return low + (high - low) * unit
 
 
 def _normal(unit: np.ndarray) -> np.ndarray:

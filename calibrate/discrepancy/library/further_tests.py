@@ -20,7 +20,7 @@ from calibrate.discrepancy.comparison.further import FurtherTest, LinearResponse
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.next_test import Outcome
 from calibrate.discrepancy.comparison.noise import Noise
-from calibrate.discrepancy.library.measurements import SHAPE_TOLERANCE
+from calibrate.discrepancy.library.lab_size import SHAPE_TOLERANCE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
@@ -39,7 +39,6 @@ from calibrate.labtests.relaxation import RelaxationTest
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
 
-FORCE = 400.0  # N, of a machine alone and of a hold
 FROM = 0.025  # share of the force from which displacement counts on the bare machine
 SHARES = (0.05, 0.125, 0.25, 0.5, 0.95)  # of the force, where it is read
 BLOCK_SD = 5e-3  # mm
@@ -96,8 +95,11 @@ class Varied:
         return d.effects[d.effect_names.index(RATE)].typical
 
 
-def menu(d: Linearised, noise: Noise, rates: Mapping[str, float]) -> list[FurtherTest]:
-    """All further tests that apply to a description; rates (m/s) of the tests made so far."""
+def menu(
+    d: Linearised, noise: Noise, rates: Mapping[str, float], force: float
+) -> list[FurtherTest]:
+    """All further tests that apply to a description; rates (m/s) of the tests made so far; `force`
+    (N): of the machine alone and of a hold."""
     present = [test for test in TESTS if (tests_of(d.features) == test).any()]
     again = [
         replace(
@@ -107,7 +109,7 @@ def menu(d: Linearised, noise: Noise, rates: Mapping[str, float]) -> list[Furthe
         for test in present
         for v in TEST_FEATURES[test].variations
     ]
-    return [machine_alone(d, FORCE, REPEATS), _hold(d, FORCE, HOLD, REPEATS), *again]
+    return [machine_alone(d, force, REPEATS), _hold(d, force, HOLD, REPEATS), *again]
 
 
 def _entries(test: str, variation: Variation, rate: float) -> dict[str, str | bool]:
@@ -140,12 +142,12 @@ def _after_the_pair(lab: Lab, further: Sequence[Lab]) -> Iterator[tuple[Lab, Abs
 def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, noise: Noise):
     """The outcome of one test; None where the library knows nothing of it."""
     if isinstance(test, MachineTest):
-        longer, wider = _to_library(file.specimen, cylinder)
+        longer, wider = _to_size(file.specimen, cylinder)
         block = machine_alone(d, wider * test.force, len(curves))
         rows = [_of_machine(test.force, c) * _scale(longer, wider) for c in curves]
         return Outcome(block, np.mean(rows, axis=0))
     if isinstance(test, RelaxationTest) and not test.protocol:
-        wider = _to_library(file.cylinder_of(test.called), cylinder)[1]
+        wider = _to_size(file.cylinder_of(test.called), cylinder)[1]
         held = _hold(d, wider * test.force, test.hold, len(curves))
         loss = [c.force_n[-1] - c.force_n.max() for c in curves]
         return Outcome(held, wider * np.mean(loss, keepdims=True))
@@ -174,20 +176,20 @@ def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
 
 
 def _of_soil(again: FurtherTest, name: str, d: Linearised, curve: Curve, file: Lab, cylinder):
-    """Features (m,) of a curve at the library's size."""
-    longer, wider = _to_library(file.cylinder_of(curve.test), cylinder)
+    """Features (m,) of a curve at the size of the lab's specimens."""
+    longer, wider = _to_size(file.cylinder_of(curve.test), cylinder)
     features = [d.features[i] for i in (again.rows if again.rows is not None else ())]
     scaled = {name: (curve.displacement_mm * longer, curve.force_n * wider)}
     return recorded_feature_values(features, scaled)
 
 
-def _to_library(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:
-    """What takes displacements and forces of a specimen to the library's size."""
+def _to_size(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:
+    """What takes displacements and forces of a specimen to a cylinder's size."""
     return cylinder.height / own.height, (cylinder.diameter / own.diameter) ** 2
 
 
 def _of_shape(file: Lab, test: AbstractLabTest, cylinder: Cylinder) -> bool:
-    """Whether a test's specimen is as slender as the library's."""
+    """Whether a test's specimen is as slender as a cylinder."""
     own = file.cylinder_of(test.called)
     slender = own.height / own.diameter / (cylinder.height / cylinder.diameter)
     return bool(abs(np.log(slender)) <= SHAPE_TOLERANCE)

@@ -21,9 +21,8 @@ from calibrate.discrepancy.comparison.recording import recording, recording_shif
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.library.load_cell_lag import LAG
 from calibrate.discrepancy.library.low_pass import filtered
-from calibrate.discrepancy.library.measurements import ScaledMeasurements
-from calibrate.discrepancy.library.run_library import RunLibrary, usual_sizes
-from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.discrepancy.library.measurements import Measurements
+from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.contact import readings_before_contact
 from calibrate.labtests.diagnosis.curves import (
     TEST_FEATURES,
@@ -41,12 +40,13 @@ LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
 
 
 def with_instruments(
-    d: Linearised, found: ScaledMeasurements, library: RunLibrary, seed: int
+    d: Linearised, found: Measurements, curves: Curves, usual: UsualSizes, seed: int
 ) -> Linearised:
-    """The description with what recording adds to the features of curves."""
+    """The description with what recording adds to the features of curves; `curves`: of a specimen
+    like the lab's, by whose usual sizes features are declared."""
     if not found.channels:
         return d
-    reference, air = typical(library, found), ways_through_air(found)
+    reference, air = typical(curves, usual, found), ways_through_air(found)
     lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
     unit = 0.0 if lag is None else d.effects[lag].typical
     shift, sensor, either = recording(
@@ -78,7 +78,7 @@ def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
     return shifts - shifts[0] + shift, halves - halves[0] + either
 
 
-def ways_through_air(found: ScaledMeasurements) -> dict[str, float]:
+def ways_through_air(found: Measurements) -> dict[str, float]:
     """The way (mm) by test that a laboratory's platen usually makes before it surely touches."""
     readings = {
         test: [readings_before_contact(c[test][1]) for c in found.specimens if test in c]
@@ -112,7 +112,7 @@ def _filled(rows: np.ndarray) -> np.ndarray:
     return rows
 
 
-def lagged(curves: Curves, found: ScaledMeasurements, lag: float) -> Curves:
+def lagged(curves: Curves, found: Measurements, lag: float) -> Curves:
     """Curves recorded with a lag (s); forces pushed up so that readings reach the same
     largest value, as the machine turns by what it reads."""
     if not lag:
@@ -125,34 +125,31 @@ def lagged(curves: Curves, found: ScaledMeasurements, lag: float) -> Curves:
     return read
 
 
-def typical(library: RunLibrary, found: ScaledMeasurements) -> Curves:
-    """The library's reference curves, stretched to the size of what the lab measured: travel above
-    half the largest force; force and displacement of the peak."""
-    usual = usual_sizes(library.cylinder.force_high)
-    curves = {}
+def typical(curves: Curves, usual: UsualSizes, found: Measurements) -> Curves:
+    """Curves stretched to those that the lab measured: travel above half the largest force; force
+    and displacement of the peak."""
+    stretched = {}
     for test in found.channels:
-        displacement, force = library.reference[test]
+        displacement, force = curves[test]
         along, up = TEST_FEATURES[test].stretched_by(usual)
-        curves[test] = (
-            displacement * _ratio(library, found, along), force * _ratio(library, found, up)
+        stretched[test] = (
+            displacement * _ratio(curves, found, along), force * _ratio(curves, found, up)
         )  # fmt: skip
-    return curves
+    return stretched
 
 
-def _ratio(library: RunLibrary, found: ScaledMeasurements, name: str) -> float:
-    """A measured feature over that of the reference curves, 1 where it is not known."""
+def _ratio(curves: Curves, found: Measurements, name: str) -> float:
+    """A measured feature over that of curves, 1 where it is not known."""
     names = [f.name for f in found.measured.features]
     if name not in names:
         return 1.0
     feature = found.measured.features[names.index(name)]
-    ratio = found.measured.mean[names.index(name)] / feature_values([feature], library.reference)[0]
+    ratio = found.measured.mean[names.index(name)] / feature_values([feature], curves)[0]
     least, most = STRETCHED
     return float(np.clip(ratio, least, most)) if np.isfinite(ratio) else 1.0
 
 
-def with_forces_before_contact(
-    d: Linearised, found: ScaledMeasurements
-) -> tuple[Linearised, Measured]:
+def with_forces_before_contact(d: Linearised, found: Measurements) -> tuple[Linearised, Measured]:
     """The description and the sample with the forces before contact: only an untared load cell
     moves those."""
     keep = [i for i in (0, 1) if np.isfinite(found.before[:, i]).any()]

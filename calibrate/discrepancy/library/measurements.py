@@ -1,9 +1,6 @@
-"""Measurements in the terms of a library of runs: curves at its size, repeats, instruments.
+"""Measurements in the terms of a library of runs: features, repeats, instruments.
 
-Quasi-static tests on specimens of one shape depend on strain and stress alone, so a curve of
-another size is read at the library's: displacement times the ratio of heights, force times that of
-areas.  The i-th curves of all tests are taken for the same specimen where there are as many
-of each.
+The i-th curves of all tests are taken for the same specimen where there are as many of each.
 """
 
 from collections.abc import Sequence
@@ -19,9 +16,8 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
-from calibrate.labtests.diagnosis.base import Curves
+from calibrate.labtests.diagnosis.base import Curves, Feature
 from calibrate.labtests.diagnosis.contact import force_before_contact, force_noise
 from calibrate.labtests.diagnosis.curves import (
     TARGETS,
@@ -30,15 +26,14 @@ from calibrate.labtests.diagnosis.curves import (
     recorded_feature_values,
 )
 
-SHAPE_TOLERANCE = 0.12  # of height over diameter, and of the largest stress
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
 TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledMeasurements:
-    """What a lab measured, at the library's size: specimens, the features they have, their means;
+class Measurements:
+    """What a lab measured: specimens, which of the library's features they have, their means;
     `before` are means before contact (s, 2), NaN where there are none; channels and speeds (mm/s)
     by test."""
 
@@ -56,14 +51,10 @@ class ScaledMeasurements:
         return tuple(test for column, test in enumerate(TESTS) if known[:, column].any())
 
 
-def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
-    """The lab's specimens with their curves in mm and N at the library's size."""
-    longer = cylinder.height / lab.specimen.height
-    wider = (cylinder.diameter / lab.specimen.diameter) ** 2
+def specimens_of(lab: Lab) -> list[Curves]:
+    """The lab's specimens with their curves in mm and N."""
     by_test = {
-        test: [
-            (c.displacement_mm * longer, c.force_n * wider) for c in lab.curves if c.test == test
-        ]
+        test: [(c.displacement_mm, c.force_n) for c in lab.curves if c.test == test]
         for test in TESTS
     }
     if len({len(curves) for curves in by_test.values()}) == 1:
@@ -73,29 +64,11 @@ def specimens_of(lab: Lab, cylinder: Cylinder) -> list[Curves]:
     return [{test: curve} for test, curves in by_test.items() for curve in curves]
 
 
-def check_shape(lab: Lab, library: RunLibrary) -> None:
-    """Refuses a lab whose specimen or largest stress is too far from the library's."""
-    mine, theirs = Cylinder.of(lab), library.cylinder
-    slender = mine.height / mine.diameter / (theirs.height / theirs.diameter)
-    if abs(np.log(slender)) > SHAPE_TOLERANCE:
-        problem = f"height over diameter is {slender:.2f} times that of the library's specimen"
-        raise InputError(lab.file, "specimen", problem, _REPAIR)
-    stress = mine.force_high / mine.diameter**2 / (theirs.force_high / theirs.diameter**2)
-    if abs(np.log(stress)) > SHAPE_TOLERANCE:
-        problem = f"the largest stress is {stress:.2f} times the library's"
-        raise InputError(lab.file, f"{TESTS[0]}.force_high", problem, _REPAIR)
-
-
-_REPAIR = "make a library for this lab: calibrate library LAB.toml --out FILE"
-
-
-def read_measurements(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
-    """Features of a lab: of its curves if there are any, else of its targets."""
-    check_shape(lab, library)
-    every = library.features
-    specimens = specimens_of(lab, library.cylinder)
+def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
+    """A library's features of a lab: of its curves if there are any, else of its targets."""
+    specimens = specimens_of(lab)
     if not specimens:
-        return _targets(lab, library)
+        return _targets(lab, every)
     before = _before(specimens)
     on_curves = [f for f in every if f.kind != "target"]
     values = np.array([
@@ -112,7 +85,7 @@ def read_measurements(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
     channels = {test: _channel(test, specimens) for test in TESTS}
     speeds = {test: 1e3 * rate for test, rate in lab.pair().rates.items()}
     measured = from_vectors(known, vectors)
-    return ScaledMeasurements(measured, chosen, before, channels, tuple(specimens), speeds)
+    return Measurements(measured, chosen, before, channels, tuple(specimens), speeds)
 
 
 def _before(specimens: Sequence[Curves]) -> np.ndarray:
@@ -130,17 +103,13 @@ def _before(specimens: Sequence[Curves]) -> np.ndarray:
     return found
 
 
-def _targets(lab: Lab, library: RunLibrary) -> ScaledMeasurements:
-    longer = library.cylinder.height / lab.specimen.height
-    wider = (library.cylinder.diameter / lab.specimen.diameter) ** 2
+def _targets(lab: Lab, every: Sequence[Feature]) -> Measurements:
     names = [name for name in TARGETS if name in lab.targets]
     features = declare_targets(names)
-    values = {}
-    for name in names:
-        target, factor = lab.targets[name], longer if name.endswith("_mm") else wider
-        values[name] = (target.mean * factor, target.scatter * factor, target.repeats)
-    chosen = np.array([[f.name for f in library.features].index(name) for name in names])
-    return ScaledMeasurements(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
+    given = [lab.targets[name] for name in names]
+    values = {n: (t.mean, t.scatter, t.repeats) for n, t in zip(names, given, strict=True)}
+    chosen = np.array([[f.name for f in every].index(name) for name in names])
+    return Measurements(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
 
 
 def _channel(test: str, specimens: Sequence[Curves]) -> Channel:

@@ -16,15 +16,16 @@ from calibrate.discrepancy.library.cross_validation import (
     TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
 from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
-from calibrate.labtests.diagnosis.curves import declare, declare_targets, feature_values
+from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
 from calibrate.simulation import Run, engine_hash
 
-PEAK_MM, PEAK_N = 4.0, 250.0  # usual location of the peak, by which crushing features are declared
+# Usual strain and stress (Pa) of the peak, by which crushing features are declared.
+PEAK_STRAIN, PEAK_STRESS = 0.04, 250.0 / (np.pi / 4 * 0.05**2)
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,29 @@ class Cylinder:
         test, cylinder = lab.pair().compression, lab.specimens()[0].cylinder
         return Cylinder(cylinder.diameter, cylinder.height, test.force_low, test.force_high)
 
+    def shape_over(self, other: "Cylinder") -> np.ndarray:
+        """Logarithms (2,) of height over diameter and of the largest stress over another's: the
+        settings `design.SHAPE`."""
+        slender = self.height / self.diameter / (other.height / other.diameter)
+        stress = self.force_high / self.diameter**2 / (other.force_high / other.diameter**2)
+        return np.log([slender, stress])
+
+    def shaped(self, shape: np.ndarray) -> "Cylinder":
+        """The cylinder of this diameter whose shape over this one is given."""
+        slender, stress = np.exp(shape)
+        return Cylinder(
+            self.diameter, self.height * slender, self.force_low * stress, self.force_high * stress
+        )
+
+    def usual_sizes(self) -> UsualSizes:
+        """The sizes by which features are declared."""
+        area = np.pi / 4 * self.diameter**2
+        return UsualSizes(self.force_high, 1e3 * PEAK_STRAIN * self.height, PEAK_STRESS * area)
+
+    def features(self) -> tuple[Feature, ...]:
+        """The features of its curves, then the scalar targets."""
+        return (*declare(self.usual_sizes()), *declare_targets())
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -54,11 +78,12 @@ class Rows:
 
     @staticmethod
     def of(
-        features: Sequence[Feature], base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
+        cylinder: Cylinder, base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
         runs: Sequence[Run | None],
     ) -> "Rows":  # fmt: skip
-        """The rows of runs (None: not simulated), without failed and incomplete ones."""
-        values = features_of(features, runs)
+        """The rows of runs (None: not simulated) on specimens shaped as their base coordinates say,
+        without failed and incomplete ones."""
+        values = features_of(cylinder, base[:, SHAPE_COLUMNS], runs)
         good = np.isfinite(values).all(axis=1)
         return Rows(base[good], strengths[good], packing[good], values[good])
 
@@ -66,9 +91,10 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class RunLibrary:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves, the platen's speed (mm/s) in the mould, and
-    repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
-    errors, and what the lag of the load cell adds to the rows, lag_shift (n, m)."""
+    all features (n, m), a reference specimen's curves, the platen's speeds (mm/s) in both tests,
+    and repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
+    errors, and what the lag of the load cell adds to the rows, lag_shift (n, m).  Rows of other
+    shapes are on specimens of the cylinder's diameter."""
 
     design: Design
     cylinder: Cylinder
@@ -82,12 +108,18 @@ class RunLibrary:
     emulator_errors: EmulatorErrors | None = None
     lag_shift: np.ndarray | None = None
     speed: float = 8.0
+    crushing_speed: float = 0.01
     repeats: Rows | None = None
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """The platen's speeds (mm/s) by test, as the machine's clock has them."""
+        return dict(zip(TESTS, (self.speed, self.crushing_speed), strict=True))
 
     @property
     def features(self) -> tuple[Feature, ...]:
         """Curve features, then the scalar targets."""
-        return declared(self.cylinder.force_high)
+        return self.cylinder.features()
 
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
         """Points as the emulator takes them: over their spread, over limits."""
@@ -121,8 +153,16 @@ class RunLibrary:
         packing = design.of_packing
         later = packing >= first
         base, strengths = (part[later] for part in design.rows())
-        rows = Rows.of(self.features, base, strengths, packing[later] - first, runs)
-        return replace(self.joined(rows, first), design=design, kernels=(), emulator_errors=None)
+        rows = Rows.of(self.cylinder, base, strengths, packing[later] - first, runs)
+        as_large = replace(design, shaped=self.design.shaped)
+        return replace(self.joined(rows, first), design=as_large, kernels=(), emulator_errors=None)
+
+    def with_shapes(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
+        """The library with the runs of a design's rows of other shapes, where it has none; not
+        fitted."""
+        base, strengths, packing = design.shaped_rows()
+        rows = Rows.of(self.cylinder, base, strengths, packing, runs)
+        return replace(self.joined(rows, 0), design=design, kernels=(), emulator_errors=None)
 
     def joined(self, rows: "Rows", first: int | None = None) -> "RunLibrary":
         """The library with further runs behind its own, their packings numbered from `first` (after
@@ -192,16 +232,6 @@ def _scale(feature: Feature) -> float:
     return SCALES.get(feature.kind, SCALE_OF_UNIT[feature.unit])
 
 
-def declared(force_high: float) -> tuple[Feature, ...]:
-    """The features that a library keeps."""
-    return (*declare(usual_sizes(force_high)), *declare_targets())
-
-
-def usual_sizes(force_high: float) -> UsualSizes:
-    """The sizes by which a library's features are declared."""
-    return UsualSizes(force_high, PEAK_MM, PEAK_N)
-
-
 def limits(design: Design) -> np.ndarray:
     """Largest strength of each effect, SI, shape (k,)."""
     return np.array([max(abs(low), abs(high)) for low, high in design.limits.values()])
@@ -212,11 +242,13 @@ def curves_of(run: Run) -> Curves:
     return {test: tuple(curve.T) for test, curve in run.curves.items()}
 
 
-def features_of(features: Sequence[Feature], runs: Sequence[Run | None]) -> np.ndarray:
-    """Values (n, m) of the features of runs; NaN where one is missing, or the run."""
-    values = np.full((len(runs), len(features)), np.nan)
-    for row, run in enumerate(runs):
+def features_of(cylinder: Cylinder, shapes: np.ndarray, runs: Sequence[Run | None]) -> np.ndarray:
+    """Values (n, m) of the features of runs on specimens whose shapes (n, 2) over a cylinder are
+    given; NaN where one is missing, or the run."""
+    values = np.full((len(runs), len(cylinder.features())), np.nan)
+    for row, (shape, run) in enumerate(zip(shapes, runs, strict=True)):
         if run is not None and not run.failure:
+            features = cylinder.shaped(shape).features()
             values[row] = feature_values(features, curves_of(run), run.observables)
     return values
 
@@ -225,27 +257,36 @@ def repeats_of(design: Design, lab: Lab, runs: Sequence[Run | None]) -> Rows:
     """A design's repeats by soil, without failed and incomplete ones."""
     base, soil = design.repeats()
     none = np.zeros((len(base), len(design.limits)))
-    return Rows.of(declared(lab.pair().compression.force_high), base, none, soil, runs)
+    return Rows.of(Cylinder.of(lab), base, none, soil, runs)
 
 
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
     """The library of a design's runs (None: not simulated), without failed and incomplete ones and
     without repeats."""
-    high = lab.pair().compression.force_high
-    rows = Rows.of(declared(high), *design.rows(), design.of_packing, runs)
+    cylinder = Cylinder.of(lab)
+    rows = Rows.of(cylinder, *design.rows(), design.of_packing, runs)
     return RunLibrary(
-        design, Cylinder.of(lab), engine_hash(),
+        design, cylinder, engine_hash(),
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
-        speed=1e3 * lab.pair().compression.rate,
+        speed=1e3 * lab.pair().compression.rate, crushing_speed=1e3 * lab.pair().crushing.rate,
     )  # fmt: skip
 
 
 def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> None:
-    """Refuses to grow a library of another plan or cylinder."""
-    like = replace(design, packings=smaller.design.packings)
+    """Refuses to grow a library of another plan or cylinder, or by nothing."""
+    like = replace(design, packings=smaller.design.packings, shaped=smaller.design.shaped)
     if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
         problem = "this library was made for another centre, cylinder or number of spheres"
         raise InputError(file, "design", problem, "give the options that made it, or no --onto")
-    if design.packings <= smaller.design.packings:
+    more = design.packings > smaller.design.packings
+    if not more and not lacks_shapes(design, smaller):
         problem = f"it has {smaller.design.packings} packings already"
         raise InputError(file, "packings", problem, "ask for more with --packings")
+    if design.packings < smaller.design.packings:
+        problem = f"it has {smaller.design.packings} packings, and --packings asks for fewer"
+        raise InputError(file, "packings", problem, "ask for as many or more")
+
+
+def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:
+    """Whether a library has no specimens of other shapes, and a design has."""
+    return bool(design.shaped and not smaller.design.shaped)

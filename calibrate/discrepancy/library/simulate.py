@@ -13,11 +13,18 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import FIRST_REPEAT, SMOOTHING, SPEEDS, Design
+from calibrate.discrepancy.library.design import (
+    FIRST_REPEAT,
+    FIRST_SHAPED,
+    SMOOTHING,
+    SPEEDS,
+    Design,
+)
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.simulation import Campaign, Run, side_by_side
+from calibrate.simulation import Campaign, Run, not_simulated, side_by_side
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.core.smooth import Smoothing
 from jdem.effects.base import AbstractEffect
@@ -38,8 +45,8 @@ COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories
 class Simulator:
     """Runs single specimens of a lab's tests with effects and settings of any strength.
 
-    One compiled program serves all that have the same number of spheres and porosity, a second one
-    those without costly effects: strength 0 changes no bit.
+    One compiled program serves all that have the same number of spheres, porosity and height, a
+    second one those without costly effects: strength 0 changes no bit.
     """
 
     lab: Lab
@@ -47,7 +54,7 @@ class Simulator:
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
     dtype: str = "float32"
-    _campaigns: dict[tuple[int, float, float, bool], Campaign] = field(default_factory=dict)
+    _campaigns: dict[tuple, Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
         self.effects = self.effects or switched_off(EFFECTS)
@@ -56,38 +63,48 @@ class Simulator:
         self, soil: SoilParameters, setting: Numbers, strengths: Numbers,
         spheres: int, seed: int,
     ) -> Run:  # fmt: skip
-        """One specimen through both tests.
+        """One specimen through both tests; a failed run where its packing does not stand.
 
-        setting: smoothing factor - 1, porosity less the usual one, and pace; strengths in SI in the
-        order of `effects`; seed of the packing.
+        setting: as `design.SETTINGS`, the size of spheres aside; strengths in SI in the order of
+        `effects`; spheres: in the library's cylinder, a higher one has more; seed of the packing.
         """
         pairs = list(zip(self.effects, map(float, strengths), strict=True))
         lean = not any(strength and isinstance(effect, self.costly) for effect, strength in pairs)
-        loose, pace = (round(float(given), 6) for given in setting[1:3])
-        shared = self._campaign(spheres, loose, pace, lean)
+        loose, pace, *shape = (round(float(given), 6) for given in setting[1:5])
+        shared = self._campaign(spheres, loose, pace, lean, *shape)
         smoothing = jax.tree.map(lambda width: width * (1 + setting[0]), Smoothing())
         numerics = replace(shared.lab.numerics, smoothing=smoothing)
         kept = [s for effect, s in pairs if not (lean and isinstance(effect, self.costly))]
         changed = with_strengths(shared.lab.effects, kept)
         lab = replace(shared.lab, numerics=numerics, effects=changed)
         one = replace(shared, lab=lab, progress=Silent(), workers=1)
-        return one.each([[soil]], [seed], "")[0][0]
+        try:
+            return one.each([[soil]], [seed], "")[0][0]
+        except CalibrationError as error:  # this packing does not stand
+            return not_simulated(lab, str(error))
 
-    def porosity(self, spheres: int) -> float:
-        """The usual one of a bed of this many spheres."""
-        usual = specimen(self.lab, replace(PRESET, spheres=spheres)).porosity
+    def porosity(self, spheres: int, slenderness: float = 0.0) -> float:
+        """The usual one of a bed of this many spheres in the library's cylinder."""
+        usual = specimen(
+            shaped(self.lab, slenderness), replace(PRESET, spheres=in_all(spheres, slenderness))
+        ).porosity
         assert usual is not None  # PRESET grows its beds
         return usual
 
-    def _campaign(self, spheres: int, loose: float, pace: float, lean: bool) -> Campaign:
-        key = (spheres, loose, pace, lean)
+    def _campaign(
+        self, spheres: int, loose: float, pace: float, lean: bool, slenderness: float = 0.0,
+        stress: float = 0.0,
+    ) -> Campaign:  # fmt: skip
+        key = (spheres, loose, pace, lean, slenderness, stress)
         if key not in self._campaigns:
+            own = shaped(self.lab, slenderness, stress)
             speed = round(pace * PRESET.rate_in_mould, 6)
-            preset = replace(PRESET, spheres=spheres, rate_in_mould=speed)
-            cylinder = loosened(specimen(self.lab, preset), loose)
+            count = in_all(spheres, slenderness)
+            preset = replace(PRESET, spheres=count, rate_in_mould=speed)
+            cylinder = loosened(specimen(own, preset), loose)
             numerics = numerics_for(cylinder, dtype=self.dtype)
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
-            tests = virtual_lab(self.lab, preset, numerics).tests
+            tests = virtual_lab(own, preset, numerics).tests
             lab = VirtualLab.of(cylinder, tests, numerics, kept)
             folder = self.folder / str(spheres)
             self._campaigns.setdefault(key, Campaign(lab, cylinder, folder))
@@ -99,6 +116,25 @@ def switched_off(
 ) -> tuple[AbstractEffect, ...]:
     """The effects at strength 0."""
     return tuple(effect(0.0) for effect in effects.values())
+
+
+def in_all(spheres: int, slenderness: float) -> int:
+    """Number of spheres of a specimen whose height is exp(slenderness) times the library's, for
+    this many in that."""
+    return round(spheres * math.exp(slenderness))
+
+
+def shaped(lab: Lab, slenderness: float, stress: float = 0.0) -> Lab:
+    """A lab whose height and largest stress are exp(slenderness) and exp(stress) times as large;
+    the test in the mould reads its depth between as many times the forces."""
+    if not (slenderness or stress):
+        return lab
+    factor, own = math.exp(stress), lab.specimen
+    higher = replace(own, height=own.height * math.exp(slenderness), mould_height=None)
+    first = lab.pair().compression
+    forces = {n: factor * getattr(first, n) for n in ("force_low", "force_high")}
+    tests = tuple(t.model_copy(update=forces) if t is first else t for t in lab.tests)
+    return replace(lab, specimen=higher, tests=tests)
 
 
 def loosened(cylinder: Specimen, loose: float) -> Specimen:
@@ -136,6 +172,16 @@ def run_repeats(
     return run_points(design, points, simulator, progress, workers)
 
 
+def run_shaped(
+    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
+) -> list[Run]:
+    """Runs of a design's rows of other shapes, in their order; failed ones keep their place."""
+    base, strengths, packing = design.shaped_rows()
+    spheres = [design.shaped_spheres(int(j) - FIRST_SHAPED) for j in packing]
+    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
+    return run_points(design, points, simulator, progress, workers)
+
+
 @dataclass(frozen=True, eq=False)
 class RunPoints:
     """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
@@ -162,7 +208,7 @@ def run_points(
             for i, name in enumerate(design.soil_names)
         }
         return simulator.run(
-            with_values(centre, values), points.base[row, wide : wide + 3],
+            with_values(centre, values), points.base[row, wide : wide + 5],
             points.strengths[row], points.spheres[row], int(points.seeds[row]),
         )  # fmt: skip
 

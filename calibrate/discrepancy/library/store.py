@@ -17,13 +17,14 @@ import xarray as xr
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
-from calibrate.discrepancy.library.design import SETTINGS, Design
+from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
 from calibrate.discrepancy.library.emulator import Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
 
 NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
+MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
 NO_SOIL_BLOCKS = -6.0  # their kernels' logarithm in files that do not have it
 
 
@@ -64,6 +65,7 @@ def save(library: RunLibrary, path: Path) -> None:
     attributes = {
         "engine": library.engine,
         "speed": library.speed,
+        "crushing_speed": library.crushing_speed,
         **{k: json.dumps(v) for k, v in about.items()},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -83,16 +85,35 @@ def load(path: Path) -> RunLibrary:
     """Reads a library; `InputError` for anything else."""
     try:
         with xr.open_dataset(path, engine=NETCDF) as stored:
-            lacking = set(SETTINGS) - set(stored["coordinate"].values.tolist())
+            lacking = set(SETTINGS) - set(SHAPE) - set(stored["coordinate"].values.tolist())
             if lacking:
                 problem = f"an earlier version made it: its runs do not state {', '.join(lacking)}"
                 raise InputError(str(path), "coordinate", problem, "make it anew")
-            return _read(stored.load())
+            return _read(_with_shape(stored.load()))
     except (OSError, KeyError, ValueError, TypeError) as error:
         problem = f"this is no library of runs ({type(error).__name__})"
         raise InputError(
             str(path), "", problem, "give a file that `calibrate library` wrote"
         ) from None
+
+
+def _with_shape(stored: xr.Dataset) -> xr.Dataset:
+    """A file with the coordinates of shape.  Earlier ones hold specimens of one shape: theirs are
+    0, and kernels do not look at them."""
+    known = stored["coordinate"].values.tolist()
+    if set(SHAPE) <= set(known):
+        return stored
+    place = known.index(SETTINGS[-1])
+    names = [*known[:place], *SHAPE, *known[place:]]
+    unseen = {"kernel_linear": NO_SOIL_BLOCKS, "kernel_length": MOST_LENGTH}
+    widened = {}
+    for name, part in stored.data_vars.items():
+        if "coordinate" in part.dims:
+            widened[name] = part.reindex(coordinate=names).fillna(0.0)
+        elif str(name) in ("kernel_linear", "kernel_length", "kernel_scattering"):
+            filled = np.insert(part.values, [place] * len(SHAPE), unseen.get(str(name), 0.0), 1)
+            widened[name] = (part.dims, filled)
+    return stored.drop_vars([*widened, "coordinate"]).assign(widened)
 
 
 def _read(stored: xr.Dataset) -> RunLibrary:
@@ -113,6 +134,7 @@ def _read(stored: xr.Dataset) -> RunLibrary:
         emulator_errors=_emulator_errors(stored),
         lag_shift=stored["late"].values.astype(float) if "late" in stored else None,
         speed=float(stored.attrs.get("speed", RunLibrary.speed)),
+        crushing_speed=float(stored.attrs.get("crushing_speed", RunLibrary.crushing_speed)),
         repeats=_repeats(stored, design),
     )
 

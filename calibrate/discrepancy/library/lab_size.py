@@ -1,0 +1,114 @@
+"""A lab's own size beside the library's: how one is turned into the other.
+
+Quasi-static tests on specimens of one shape depend on strain and stress alone.  So what the library
+knows of its own cylinder holds for a lab's in proportion: displacements as diameters, forces as
+areas, times as displacements over the platens' speeds, and strengths of effects by their units.
+What does not go in proportion, height over diameter and the largest stress, are coordinates of the
+library (`design.SHAPE`).  Everything that a description says is in the lab's own mm, N and s.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.io.lab import Lab
+from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.labtests.diagnosis.curves import TESTS
+from jdem.effects.composite import EFFECTS
+
+SHAPE_TOLERANCE = 0.12  # of height over diameter and of the largest stress, beyond all runs
+RAISED_BY_TIME = {"acquisition_lag": TESTS[0], "load_cell_drift": TESTS[1]}  # where each counts
+
+
+@dataclass(frozen=True, eq=False)
+class LabSize:
+    """A lab's cylinder, its shape (2,) over the library's, and what takes lengths, forces and the
+    times of each test from the library's size to the lab's."""
+
+    cylinder: Cylinder
+    shape: np.ndarray
+    length: float
+    force: float
+    time: Mapping[str, float]
+
+    @staticmethod
+    def of(lab: Lab, library: RunLibrary) -> "LabSize":
+        """The size of a lab; `InputError` where its shape is too far from all of the library's."""
+        own = Cylinder.of(lab)
+        shape = _within(own.shape_over(library.cylinder), library, lab)
+        like = library.cylinder.shaped(shape)
+        length = own.height / like.height
+        time = {
+            test: length * library.speeds[test] / (1e3 * lab.pair().rates[test]) for test in TESTS
+        }
+        return LabSize(own, shape, length, (own.diameter / like.diameter) ** 2, time)
+
+    @staticmethod
+    def of_library(library: RunLibrary) -> "LabSize":
+        """The library's own size."""
+        none, same = np.zeros(len(SHAPE)), dict.fromkeys(TESTS, 1.0)
+        return LabSize(library.cylinder, none, 1.0, 1.0, same)
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The library's features, read at the lab's own displacements and forces."""
+        return self.cylinder.features()
+
+    def of_features(self, features: Sequence[Feature]) -> np.ndarray:
+        """By what values (m,) at the library's size are multiplied."""
+        return np.array([self.length if f.unit == "mm" else self.force for f in features])
+
+    def of_effects(self, names: Sequence[str]) -> np.ndarray:
+        """By what strengths (k,) at the library's size are multiplied.  Stresses and shares stay:
+        they belong to the soil."""
+        return np.array([self._of_unit(name) for name in names])
+
+    def curves(self, curves: Curves) -> Curves:
+        """Curves of the library's own cylinder, stretched to this size and shape."""
+        slender, stress = np.exp(self.shape)
+        further = {TESTS[0]: stress}
+        return {
+            test: (x * self.length * slender, force * self.force * further.get(test, 1.0))
+            for test, (x, force) in curves.items()
+        }
+
+    def _of_unit(self, name: str) -> float:
+        time = self.time[RAISED_BY_TIME.get(name, TESTS[0])]
+        of_unit = {
+            "m/N": self.length / self.force, "m": self.length, "N": self.force,
+            "N/s": self.force / time, "s": time,
+        }  # fmt: skip
+        return of_unit.get(EFFECTS[name].about.unit, 1.0)
+
+
+def _within(shape: np.ndarray, library: RunLibrary, lab: Lab) -> np.ndarray:
+    """A shape (2,) brought within those of the runs; refused where it is too far from them."""
+    covered = library.base[:, SHAPE_COLUMNS]
+    low, high = covered.min(axis=0), covered.max(axis=0)
+    inside = np.clip(shape, low, high)
+    for axis, (what, field) in enumerate(_CALLED):
+        if abs(shape[axis] - inside[axis]) > SHAPE_TOLERANCE:
+            runs = library.cylinder.shaped(low), library.cylinder.shaped(high)
+            least, most = (_in_words(axis, cylinder) for cylinder in runs)
+            own = _in_words(axis, Cylinder.of(lab))
+            problem = f"{what} is {own:.3g}, and the library's runs have {least:.3g} to {most:.3g}"
+            raise InputError(lab.file, field, problem, _REPAIR)
+    return inside
+
+
+_CALLED = (
+    ("height over diameter", "specimen"),
+    ("the largest stress in kPa", f"{TESTS[0]}.force_high"),
+)
+_REPAIR = "make a library for this lab: calibrate library LAB.toml --out FILE"
+
+
+def _in_words(axis: int, cylinder: Cylinder) -> float:
+    """Height over diameter, or the largest stress in kPa."""
+    area = np.pi / 4 * cylinder.diameter**2
+    both = (cylinder.height / cylinder.diameter, 1e-3 * cylinder.force_high / area)
+    return both[axis]
