@@ -33,20 +33,27 @@ from calibrate.discrepancy.library.design import (
     LIMITS,
     OF,
     POROSITIES,
+    SETTINGS,
     SPECIMENS,
     SPEEDS,
     TURN,
     WEAKEST,
     Design,
 )
-from calibrate.discrepancy.library.emulator import Blocks, FeatureEmulator, fit_emulator, leading
+from calibrate.discrepancy.library.emulator import (
+    PACE,
+    Blocks,
+    FeatureEmulator,
+    fit_emulator,
+    leading,
+)
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
 
 RNG = np.random.default_rng(3)
-ROWS, EACH, P, K = 132, 6, 3, 2
+ROWS, EACH, P, K = 132, 6, 4, 2
 PACKING = np.repeat(np.arange(ROWS // EACH), EACH)
 X, S = RNG.normal(size=(ROWS, P)), RNG.uniform(-1, 1, size=(ROWS, K))
 S[RNG.random(S.shape) < 0.5] = 0.0
@@ -111,11 +118,12 @@ def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing
 def test_every_size_of_spheres_meets_every_porosity():
     design = Design(packings=48, slow_in=0)
     base, _ = design.rows()
-    smoothing, porosity, _, size = base[:: design.rows_each, -4:].T
+    settings = dict(zip(SETTINGS, base[:: design.rows_each, -len(SETTINGS) :].T, strict=True))
+    porosity, size = settings["porosity"], settings["sphere_size"]
     pairs = {(design.spheres_of(j), porosity[j]) for j in range(48)}
     assert pairs == {(n, p) for n in (500, 1000, 2500) for p in POROSITIES}
     assert (1 + size) ** -3 * 1000 == pytest.approx([design.spheres_of(j) for j in range(48)])
-    assert np.median(smoothing) < -0.5 and smoothing.max() > 0
+    assert np.median(settings["smoothing"]) < -0.5 and settings["smoothing"].max() > 0
 
 
 def test_some_packings_show_each_effect_by_itself_on_one_soil():
@@ -144,7 +152,7 @@ def test_emulator_predicts_new_points_within_packing_scatter(emulator):
 
 
 def test_slopes_are_derivatives_of_values(emulator):
-    x, s, step = np.array([0.3, -0.5, 0.2]), np.array([0.2, 0.1]), 1e-3
+    x, s, step = np.array([0.3, -0.5, 0.2, 0.1]), np.array([0.2, 0.1]), 1e-3
     _, base, effects = emulator(x, s)
     for i in range(P):
         ahead, back = (emulator(x + sign * step * np.eye(P)[i], s)[0] for sign in (1, -1))
@@ -211,7 +219,8 @@ def test_slow_packings_lie_in_every_fold():
 
 
 def test_rows_of_one_soil_may_differ_in_pace():
-    x = np.array([[1.0, 2.0, 1.0, 0.5], [1.0, 2.0, 0.3, 0.5], [1.1, 2.0, 1.0, 0.5]])
+    x = np.array([[1.0, 2.0, 1.0, 0.0, 0.5]] * 3)
+    x[1, PACE], x[2, 0] = 0.3, 1.1
     blocks = Blocks.of(x, np.array([0, 0, 0]))
     assert blocks.soil_block.tolist() == [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
 
