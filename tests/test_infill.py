@@ -63,7 +63,7 @@ def test_every_location_is_tried_on_every_packing():
 
 def test_a_packing_settles_once_and_sizes_alternate():
     points = scattered_about(places(), LIBRARY, range(4), seed=0)
-    porosity, pace, size = WIDE + 1, WIDE + 2, WIDE + 3
+    porosity, pace, size = WIDE + 1, WIDE + 2, -1
     assert set(points.base[:, pace]) == {SPEEDS[1] / SPEEDS[0]}
     assert set(points.base[:, porosity]) < set(POROSITIES)
     assert set(points.spheres) == {round(factor * DESIGN.spheres) for factor in SIZES}

@@ -53,6 +53,7 @@ density = [{density}]
 [specimen]
 diameter = "{diameter:g} mm"
 height = "{height:g} mm"
+mould_height = "150 mm"
 
 [{first}]
 rate = "8 mm/s"

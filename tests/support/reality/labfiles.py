@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.validation.laboratory import CURVE, TOML
+from calibrate.validation.plan import USUAL
 from support.reality.instrument import (
     CONFINED_SPEED,
     UNCONFINED_SPEED,
@@ -26,7 +27,7 @@ GIVEN = ("wall_friction", "platen_friction")  # what the laboratory believes of 
 GAP = (0.3e-3, 1.0e-3)  # m, the platen's way before it touches
 
 # As the project's own withheld cases, but for the title and a height that is measured.
-LAB = TOML.replace("withheld {name}", "soil {name}").replace('"100 mm"', '"{height:.1f} mm"')
+LAB = TOML.replace("withheld {name}", "soil {name}").replace("{height:g}", "{height:.1f}")
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,9 @@ def _lab_text(name: str, specimens: list[Specimen]) -> str:
         first=tests[0],
         second=tests[1],
         speed=1e3 * LOADING,
+        diameter=1e3 * USUAL.diameter,
+        low=USUAL.force_high / 2,
+        high=USUAL.force_high,
         density=", ".join(f'"{density:.0f} kg/m^3"' for density in densities),
         height=np.mean([s.height for s in specimens]),
         parameters=_parameters(),
