@@ -13,6 +13,8 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from toy_place import formula, soils, toy_campaign
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import PlainLines, Silent, duration
-from calibrate.simulation import NETCDF, side_by_side, store
+from calibrate.simulation import NETCDF, compiled, side_by_side, store
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.seal import LENGTH, sealed, unsealed
 from calibrate.simulation.session import Session
@@ -50,6 +52,20 @@ def filled(tmp_path):
     work = toy_campaign(tmp_path)
     rows = work.runs(soils(1), SEEDS, "filling")
     return tmp_path, numbers(rows)
+
+
+def test_programs_do_not_pile_up(monkeypatch):
+    """Beside those that are kept, JAX's own caches are emptied as often as these are filled."""
+    kinds, emptied = iter(range(3 * compiled.KEPT)), []
+    made = SimpleNamespace(lower=lambda *_: SimpleNamespace(compile=object))
+    monkeypatch.setattr(compiled, "program", lambda _: made)
+    monkeypatch.setattr(compiled, "_kind", lambda *_: next(kinds))
+    monkeypatch.setattr(compiled.jax, "clear_caches", lambda: emptied.append(1))
+    programs = compiled.Programs()
+    nothing: Any = None
+    for _ in range(3 * compiled.KEPT):
+        programs.get(nothing, nothing, nothing)
+    assert len(programs._compiled) == compiled.KEPT and len(emptied) == 3
 
 
 # ------------------------------------------------------------------ damage

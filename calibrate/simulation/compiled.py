@@ -24,10 +24,17 @@ KEPT = 32  # compiled programs; the oldest makes room
 
 
 class Programs:
-    """Compiled simulations by what they were compiled for; safe for threads."""
+    """Compiled simulations by what they were compiled for; safe for threads.
+
+    Every program holds many regions of memory, of which a process may have 65 530 by default
+    (Linux, vm.max_map_count): one that made cases of six sizes died after 14 of them with "Unable
+    to allocate section memory".  So JAX's own caches, which hold what prepares beds, are
+    emptied as often as this one has been filled.
+    """
 
     def __init__(self):
         self._compiled: dict[Any, Any] = {}
+        self._made = 0
         self._lock = threading.Lock()
 
     def get(self, lab: VirtualLab, packing: Packing, soil: SoilParameters) -> tuple[Any, float]:
@@ -39,9 +46,12 @@ class Programs:
             begun = time.perf_counter()
             if kind not in self._compiled:
                 made = program(VirtualLab.run).lower(lab, packing, soil).compile()
-                for old in list(self._compiled)[: len(self._compiled) + 1 - KEPT]:
+                for old in list(self._compiled)[: max(len(self._compiled) + 1 - KEPT, 0)]:
                     del self._compiled[old]
                 self._compiled[kind] = made
+                self._made += 1
+                if self._made % KEPT == 0:
+                    jax.clear_caches()
             return self._compiled[kind], time.perf_counter() - begun
 
 
