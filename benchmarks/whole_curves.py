@@ -12,7 +12,7 @@ Chen et al. 2023 state 2.8 % and 93.5 % for the confined, 3.7 % and 94.2 % for t
     python benchmarks/whole_curves.py          some 25 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-benchmarks/results/whole_curves.json and .md and docs/images/whole_curves.png.
+benchmarks/results/whole_curves.json and .md and a picture in results/benchmarks.
 """
 
 import argparse
@@ -39,7 +39,7 @@ LAST = {"confined": np.inf, "unconfined": 14.0}  # mm
 POINTS = 200
 HEADER = ("test", "error", "R2", "error (published)", "R2 (published)",
           "error of one fresh packing", "of one measured")  # fmt: skip
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "whole_curves.png"
+PICTURE = reporting.CACHE / "whole_curves.png"
 Curves = list[np.ndarray]  # (points, 2): mm, N
 
 
