@@ -403,11 +403,7 @@ def test_another_code_s_cases_without_signal_to_noise_are_still_scored():
 # ---------------------------------------------------------------- files of earlier versions
 
 # liggghts_before_shrinkage is withheld_liggghts_third of commit a289456.
-RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"
-SCORED = [
-    *sorted((Path(__file__).parent / "data" / "scores").glob("*.json")),
-    *sorted(RESULTS.glob("withheld*.json")),
-]
+SCORED = sorted((Path(__file__).parent / "data" / "scores").glob("*.json"))
 
 
 @pytest.mark.parametrize("path", SCORED, ids=lambda path: path.stem)
