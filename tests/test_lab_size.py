@@ -1,7 +1,7 @@
 """A lab's own size and shape beside the library's: proportions, units, what is refused.
 
-That specimens of 38 and 70 mm really behave in proportion is for `benchmarks/open_cases.py`, whose
-laboratory simulates them as they are.
+That specimens of 38 and 70 mm really behave in proportion is for `calibrate withheld --shapes`,
+whose laboratory simulates them as they are.
 """
 
 from dataclasses import replace

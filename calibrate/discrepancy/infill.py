@@ -73,7 +73,6 @@ def with_infill_runs(
     """The library with runs about this lab's leading explanations."""
     effects = switched_off({name: EFFECTS[name] for name in emulated.library.design.effect_names})
     simulator = Simulator(simulated_lab(lab, emulated.library), plan.folder, effects)
-    emulated = emulated.for_lab(lab)
     per_round = plan.packings // ROUNDS
     extended = emulated
     for number in range(ROUNDS):

@@ -10,7 +10,7 @@ the predicted one the more, the more packings differ (`expected_snr`).
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from calibrate.discrepancy.library.description import (
     soil_prior_of,
 )
 from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
+from calibrate.discrepancy.library.simulate import resized
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.validation.outside import OUTSIDE
 
@@ -60,11 +61,7 @@ class SpecimenSize:
 
     def lab(self) -> Lab:
         """The bundled soil's tests on such specimens."""
-        usual = load_lab(bundled_lab())
-        cylinder = replace(usual.specimen, diameter=self.diameter, height=self.height)
-        forces = {"force_low": self.force_high / 2, "force_high": self.force_high}
-        tests = (usual.tests[0].model_copy(update=forces), *usual.tests[1:])
-        return replace(usual, specimen=replace(cylinder, mould_height=None), tests=tests)
+        return resized(load_lab(bundled_lab()), self.diameter, self.height, self.force_high)
 
     @staticmethod
     def of_stress(diameter: float, height: float, kpa: float) -> "SpecimenSize":

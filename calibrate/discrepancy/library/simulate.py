@@ -83,11 +83,9 @@ class Simulator:
         except CalibrationError as error:  # this packing does not stand
             return not_simulated(lab, str(error))
 
-    def porosity(self, spheres: int, slenderness: float = 0.0) -> float:
-        """The usual one of a bed of this many spheres in the library's cylinder."""
-        usual = specimen(
-            shaped(self.lab, slenderness), replace(PRESET, spheres=in_all(spheres, slenderness))
-        ).porosity
+    def porosity(self, spheres: int) -> float:
+        """The usual one of a bed of this many spheres."""
+        usual = specimen(self.lab, replace(PRESET, spheres=spheres)).porosity
         assert usual is not None  # PRESET grows its beds
         return usual
 
@@ -129,12 +127,20 @@ def shaped(lab: Lab, slenderness: float, stress: float = 0.0) -> Lab:
     the test in the mould reads its depth between as many times the forces."""
     if not (slenderness or stress):
         return lab
-    factor, own = math.exp(stress), lab.specimen
-    higher = replace(own, height=own.height * math.exp(slenderness), mould_height=None)
+    own, high = lab.specimen, lab.pair().compression.force_high
+    height = own.height * math.exp(slenderness)
+    return resized(lab, own.diameter, height, high * math.exp(stress))
+
+
+def resized(lab: Lab, diameter: float, height: float, force_high: float) -> Lab:
+    """A lab with specimens of a diameter and height (m), and a largest force (N) in the mould; both
+    forces of the depth in proportion."""
+    cylinder = replace(lab.specimen, diameter=diameter, height=height, mould_height=None)
     first = lab.pair().compression
+    factor = force_high / first.force_high
     forces = {n: factor * getattr(first, n) for n in ("force_low", "force_high")}
     tests = tuple(t.model_copy(update=forces) if t is first else t for t in lab.tests)
-    return replace(lab, specimen=higher, tests=tests)
+    return replace(lab, specimen=cylinder, tests=tests)
 
 
 def loosened(cylinder: Specimen, loose: float) -> Specimen:
