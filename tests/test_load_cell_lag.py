@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calibrate.discrepancy.library.load_cell_lag import LoadCellLag
+from calibrate.discrepancy.library.low_pass import filtered
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import feature_values
 
@@ -73,6 +74,29 @@ def test_what_is_no_curve_is_left_as_it_is(absurd):
         assert not LAG_FILTER.shift(np.nan_to_num(features(1e-6))[None], np.array([1e9])).any()
 
 
+def test_the_closed_form_is_the_filter_step_by_step():
+    """Against a filter in steps of 1 um along the curve that is laid through the features."""
+    values = np.nan_to_num(features(1e-6))[None]
+    way, back = (each[0] for each in LAG_FILTER._curve(values))
+    length, step, top = 0.3, 1e-3, 400.0
+    path = np.arange(way[0], way[-1], step)
+    reading = filtered(path, np.interp(path, way, LAG_FILTER._loaded), length)
+    read = np.interp([20.0, 140.0, 290.0, 200.0, top], reading, path)
+    over = np.interp(read[-1], way, LAG_FILTER._loaded) / top
+    home = np.arange(0.0, over * back[-1] + 6 * length, step)
+    force = over * top * np.interp(home / over, back, LAG_FILTER._released)
+    falling = filtered(home, force + 0.0, length) + (top - force[0]) * np.exp(-home / length)
+    late, reached = LAG_FILTER._late(way[None], back[None], np.array([[length]]))
+    assert reached.all()
+    up = [f.abscissa for f in FEATURES if f.kind == "loading"]
+    for force_n, found in zip((20.0, 140.0, 290.0), read[:3], strict=True):
+        assert late[0, up.index(force_n)] == pytest.approx(found - read[3], abs=2e-3)
+    for force_n in (40.0, 200.0):
+        down = sorted((f.abscissa for f in FEATURES if f.kind == "unloading"), reverse=True)
+        where = read[-1] - np.interp(force_n, falling[::-1], home[::-1]) - read[3]
+        assert late[0, len(up) + down.index(force_n)] == pytest.approx(where, abs=2e-3)
+
+
 def test_slopes_are_those_of_the_shifted_values():
     values, rng = np.nan_to_num(features(1e-6)), np.random.default_rng(0)
     smooth = np.where(UP | DOWN, np.linspace(0.0, 1.0, len(values)), 0.0)
@@ -82,9 +106,9 @@ def test_slopes_are_those_of_the_shifted_values():
     shown, turned, along = LAG_FILTER.read(values, slopes, 0.04)
     assert shown == pytest.approx(values + LAG_FILTER.shift(values[None], np.array([0.04]))[0])
     for before, after in zip(slopes.T, turned.T, strict=True):
-        beside = LAG_FILTER.read(values + 1e-2 * before, slopes, 0.04)[0]
-        assert (beside - shown) / 1e-2 == pytest.approx(after, abs=0.15 * np.abs(before).max())
-    later = LAG_FILTER.read(values, slopes, 0.05)[0]
-    assert along == pytest.approx((later - shown) / 0.01, abs=1e-6 + 0.02 * np.abs(along).max())
+        beside = LAG_FILTER.read(values + 1e-6 * before, slopes, 0.04)[0]
+        assert (beside - shown) / 1e-6 == pytest.approx(after, abs=1e-4 * np.abs(before).max())
+    later = LAG_FILTER.read(values, slopes, 0.04 + 1e-6)[0]
+    assert along == pytest.approx((later - shown) / 1e-6, abs=1e-4 * np.abs(along).max())
     none = LAG_FILTER.read(values, slopes, 0.0)
     assert none[0] is values and none[1] is slopes

@@ -12,6 +12,10 @@ readings would be a deconvolution.
 
 The curve is laid through the features: straight between them; beyond the largest force straight on;
 unloading from a larger force as from the largest one, larger alike in force and displacement.
+
+Everything is done for all rows at once, and holds for complex numbers: an imaginary part that is
+small beyond rounding carries a derivative through exactly (Squire and Trapp 1998,
+doi 10.1137/S003614459631241X), since no two such parts ever multiply to anything.
 """
 
 from collections.abc import Sequence
@@ -20,16 +24,20 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.discrepancy.library.low_pass import filtered_evenly
+from calibrate.discrepancy.library.low_pass import (
+    path_at,
+    reading_at_knots,
+)
 from calibrate.labtests.diagnosis.base import REFERENCE, Feature
 
 LAG = "acquisition_lag"
-STEP = 0.02  # mm of path between points
 BEYOND = 2.5  # largest forces up to which a curve goes on
 LAST = 5  # features of loading that make the slope by which it does
-AFTER = 6.0  # lengths for which the reading is followed after unloading
-SHORT, LONG = 10 * STEP, 200.0  # mm; ways that a platen may go
-SMALL = 0.01  # s; step of the lag for finite differences
+AFTER = 60.0  # lengths for which the reading is followed after unloading
+SHORT, LONG = 0.2, 200.0  # mm; ways that a platen may go
+APART = 1e-9  # mm; least distance of two points of a curve
+SMALL = 0.01  # s; step of the lag for a slope where there is none
+TINY = 1e-30  # imaginary parts of derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +51,11 @@ class LoadCellLag:
     def shift(self, values: np.ndarray, lag: np.ndarray) -> np.ndarray:
         """What lags (n,), s, add to features (n, m) that are read without any."""
         moved = np.zeros_like(values)
-        for row in np.flatnonzero(lag > 0) if self._has_branches else ():
-            moved[row, self._branches] = self._moved(values[row], self.speed * lag[row])
+        late = np.flatnonzero(lag.real > 0)
+        if len(late) and self._has_branches:
+            moved[late[:, None], self._branches] = self._moved(
+                values[late], self.speed * lag[late, None]
+            )
         return moved
 
     def read(self, values, slopes, lag: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -53,12 +64,12 @@ class LoadCellLag:
         if not lag:
             shifted = self.shift(values[None], np.array([SMALL]))[0]
             return values, slopes, shifted / SMALL
-        size = np.maximum(np.abs(slopes[self._branches]).max(axis=0), 1e-300) / STEP
-        beside = values + (slopes / size).T
-        every = self.shift(np.vstack([values, beside, values]), np.full(len(beside) + 2, lag))
-        every[-1] = self.shift(values[None], np.array([lag + SMALL]))[0]
-        turned = slopes + (every[1:-1] - every[0]).T * size
-        return values + every[0], turned, (every[-1] - every[0]) / SMALL
+        every = values + 1j * TINY * np.column_stack([slopes, np.zeros_like(values)]).T
+        lags = np.full(len(every), complex(lag))
+        lags[-1] += 1j * TINY
+        shift = self.shift(every, lags)
+        slope = shift.imag / TINY
+        return values + shift[-1].real, slopes + slope[:-1].T, slope[-1]
 
     @cached_property
     def _up(self) -> np.ndarray:
@@ -69,7 +80,7 @@ class LoadCellLag:
         """By falling force."""
         return _rows(self.features, "unloading")[::-1]
 
-    @property
+    @cached_property
     def _branches(self) -> np.ndarray:
         return np.concatenate([self._up, self._down])
 
@@ -84,55 +95,87 @@ class LoadCellLag:
         up, down = (np.array([self.features[i].abscissa for i in rows]) for rows in both)
         return up, down
 
-    def _moved(self, values: np.ndarray, length: float) -> np.ndarray:
-        """What a lag of `length` (mm) adds to both branches' features, one row; nothing to what is
-        no curve of a soil, as fits may try."""
-        branches = self._branch(values)
-        way, _, _, back, _ = branches
-        if not (SHORT < way[-1] - way[0] < LONG and back[-1] < LONG and length < LONG):
-            return np.zeros(len(self._branches))
-        return self._filtered(*branches, length) - self._filtered(*branches, 0.0)
+    @property
+    def _top(self) -> float:
+        """The largest force, N."""
+        return self.features[self._up[0]].scale
 
-    def _branch(self, values: np.ndarray):
-        """Displacement and force of loading from no force to beyond the largest one, where the
-        largest one is, and the way back from there at shares of it."""
-        top = self.features[self._up[0]].scale
-        up, down = self._forces
-        loading = np.maximum.accumulate(values[self._up])
-        first = 2 * loading[0] - np.interp(2 * up[0], up, loading)
-        slope = (loading[-1] - loading[-LAST]) / (up[-1] - up[-LAST])
-        at_top = loading[-1] + slope * (top - up[-1])
-        end = at_top + slope * (BEYOND - 1) * top
-        way = np.concatenate([[first], loading, [at_top, end]])
-        way += 1e-9 * np.arange(len(way))
-        force = np.concatenate([[0.0], up, [top, BEYOND * top]])
-        back = np.maximum.accumulate(np.concatenate([[0.0], at_top - values[self._down]]))
-        share = np.concatenate([[top], down]) / top
-        released = back[-1] + (back[-1] - back[-2]) * share[-1] / (share[-2] - share[-1])
-        back = np.append(back, released) + 1e-9 * np.arange(len(back) + 1)
-        return way, force, top, back, np.append(share, 0.0)
+    def _moved(self, values: np.ndarray, length: np.ndarray) -> np.ndarray:
+        """What lags of `length` (n, 1), mm, add to both branches' features (n, b); nothing to what
+        is no curve of a soil, as fits may try."""
+        moved = np.zeros((len(values), len(self._branches)), values.dtype)
+        way, back = self._curve(values)
+        gone = (way[:, -1] - way[:, 0]).real
+        a_curve = (SHORT < gone) & (gone < LONG) & (back[:, -1].real < LONG)
+        some = np.flatnonzero(a_curve & (length[:, 0].real < LONG))
+        if len(some):
+            way, back = way[some], back[some]
+            late, reached = self._late(way, back, length[some])
+            moved[some] = np.where(reached, late - self._prompt(way, back), 0.0)
+        return moved
 
-    def _filtered(self, way, force, top, back, share, length: float) -> np.ndarray:
-        """Both branches' features, with a lag of `length` (mm)."""
+    def _curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement of loading (n, k) at `_loaded` forces, and the way back (n, j) from the
+        largest force to `_released` shares of it."""
         up, down = self._forces
-        path = np.arange(way[0], way[-1], STEP)
-        reading = np.maximum.accumulate(
-            filtered_evenly(np.interp(path, way, force), STEP, length, 0.0)
-        )
-        turn = float(np.interp(top, reading, path))
-        over = max(float(np.interp(turn, way, force)) / top, 1.0)
-        read = np.interp([*up, REFERENCE * top], reading, path)
-        home = np.arange(0.0, over * back[-1] + AFTER * length, STEP)
-        falling = filtered_evenly(
-            over * top * np.interp(home / over, back, share), STEP, length, top
-        )
-        highest = int(falling.argmax())
-        falling = np.minimum.accumulate(falling[highest:])[::-1]
-        returned = np.interp(down, falling, home[highest:][::-1])
-        return np.concatenate([read[:-1], turn - returned]) - read[-1]
+        loading = np.maximum.accumulate(values[:, self._up], axis=1)
+        first = 2 * loading[:, 0] - loading @ _between(2 * up[0], up)
+        slope = (loading[:, -1] - loading[:, -LAST]) / (up[-1] - up[-LAST])
+        at_top = loading[:, -1] + slope * (self._top - up[-1])
+        end = at_top + slope * (BEYOND - 1) * self._top
+        way = np.column_stack([first, loading, at_top, end])
+        way = way + APART * np.arange(way.shape[1])
+        falling = np.column_stack([np.zeros(len(values)), at_top[:, None] - values[:, self._down]])
+        back = np.maximum.accumulate(falling, axis=1)
+        share = self._released
+        last = (back[:, -1] - back[:, -2]) * share[-2] / (share[-3] - share[-2])
+        back = np.column_stack([back, back[:, -1] + last])
+        return way, back + APART * np.arange(back.shape[1])
+
+    @cached_property
+    def _loaded(self) -> np.ndarray:
+        """Forces (k,) of a curve's points on loading, N."""
+        return np.array([0.0, *self._forces[0], self._top, BEYOND * self._top])
+
+    @cached_property
+    def _released(self) -> np.ndarray:
+        """Shares (j,) of the force at reversal of a curve's points on unloading."""
+        return np.array([self._top, *self._forces[1], 0.0]) / self._top
+
+    def _prompt(self, way: np.ndarray, back: np.ndarray) -> np.ndarray:
+        """Both branches' features (n, b) without a lag."""
+        zero = way @ _between(REFERENCE * self._top, self._loaded)
+        turn = way @ _between(self._top, self._loaded)
+        returned = turn[:, None] - back[:, 1:-1]
+        return np.column_stack([way[:, 1:-2], returned]) - zero[:, None]
+
+    def _late(
+        self, way: np.ndarray, back: np.ndarray, length: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Both branches' features (n, b) with lags of `length` (n, 1), mm, and whether (n, 1) the
+        readings reach the largest force at all."""
+        up, down = self._forces
+        force = np.broadcast_to(self._loaded, way.shape)
+        reading = reading_at_knots(way, force, length, 0.0)
+        reached = reading[:, -1:].real > self._top
+        levels = np.array([*up, REFERENCE * self._top, self._top])
+        read, rise = path_at(levels, way, force, reading, length)
+        reversal = self._top + length * rise[:, -1:]  # the force is L dR/dx ahead of its reading
+        over = reversal / self._top
+        home = np.column_stack([over * back, over * back[:, -1:] + AFTER * length])
+        falling = -reversal * np.append(self._released, 0.0)  # upside down, so that it rises
+        reading = reading_at_knots(home, falling, length, -self._top)
+        returned, _ = path_at(-down, home, falling, reading, length)
+        late = np.column_stack([read[:, :-2], read[:, -1:] - returned]) - read[:, -2:-1]
+        return late, reached
 
 
 def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
     """The features of a kind by rising force."""
     found = [i for i, feature in enumerate(features) if feature.kind == kind]
     return np.array(sorted(found, key=lambda i: features[i].abscissa), int)
+
+
+def _between(level: float, levels: np.ndarray) -> np.ndarray:
+    """Weights (k,) by which values at rising levels (k,) make the value at `level`."""
+    return np.array([np.interp(level, levels, one) for one in np.eye(len(levels))])

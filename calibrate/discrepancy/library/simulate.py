@@ -38,6 +38,7 @@ from jdem.packing.specimen import Specimen
 Numbers = Sequence[float] | np.ndarray
 # Free specimens are pressed twice as fast as in the preset standard, which depth and force bear.
 PRESET = replace(PRESETS["standard"], name="library", rate_in_mould=SPEEDS[0], rate_free=0.10)
+POROSITY_CLASS = 0.03  # width; radii within one differ by less than 2 %
 COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories of contacts
 
 
@@ -45,8 +46,8 @@ COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories
 class Simulator:
     """Runs single specimens of a lab's tests with effects and settings of any strength.
 
-    One compiled program serves all that have the same number of spheres, porosity and height, a
-    second one those without costly effects: strength 0 changes no bit.
+    One compiled program serves all that have the same number of spheres, height and class of
+    porosity, a second one those without costly effects: strength 0 changes no bit.
     """
 
     lab: Lab
@@ -100,10 +101,11 @@ class Simulator:
             count = in_all(spheres, slenderness)
             preset = replace(PRESET, spheres=count, rate_in_mould=speed)
             cylinder = loosened(specimen(own, preset), loose)
-            numerics = numerics_for(cylinder, dtype=self.dtype)
+            room = loosened(specimen(own, preset), densest(loose))
+            numerics = numerics_for(room, dtype=self.dtype)
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
             tests = virtual_lab(own, preset, numerics).tests
-            lab = VirtualLab.of(cylinder, tests, numerics, kept)
+            lab = VirtualLab.of(room, tests, numerics, kept)
             folder = self.folder / str(spheres)
             self._campaigns.setdefault(key, Campaign(lab, cylinder, folder))
         return self._campaigns[key]
@@ -141,6 +143,12 @@ def resized(lab: Lab, diameter: float, height: float, force_high: float) -> Lab:
     forces = {n: factor * getattr(first, n) for n in ("force_low", "force_high")}
     tests = tuple(t.model_copy(update=forces) if t is first else t for t in lab.tests)
     return replace(lab, specimen=cylinder, tests=tests)
+
+
+def densest(loose: float) -> float:
+    """The least porosity, over the usual one, of the class of specimens for which one program is
+    compiled: that of their lists of neighbours and samples, made for the largest spheres."""
+    return round(math.floor(loose / POROSITY_CLASS) * POROSITY_CLASS, 6)
 
 
 def loosened(cylinder: Specimen, loose: float) -> Specimen:
