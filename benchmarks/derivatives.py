@@ -8,7 +8,7 @@ tangent costs what `Overdamped.cost` says, and in processor seconds.
     python benchmarks/derivatives.py                   some 40 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes, and then keeps the times of the first.
-Writes benchmarks/results/derivatives.json and .md after every fit.
+Writes benchmarks/results/derivatives.md after every fit.
 """
 
 import argparse
@@ -137,9 +137,7 @@ def main() -> None:
                 done = fitted(free, factors, strategy, calibration)
                 found.setdefault(start, {})[way] = done
                 write_text(kept, json.dumps(found))
-            content = {**origin, "seed": 0, "spheres": chosen.spheres, "hidden": HIDDEN}
-            text = markdown(found, chosen.spheres, origin)
-            reporting.write("derivatives", {**content, "starts": found}, text)
+            reporting.write_page("derivatives", markdown(found, chosen.spheres, origin))
 
 
 if __name__ == "__main__":

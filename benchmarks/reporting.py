@@ -50,9 +50,15 @@ def file_of(name: str) -> Path:
 def write(name: str, content: dict, markdown: str) -> None:
     """The result's JSON and benchmarks/results/<name>.md; says where they are."""
     write_json(file_of(name), content)
+    print(f"written: {file_of(name)}", file=sys.stderr)
+    write_page(name, markdown)
+
+
+def write_page(name: str, markdown: str) -> None:
+    """benchmarks/results/<name>.md alone, where it says all that was measured."""
     write_text(RESULTS / f"{name}.md", markdown)
     print(markdown)
-    print(f"written: {file_of(name)}, {RESULTS / name}.md", file=sys.stderr)
+    print(f"written: {RESULTS / name}.md", file=sys.stderr)
 
 
 def earlier(name: str, key: str) -> dict:

@@ -7,7 +7,7 @@ it by growing through the snap; a derivative that is held back does not.
 
     python benchmarks/snap.py                          some 4 minutes on two cores
 
-Writes benchmarks/results/snap.json and .md.
+Writes benchmarks/results/snap.md.
 """
 
 import sys
@@ -96,7 +96,7 @@ def main() -> None:
         + reporting.table(HEADER, rows)
         + reporting.footer(origin)
     )
-    reporting.write("snap", {**origin, "rows": found}, text)
+    reporting.write_page("snap", text)
 
 
 if __name__ == "__main__":

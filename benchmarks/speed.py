@@ -11,7 +11,7 @@ own packing is used and the peer is reported as not measured.
 
 Cores that other work keeps busy are noted before every measurement; --wait gives it some
 time to end.  Where it does not end, compare rates per second of processor time.
-Writes benchmarks/results/speed.json and .md.
+Writes benchmarks/results/speed.md.
 """
 
 import argparse
@@ -347,7 +347,7 @@ def main() -> None:
         ],
         "measured": measured,
     }
-    reporting.write("speed", content, markdown(content))
+    reporting.write_page("speed", markdown(content))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ Confined tests of the bundled soil, all effects off, packings of 500 spheres.  A
 that per typical strength.  Differences are central ones of half a typical strength to either side,
 and for effects that cannot be negative the second-order formula of 0, a half and a whole one; a lag
 of the load cell is left out (`calibrate.inference.traced.traced_strengths`).
-Writes benchmarks/results/strengths.json and .md.
+Writes benchmarks/results/strengths.md.
 """
 
 import argparse
@@ -154,9 +154,7 @@ def main() -> None:
     kept = [name for name in EFFECTS if name not in LEFT_OUT]
     rows = [row(name, slopes[..., k]) for k, name in enumerate(kept)]
     origin = reporting.provenance()
-    content = {**origin, "seed": chosen.seed, "spheres": chosen.spheres, "effects": rows,
-               "packings": len(packings), "accepted": len(slopes)}  # fmt: skip
-    reporting.write("strengths", content, markdown(rows, len(slopes), chosen.spheres, origin))
+    reporting.write_page("strengths", markdown(rows, len(slopes), chosen.spheres, origin))
 
 
 if __name__ == "__main__":

@@ -424,13 +424,52 @@ def test_an_outcome_that_nothing_foresees_is_called_unknown():
 
 def test_outcomes_of_one_soil_are_told_together():
     """Two tests that see a base parameter alone: their difference is surer than either."""
-    found, _, blind, _ = offered()
+    found, sample, blind, _ = offered()
     seen = replace(blind.response, base_slopes=np.full((1, 5), 1e3))
     both = stacked([replace(blind, response=seen)] * 2)
-    told = predicted(both, KNOWN, found.base)
+    told = predicted(both, KNOWN, found.base, sample.mean)
     difference = np.array([1.0, -1.0])
     assert difference @ told.covariance @ difference == pytest.approx(2 * 1 / 4, rel=1e-6)
     assert told.covariance[0, 0] > 100
+
+
+def test_an_emulator_errs_again_as_it_erred_at_first():
+    """The first test made again: what fit and scatter leave of it is foreseen, but for scatter."""
+    found, sample, blind, _ = offered()
+    rows = np.arange(len(sample.mean))
+    wrong = 50.0 * np.sqrt(np.diag(found.noise.specimen))[:, None]
+    erring = replace(KNOWN, wrong=wrong)
+    covariance = found.base.covariance + wrong @ wrong.T
+    fit = refit(erring, sample.mean + 1.5 * wrong[:, 0], covariance)
+    fit = replace(fit, covariance=covariance)
+    response = replace(
+        blind.response, mean=KNOWN.mean, base_slopes=KNOWN.base_slopes,
+        effect_slopes=KNOWN.effect_slopes,
+    )  # fmt: skip
+    again = replace(
+        blind, labels=tuple(map(str, rows)), response=Erring(response, wrong), rows=rows,
+        specimen=found.noise.specimen,
+    )  # fmt: skip
+    first = sample.mean + 1.5 * wrong[:, 0]
+    told = predicted(again, erring, fit, first)
+    assert told.p_value(first) > 0.5
+    assert np.abs(first - told.mean).max() < 0.1 * wrong.max()
+    assert np.abs(first - fit.values).max() > 0.5 * wrong.max()
+    assert told.covariance.trace() < 0.05 * (wrong**2).sum()
+
+
+@dataclass(frozen=True, eq=False)
+class Erring:
+    """A response that may be wrong along given directions (m, q)."""
+
+    inner: LinearResponse
+    directions: np.ndarray
+
+    def __call__(self, delta, strengths):
+        return self.inner(delta, strengths)
+
+    def wrong(self, delta, strengths):
+        return self.directions
 
 
 # ------------------------------------------------------------------ report and baselines

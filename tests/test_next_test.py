@@ -12,9 +12,12 @@ import toy_library
 from test_diagnose_verb import call
 
 from calibrate.discrepancy.comparison.compare import compare
+from calibrate.discrepancy.comparison.next_test import Proposal, next_tests
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.further_tests import (
+    ANSWER,
+    FROM,
     SHARES,
     Varied,
     _of_machine,
@@ -26,7 +29,10 @@ from calibrate.io.lab import Lab, load_lab
 from calibrate.labtests.diagnosis.base import Condition
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.labtests.measured import Curve
-from calibrate.reports.next_test import ANSWER
+from calibrate.validation.further import FurtherLaboratory, under
+from calibrate.validation.laboratory import SpecimenRecords
+from calibrate.validation.loop import Asking
+from calibrate.validation.plan import Hidden, WithheldCase
 from jdem.apparatus.platen_on_base import PlatenOnBase
 from jdem.effects.composite import EFFECTS
 from jdem.laboratory.bare_machine import BareMachine
@@ -179,15 +185,20 @@ def offset_after(place: Path, reading: float) -> dict:
     """What a diagnosis says with a bare machine that shows a reading (N) at rest."""
     folder = place / f"block_{reading:g}"
     folder.mkdir()
+    write_block(folder, reading)
+    options = ("--library", place / "library.nc", "--out", folder / "out")
+    more = ("--further", folder / "block.toml")
+    assert call("diagnose", place / "lab" / "lab.toml", *options, *more) == 0
+    return json.loads((folder / "out" / "result.json").read_text())
+
+
+def write_block(folder: Path, reading: float) -> None:
+    """A lab file of a bare machine that shows a reading (N) at rest."""
     (folder / "block.toml").write_text(BLOCK)
     force = np.concatenate([np.full(40, reading), np.linspace(reading, 400, 80)])
     way = np.concatenate([np.linspace(-0.5, 0, 40), np.zeros(80)])
     rows = [f"{x:.4f},{f:.2f}" for x, f in zip(way, force, strict=True)]
     (folder / "block.csv").write_text("\n".join(["mm,N", *rows]))
-    options = ("--library", place / "library.nc", "--out", folder / "out")
-    more = ("--further", folder / "block.toml")
-    assert call("diagnose", place / "lab" / "lab.toml", *options, *more) == 0
-    return json.loads((folder / "out" / "result.json").read_text())
 
 
 def test_an_answer_comes_back_as_a_lab_file_and_moves_the_verdict(place):
@@ -203,3 +214,116 @@ def test_an_answer_comes_back_as_a_lab_file_and_moves_the_verdict(place):
     assert share(seen) > 0.95 > 0.05 > share(unseen)
     page = (place / f"block_{OFFSET:g}" / "out" / "diagnosis.html").read_text()
     assert "Further tests (steel block in the machine)" in page
+
+
+# ---------------------------------------------------------------- the laboratory behind the seal
+
+
+def sealed_case(*hidden: Hidden, soil: dict | None = None) -> WithheldCase:
+    return WithheldCase(
+        name="0a1b2", kind="single", stratum="", snr=3.0, hidden=hidden,
+        soil={"shear_modulus": 1e6, "surface_energy": 5.0} if soil is None else soil, spheres=1100,
+        porosity=0.005, packings=tuple(range(16)), seed=7, nonce="",
+    )  # fmt: skip
+
+
+class FakeLaboratory:
+    """Hands out curves whose force says which specimen of which soil was asked for."""
+
+    def __init__(self):
+        self.asked: list[tuple[WithheldCase, range]] = []
+
+    def specimens(self, case: WithheldCase, numbers: range) -> list[SpecimenRecords]:
+        self.asked.append((case, numbers))
+        way = np.linspace(0.0, 5.0, 60)
+        curves = [np.column_stack([way, number + 10 * way]) for number in numbers]
+        return [SpecimenRecords(dict.fromkeys(("confined", "unconfined"), c), 1.0) for c in curves]
+
+
+def proposal_of(known, lab: Lab, name: str) -> Proposal:
+    d, measured, comparison = known
+    prepared = prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
+    offers = menu(d, comparison.noise, lab.pair().rates, 400.0)
+    (found,) = next_tests(
+        prepared, comparison, measured.mean, [o for o in offers if o.name == name]
+    )
+    return found
+
+
+def test_a_test_again_is_made_on_fresh_specimens_under_its_condition(known, lab, tmp_path):
+    fake = FakeLaboratory()
+    made = FurtherLaboratory(fake, tmp_path)  # pyright: ignore
+    case = sealed_case(Hidden("wall_friction", 0.3), Hidden("load_cell_gain", 0.1))
+    greased = proposal_of(known, lab, "confined test in a freshly greased mould")
+    answer = made.answer(case, lab, greased)
+    again = made.answer(case, lab, greased)
+    assert answer is not None and again is not None
+    ((asked, numbers),) = fake.asked  # the second answer is the first
+    assert asked.hidden == (Hidden("wall_friction", 0.0), Hidden("load_cell_gain", 0.1))
+    assert numbers.start >= 4 and len(numbers) == 2
+    assert answer.tests[0].called == greased.name and answer.tests[0].force_high == 400.0
+    means = [curve.force_n.mean() for curve in again.curves]
+    assert means == pytest.approx([number + 25.0 for number in numbers], abs=0.1)
+
+
+def test_rates_change_the_soil_that_depends_on_them():
+    case = sealed_case(Hidden("rate_dependence", 0.1), Hidden("acquisition_lag", 0.02))
+    slow = under(case, TEST_FEATURES["confined"].varied(0.1, ()))
+    assert slow.soil["shear_modulus"] == pytest.approx(1e6 * np.exp(-0.1))
+    assert [h.strength for h in slow.hidden] == pytest.approx([0.1, 0.002])
+    quick = under(case, TEST_FEATURES["unconfined"].varied(10.0, ()))
+    assert quick.soil["surface_energy"] == pytest.approx(5.0 * np.exp(0.1))
+
+
+@pytest.mark.parametrize(
+    ("hidden", "change"),
+    [((), 0.0), ((Hidden("rate_dependence", 0.02),), -400 * 0.02 * 2.7),
+     ((Hidden("load_cell_drift", 0.2),), 12.0)],
+)  # fmt: skip
+def test_a_hold_shows_what_is_lost_and_what_drifts(hidden, change, known, lab, tmp_path):
+    """The answer's curves through the file into an outcome."""
+    d, _, comparison = known
+    made = FurtherLaboratory(FakeLaboratory(), tmp_path)  # pyright: ignore
+    asked = proposal_of(known, lab, "hold at 400 N for 60 s")
+    answer = made.answer(sealed_case(*hidden), lab, asked)
+    assert answer is not None
+    cylinder = toy_library.library().cylinder
+    (found,), _ = outcomes(lab, [answer], cylinder, d, comparison.noise)
+    assert found.found == pytest.approx([change], abs=3.0)
+
+
+def test_a_bare_machine_answers_with_its_faults(known, lab, tmp_path):
+    d, _, comparison = known
+    made = FurtherLaboratory(FakeLaboratory(), tmp_path)  # pyright: ignore
+    asked = proposal_of(known, lab, "steel block in the machine")
+    case = sealed_case(Hidden("load_cell_offset", 6.0), Hidden("load_frame_compliance", 1e-6))
+    answer = made.answer(case, lab, asked)
+    assert answer is not None
+    cylinder = toy_library.library().cylinder
+    (found,), _ = outcomes(lab, [answer], cylinder, d, comparison.noise)
+    stretch = 1e3 * 1e-6 * 400 * (np.array(SHARES) - FROM)
+    assert found.found[0] == pytest.approx(6.0, abs=0.3)
+    assert found.found[1:] == pytest.approx(stretch, abs=0.02)
+
+
+def test_the_loop_asks_takes_in_and_stops(place, lab):
+    """An offset of the load cell, on which the bare machine has the last word."""
+    asked: list[str] = []
+
+    def answer(proposal: Proposal) -> Lab | None:
+        asked.append(proposal.name)
+        if proposal.name != "steel block in the machine":
+            return None
+        folder = place / "answered"
+        folder.mkdir(exist_ok=True)
+        write_block(folder, OFFSET)
+        return load_lab(folder / "block.toml")
+
+    emulated = EmulatedLibrary.of(toy_library.library())
+    loop = Asking.of(lab, emulated, InferenceSetup.uncalibrated(), answer)
+    said = loop.by_proposals()
+    assert asked and len(said) <= 2 and said[0]["verdict"] == loop.first.verdict
+    cheap = loop.all_cheap()
+    assert sum(p for n, p in cheap["by_class"].items() if "load_cell_offset" in n) > 0.9
+    drawn = loop.at_random([3])
+    assert drawn == loop.at_random([3]) and drawn[-1]["test"] == "steel block in the machine"

@@ -6,7 +6,6 @@ Verdicts and labels are written by hand.
 import json
 import re
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -398,24 +397,6 @@ def test_another_code_s_cases_without_signal_to_noise_are_still_scored():
     rows = [replace(r, snr=0.0) for r in hand_made()]
     text = report.markdown(result_of(rows), "Another code")
     assert "single effects of any strength" in text and "Without cases to judge by" in text
-
-
-# ---------------------------------------------------------------- files of earlier versions
-
-# liggghts_before_shrinkage is withheld_liggghts_third of commit a289456.
-SCORED = sorted((Path(__file__).parent / "data" / "scores").glob("*.json"))
-
-
-@pytest.mark.parametrize("path", SCORED, ids=lambda path: path.stem)
-def test_scores_of_earlier_versions_still_make_a_page(path):
-    made = report.page(path)
-    assert "truth within the stated set of explanations" in made.html
-    assert made.sentence.startswith("The class of the hidden effect was named first in")
-
-
-def test_the_earliest_scores_are_among_them():
-    """Without a file that lacks the newer shares the test above would show nothing."""
-    assert any("shrinkage_shown" not in json.loads(path.read_text()) for path in SCORED)
 
 
 @pytest.mark.parametrize(("value", "text"), [(35 / 39, "89.7 %"), (0.9, "90 %"), (0.86, "86 %")])

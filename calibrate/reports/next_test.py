@@ -10,17 +10,15 @@ from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.comparison.next_test import Proposal, why_stop
 from calibrate.discrepancy.comparison.verdict import proposed
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.discrepancy.library.further_tests import REPEATS
+from calibrate.discrepancy.library.further_tests import ANSWER, answer_file
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
-from calibrate.io.lab import Lab
 from calibrate.records.base import record
 from calibrate.records.diagnosis import NextTestRecord
 from calibrate.reports.diagnosis_words import percent
 from calibrate.reports.effects import title
 from calibrate.reports.html import number
 
-ANSWER = "next_lab.toml"
 WHY = {
     "sure": "Nothing more need be measured: the explanation is as good as certain.",
     "nothing helps": "No test on the list would tell more than these data do.",
@@ -30,25 +28,6 @@ LEGEND = (
     "Hours of a technician and fresh specimens are a guess; nats say how far the outcome is "
     "expected to narrow down the explanations; chance: that the right one is then the first."
 )
-HEAD = """# What `{command}` proposes: {name}.
-# Put the curve of each repeat beside this file, then: calibrate diagnose LAB.toml --further {file}
-
-[soil]
-name = "{soil}"
-
-[specimen]
-diameter = "{diameter:g} mm"
-height = "{height:g} mm"
-
-[[tests]]
-{entries}
-"""
-CURVE = """
-[[tests.curves]]
-file = "next_{number}.csv"
-displacement = {{ column = "displacement", unit = "mm" }}
-force = {{ column = "force", unit = "N" }}
-"""
 
 
 def write(out: Path, diagnosis: Diagnosis, path: Path | None, console: Console) -> None:
@@ -72,21 +51,6 @@ def write(out: Path, diagnosis: Diagnosis, path: Path | None, console: Console) 
             console.print(f"Next: {best.name}. Record it as {out / ANSWER} shows.")
     if stop:
         console.print(WHY[stop])
-
-
-def answer_file(lab: Lab, proposal: Proposal) -> str:
-    """A lab file that waits for the curves of a proposed test."""
-    size = {"diameter": 1e3 * lab.specimen.diameter, "height": 1e3 * lab.specimen.height}
-    entries = "\n".join(f"{key} = {_toml(value)}" for key, value in proposal.entries.items())
-    head = HEAD.format(
-        command="calibrate next", name=proposal.name, file=ANSWER, soil=lab.name.replace('"', "'"),
-        entries=entries, **size,
-    )  # fmt: skip
-    return head + "".join(CURVE.format(number=n) for n in range(1, REPEATS + 1))
-
-
-def _toml(value: str | bool) -> str:
-    return str(value).lower() if isinstance(value, bool) else f'"{value}"'
 
 
 def _leading(by_class: Mapping[str, float], console: Console) -> None:

@@ -52,6 +52,17 @@ ACCEPTED_DEPTH, ACCEPTED_CRUSHING = (1.0, 8.0), (60.0, 650.0)  # mm, N, means ov
 
 
 @dataclass(frozen=True)
+class Beds:
+    """From which beds cases draw: seeds of packings begin at `first_seed`; numbers of spheres, as
+    often as they stand here; packings of each number and porosity, and those of one case."""
+
+    first_seed: int = FIRST_SEED
+    spheres: tuple[int, ...] = SPHERES
+    pool: int = POOL
+    packings: int = PACKINGS
+
+
+@dataclass(frozen=True)
 class SpecimenSize:
     """Diameter and height (m) of specimens, and the largest force (N) of the test in the mould."""
 
@@ -124,10 +135,10 @@ class Planner:
     soil."""
 
     def __init__(
-        self, emulated: EmulatedLibrary, seed: int, first_seed: int = FIRST_SEED,
+        self, emulated: EmulatedLibrary, seed: int, beds: Beds | None = None,
         sizes: Sequence[SpecimenSize] = (USUAL,),
     ):  # fmt: skip
-        self.emulated, self.first_seed, self.sizes = emulated, first_seed, sizes
+        self.emulated, self.beds, self.sizes = emulated, beds or Beds(), sizes
         self.random = np.random.default_rng(seed)
 
     def cases(self, counts: dict[str, int] | None = None) -> list[list[WithheldCase]]:
@@ -147,7 +158,7 @@ class Planner:
     def _case(
         self, name: str, kind: str, size: SpecimenSize, like: WithheldCase | None
     ) -> WithheldCase:
-        soil = self._soil()
+        soil, beds = self._soil(), self.beds
         if like is not None:
             hidden, snr = like.hidden, like.snr
         else:
@@ -160,12 +171,12 @@ class Planner:
             snr=snr,
             hidden=hidden,
             soil=soil,
-            spheres=int(self.random.choice(SPHERES if size == USUAL else OF_OTHER_SIZES)),
+            spheres=int(self.random.choice(beds.spheres if size == USUAL else OF_OTHER_SIZES)),
             porosity=float(self.random.choice(POROSITIES)),
-            packings=tuple(int(p) for p in self.random.permutation(POOL)[:PACKINGS]),
+            packings=tuple(int(p) for p in self.random.permutation(beds.pool)[: beds.packings]),
             seed=int(self.random.integers(2**31)),
             nonce=self.random.bytes(16).hex(),
-            first_seed=self.first_seed,
+            first_seed=beds.first_seed,
             size=size,
         )
 

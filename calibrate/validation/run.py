@@ -30,9 +30,9 @@ from calibrate.validation.canary import canary
 from calibrate.validation.labels import normalised, with_visibility
 from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
 from calibrate.validation.plan import (
-    FIRST_SEED,
     SPECIMENS,
     USUAL,
+    Beds,
     Hidden,
     Planner,
     SpecimenSize,
@@ -56,31 +56,33 @@ CHECKED_SNR = 2.0  # above which claimed shrinkage is checked on fresh specimens
 
 def generate(
     out: Path, emulated: EmulatedLibrary, counts: dict[str, int] | None, seed: int | None,
-    progress: AbstractProgress, first_seed: int = FIRST_SEED,
-    sizes: Sequence[SpecimenSize] = (USUAL,),
+    progress: AbstractProgress, beds: Beds | None = None,
+    sizes: Sequence[SpecimenSize] = (USUAL,), with_changes: bool = True,
 ) -> None:  # fmt: skip
-    """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Seeds of
-    packings begin at first_seed; specimens have one of the sizes."""
-    attempts = _plan(out, emulated, counts, seed, first_seed, sizes)
+    """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Specimens
+    have one of the sizes.  Without changes, which double the time, a case's signal-to-noise stays
+    what the library predicts."""
+    attempts = _plan(out, emulated, counts, seed, beds, sizes)
     laboratory = Laboratory(out / "simulated", CENTRE)
 
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
-        return [case.label(laboratory.changes(case))] if case else []
+        packings = range(SPECIMENS if with_changes else 0)
+        return [case.label(laboratory.changes(case, packings))] if case else []
 
     labels = side_by_side(label, len(attempts), progress, "making cases")
     seal.write_seal([one for made in labels for one in made], out)
 
 
 def _plan(
-    out: Path, emulated: EmulatedLibrary, counts, seed: int | None, first_seed: int = FIRST_SEED,
+    out: Path, emulated: EmulatedLibrary, counts, seed: int | None, beds: Beds | None = None,
     sizes: Sequence[SpecimenSize] = (USUAL,),
 ) -> list[list[WithheldCase]]:  # fmt: skip
     """The plan in `out`, drawn if there is none yet."""
     path = out / PLAN
     if not path.exists():
         secret = secrets.randbits(62) if seed is None else seed
-        drawn = Planner(emulated, secret, first_seed, sizes).cases(counts)
+        drawn = Planner(emulated, secret, beds, sizes).cases(counts)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
@@ -98,6 +100,12 @@ def _case(entry: dict) -> WithheldCase:
         "size": SpecimenSize(**entry.get("size", {})),
     }
     return WithheldCase(**{**entry, **read})
+
+
+def planned_case(source: Path, name: str) -> WithheldCase:
+    """A case as it was made; for whoever may know what it hides."""
+    attempt = int((source / "sealed" / f"{name}.attempt").read_text())
+    return next(rows for rows in _planned(source) if rows[0].name == name)[attempt]
 
 
 def _made(
@@ -157,9 +165,11 @@ def opened(
     realised = _fresh(source, said, labels, progress) if fresh else {}
     rows = [row(said[name], labels[name], realised.get(name)) for name in sorted(said)]
     folders = [source / "cases" / r.case for r in rows]
+    usual = asdict(USUAL)
     result = {
         **scored(rows, seed),
         "other_code": not (source / PLAN).exists(),
+        "other_sizes": any(label.get("size", usual) != usual for label in labels.values()),
         "given_up": _given_up(source),
         "canary": canary(folders, [r.kind for r in rows], seed),
         "rows": [asdict(r) for r in rows],

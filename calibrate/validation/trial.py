@@ -107,7 +107,7 @@ def verdict_of(
         "stated": comparison.stated,
         "by_class": comparison.by_class,
         "probability_calibration": asdict(prepared.calibration),
-        "ln_evidence": _ln_evidence(comparison),
+        "ln_evidence": ln_evidence(comparison),
         "likely_set": comparison.likely_set,
         "classes": [list(members) for members in prepared.classes.members],
         "p_before": comparison.summary.p_before,
@@ -119,7 +119,7 @@ def verdict_of(
     }
 
 
-def _ln_evidence(comparison: Comparison) -> dict[str, float]:
+def ln_evidence(comparison: Comparison) -> dict[str, float]:
     """ln evidence of each explanation over that of none: what a calibration is fitted to."""
     found = comparison.summary.evidence
     values = [0.0, *found.singles.tolist(), *found.pairs.tolist(), found.unknown]

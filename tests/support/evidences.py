@@ -60,6 +60,12 @@ def rows() -> list[dict]:
         return [json.loads(line) for line in lines]
 
 
+def keep(some: list[dict]) -> None:
+    """Writes the table."""
+    text = "".join(json.dumps(row, separators=(",", ":")) + "\n" for row in some)
+    TABLE.write_bytes(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME))
+
+
 def cases() -> list[Known]:
     """All of the table."""
     return [known(row) for row in rows()]

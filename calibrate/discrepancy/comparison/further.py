@@ -1,14 +1,16 @@
 """A further test, and what an explanation predicts for it from the data at hand.
 
-    y | h ~ f(delta, e) + t((S/n + J C J' + W W'), FREEDOM)
+    y | h ~ f(delta, e) + W u + t(S/n + (J, W) C (J, W)', FREEDOM)
 
-(delta, e) is the best fit of explanation h to the data at hand, C its covariance there (Laplace's),
-J the slopes of the further test, S the scatter of one specimen, n repeats, W directions in which
-simulations may be wrong.  The multivariate t has heavy tails, so that a test that nothing foresees
-decides less than a normal density would say (Lange, Little and Taylor 1989).
+(delta, e) is the best fit of explanation h to the data at hand, W directions in which simulations
+may be wrong, u what the data say of these errors, C the covariance of delta, e and u there
+(Laplace's), J the slopes of the further test, S the scatter of one specimen, n repeats.  The
+multivariate t has heavy tails, so that a test that nothing foresees decides less than a normal
+density would say (Lange, Little and Taylor 1989).
 
-What has no name yet ("unknown") is still there in a further test of soil: it predicts what the base
-fit leaves of the same features now, give or take half of that, and nothing for a machine by itself.
+What has no name yet ("unknown") is still there in a further test of soil: it predicts what base fit
+and errors leave of the same features now, give or take half of that, and nothing for a machine by
+itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -102,31 +104,58 @@ class Prediction:
         return self.mean + heavy[:, None] * normal
 
 
-def fit_covariance(d: Linearised, fit: Refit) -> np.ndarray:
-    """Covariance (p + q, p + q) of a fit's shift and chosen strengths (Laplace)."""
-    columns = np.hstack([fit.base_slopes, fit.effect_slopes[:, list(fit.chosen)]])
-    prior = np.concatenate([d.prior_sd, np.full(len(fit.chosen), STRENGTH_SD)])
-    normal = columns.T @ np.linalg.solve(fit.covariance, columns)
-    return np.linalg.inv(normal + np.diag(prior**-2.0))
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What the data at hand say of a fit: covariance (p + q + r, p + q + r) of its shift, its
+    chosen strengths and the emulator's errors along their directions, and what these errors are
+    expected to be (r,)."""
+
+    covariance: np.ndarray
+    errors: np.ndarray
 
 
-def predicted(test: FurtherTest, d: Linearised, fit: Refit) -> Prediction:
-    """What an explanation, by its fit to the data at hand, predicts for a further test."""
+def known(d: Linearised, fit: Refit, measured: np.ndarray) -> Known:
+    """Laplace's approximation at a fit to measured means (m,)."""
+    wrong = d.wrong_at(fit.delta, fit.strengths)
+    chosen = list(fit.chosen)
+    columns = np.hstack([fit.base_slopes, fit.effect_slopes[:, chosen], wrong])
+    strengths, errors = np.full(len(chosen), STRENGTH_SD), np.ones(wrong.shape[1])
+    prior = np.concatenate([d.prior_sd, strengths, errors]) ** 2
+    moved = len(prior) - len(errors)
+    spread = columns[:, :moved] * prior[:moved]
+    whole = fit.covariance + spread @ columns[:, :moved].T  # fit.covariance holds the errors'
+    told = np.outer(prior, prior) * (columns.T @ np.linalg.solve(whole, columns))
+    left = np.linalg.solve(fit.covariance, measured - fit.values)
+    return Known(np.diag(prior) - (told + told.T) / 2, wrong.T @ left)
+
+
+def predicted(test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray) -> Prediction:
+    """What an explanation, by its fit to the data at hand, predicts for a further test; measured
+    (m,): means of these data.  Where the emulator errs for a soil it errs in the same way when the
+    test is made again."""
     values, base, effects = test.response(fit.delta, fit.strengths)
-    slopes = np.hstack([base, effects[:, list(fit.chosen)]])
-    wrong = test.response.wrong(fit.delta, fit.strengths)
-    spread = slopes @ fit_covariance(d, fit) @ slopes.T + wrong @ wrong.T
-    return Prediction(values, test.noise + spread)
+    of_data = known(d, fit, measured)
+    wrong = widened(test.response.wrong(fit.delta, fit.strengths), len(of_data.errors))
+    slopes = np.hstack([base, effects[:, list(fit.chosen)], wrong])
+    spread = slopes @ of_data.covariance @ slopes.T
+    return Prediction(values + wrong @ of_data.errors, test.noise + spread)
+
+
+def widened(wrong: np.ndarray, count: int) -> np.ndarray:
+    """Directions (m, count) of errors; none (m, 0) of what is no emulator's are zeros."""
+    return wrong if wrong.shape[1] else np.zeros((len(wrong), count))
 
 
 def predicted_by_unknown(
     test: FurtherTest, d: Linearised, base: Refit, measured: np.ndarray
 ) -> Prediction:
     """What a cause of no name predicts; measured (m,): means of the data at hand."""
-    plain = predicted(test, d, base)
+    plain = predicted(test, d, base, measured)
     if test.rows is None:
         return plain
-    left = np.where(test.rows < 0, 0.0, (measured - base.values)[test.rows])
+    errors = d.wrong_at(base.delta, base.strengths) @ known(d, base, measured).errors
+    unexplained = measured - base.values - errors
+    left = np.where(test.rows < 0, 0.0, unexplained[test.rows])
     return Prediction(plain.mean + left, plain.covariance + CHANGES**2 * np.outer(left, left))
 
 
@@ -153,4 +182,5 @@ class _Stacked:
         return values, base, effects
 
     def wrong(self, delta, strengths):
-        return np.asarray(block_diag(*(part.wrong(delta, strengths) for part in self.parts)))
+        found = [part.wrong(delta, strengths) for part in self.parts]
+        return np.vstack([widened(each, max(w.shape[1] for w in found)) for each in found])

@@ -132,7 +132,7 @@ def predictions(
     return [
         predicted_by_unknown(test, d, one.fit, measured)
         if one.name == UNKNOWN
-        else predicted(test, d, one.fit)
+        else predicted(test, d, one.fit, measured)
         for one in every
     ]
 
@@ -217,7 +217,7 @@ def _proposal(
         now=float(now.min()), separation=float(apart.min()),
         hardest=(names[i], names[j] if i != j else NONE),
         labels=test.labels,
-        predicted={one.name: predicted(test, d, one.fit).mean for one in leading},
+        predicted={one.name: predicted(test, d, one.fit, measured).mean for one in leading},
         deviation=np.sqrt(np.diag(test.noise)),
         entries=test.entries,
     )  # fmt: skip

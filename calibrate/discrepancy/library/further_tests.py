@@ -18,7 +18,7 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.further import FurtherTest, LinearResponse
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.next_test import Outcome
+from calibrate.discrepancy.comparison.next_test import Outcome, Proposal
 from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.library.lab_size import SHAPE_TOLERANCE
 from calibrate.discrepancy.library.run_library import Cylinder
@@ -46,9 +46,32 @@ AT_REST_SD = 0.3  # N, of a mean of many readings
 HOLD = 60.0  # s
 HOLD_SD = 1.5  # N
 DECADES_OF_A_HOLD = 2.7  # of the rate that the soil feels, from 8 mm/s to a minute of rest
+STILL_MM = 0.01  # within which a platen stands still
+BEGINNING = 10  # of the readings of a hold, one in so many tells the force that it begins with
 REPEATS = 2
 RATE, GAP, COMPLIANCE = "rate_dependence", "seating_gap", "load_frame_compliance"
 OFFSET, DRIFT = "load_cell_offset", "load_cell_drift"
+ANSWER = "next_lab.toml"
+CURVES = "next_{number}.csv"  # of repeats, from 1 on
+HEAD = """# What `{command}` proposes: {name}.
+# Put the curve of each repeat beside this file, then: calibrate diagnose LAB.toml --further {file}
+
+[soil]
+name = "{soil}"
+
+[specimen]
+diameter = "{diameter:g} mm"
+height = "{height:g} mm"
+
+[[tests]]
+{entries}
+"""
+CURVE = """
+[[tests.curves]]
+file = "{file}"
+displacement = {{ column = "displacement", unit = "mm" }}
+force = {{ column = "force", unit = "N" }}
+"""
 OF_NAME: Mapping[str, Callable[..., AbstractEffect]] = EFFECTS
 
 
@@ -149,14 +172,22 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
     if isinstance(test, RelaxationTest) and not test.protocol:
         wider = _to_size(file.cylinder_of(test.called), cylinder)[1]
         held = _hold(d, wider * test.force, test.hold, len(curves))
-        loss = [c.force_n[-1] - c.force_n.max() for c in curves]
-        return Outcome(held, wider * np.mean(loss, keepdims=True))
+        change = [_change_at_rest(c) for c in curves]
+        return Outcome(held, wider * np.mean(change, keepdims=True))
     if test.type_name in first and not test.protocol and _of_shape(file, test, cylinder):
         condition = TEST_FEATURES[test.type_name].condition(first[test.type_name], test)
         again = _again(d, noise, test.type_name, condition, test.called, 0.0)
         rows = np.array([_of_soil(again, test.type_name, d, c, file, cylinder) for c in curves])
         return _known(again, rows)
     return None
+
+
+def _change_at_rest(curve: Curve) -> float:
+    """By what the force (N) changes while the platen stands still."""
+    still = curve.displacement_mm >= curve.displacement_mm.max() - STILL_MM
+    force = curve.force_n[still]
+    begun = max(len(force) // BEGINNING, 1)
+    return float(force[-1] - force[:begun].max())
 
 
 def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
@@ -262,3 +293,22 @@ def _again(
     covariance = noise.specimen[np.ix_(mine, mine)]
     response = Varied(d, mine, condition)
     return FurtherTest(name, cost, labels, response, covariance, REPEATS, REPEATS, mine)
+
+
+def answer_file(lab: Lab, proposal: Proposal) -> str:
+    """A lab file that waits for the curves of a proposed test."""
+    first = lab.pair().compression
+    given = dict(proposal.entries)
+    if given["type"] == first.type_name:  # pressed as far as the first
+        given |= {n: f"{getattr(first, n):g} N" for n in ("force_low", "force_high")}
+    size = {"diameter": 1e3 * lab.specimen.diameter, "height": 1e3 * lab.specimen.height}
+    entries = "\n".join(f"{key} = {_toml(value)}" for key, value in given.items())
+    head = HEAD.format(
+        command="calibrate next", name=proposal.name, file=ANSWER, soil=lab.name.replace('"', "'"),
+        entries=entries, **size,
+    )  # fmt: skip
+    return head + "".join(CURVE.format(file=CURVES.format(number=n)) for n in range(1, REPEATS + 1))
+
+
+def _toml(value: str | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else f'"{value}"'

@@ -106,7 +106,7 @@ class LoadCellLag:
         moved = np.zeros((len(values), len(self._branches)), values.dtype)
         way, back = self._curve(values)
         gone = (way[:, -1] - way[:, 0]).real
-        a_curve = (SHORT < gone) & (gone < LONG) & (back[:, -1].real < LONG)
+        a_curve = (gone > SHORT) & (gone < LONG) & (back[:, -1].real < LONG)
         some = np.flatnonzero(a_curve & (length[:, 0].real < LONG))
         if len(some):
             way, back = way[some], back[some]
@@ -117,7 +117,7 @@ class LoadCellLag:
     def _curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacement of loading (n, k) at `_loaded` forces, and the way back (n, j) from the
         largest force to `_released` shares of it."""
-        up, down = self._forces
+        up = self._forces[0]
         loading = np.maximum.accumulate(values[:, self._up], axis=1)
         first = 2 * loading[:, 0] - loading @ _between(2 * up[0], up)
         slope = (loading[:, -1] - loading[:, -LAST]) / (up[-1] - up[-LAST])

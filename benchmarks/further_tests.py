@@ -1,0 +1,176 @@
+"""How many further tests it takes to name what is hidden: those asked for, at random, all cheap.
+
+    python benchmarks/further_tests.py        a minute and a half a case; after open_cases.py
+
+Cases of `open_cases.py` whose one effect has a signal-to-noise above 1, and some with nothing
+hidden or with an effect that the library lacks.  A laboratory answers up to three tests a case from
+the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is hidden.
+Three ways to ask are scored on the same answers: what `calibrate next` proposes until it says stop,
+tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts are kept, so
+that a stopped run goes on.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import open_cases
+import reporting
+
+from calibrate.core import runtime
+from calibrate.core.files import write_json
+from calibrate.core.progress import for_terminal
+from calibrate.discrepancy.comparison.classes import TOGETHER
+from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.library.design import CENTRE
+from calibrate.io.lab import load_lab
+from calibrate.simulation.keys import source_hash
+from calibrate.validation import run
+from calibrate.validation.further import FurtherLaboratory
+from calibrate.validation.laboratory import Laboratory
+from calibrate.validation.loop import ROUNDS, Asking
+from calibrate.validation.scores import truth_of
+
+VISIBLE = 1.0  # signal-to-noise from which an effect counts
+OTHERS = 8  # cases with nothing hidden, and as many from outside the library
+DRAWS = 2000  # of the bootstrap
+WAYS = {"asked for": "asked", "at random": "random"}
+
+
+@cache
+def laboratory(work: Path) -> FurtherLaboratory:
+    return FurtherLaboratory(Laboratory(work / "simulated", CENTRE), work / "answers")
+
+
+def judged_by() -> str:
+    return f"further-{open_cases.judged_by().removeprefix('evidences-')}-{source_hash(Asking)[:8]}"
+
+
+def loop(case: Path) -> dict:
+    """Verdicts on a case after 0, 1, ... tests, by way of asking."""
+    work = case.parents[1]
+    kept = work / judged_by() / f"{case.name}.json"
+    if not kept.exists():
+        true, lab = run.planned_case(work, case.name), load_lab(case / "lab.toml")
+        made = laboratory(work)
+        asking = Asking.of(
+            lab, open_cases.emulated(), open_cases.setup(), lambda p: made.answer(true, lab, p)
+        )
+        found = {
+            "asked": asking.by_proposals(), "random": asking.at_random([true.seed]),
+            "cheap": asking.all_cheap(),
+            "classes": [list(members) for members in asking.prepared.classes.members],
+        }  # fmt: skip
+        kept.parent.mkdir(exist_ok=True)
+        write_json(kept, found)
+    return json.loads(kept.read_text())
+
+
+def chosen_cases(work: Path, most: int) -> list[Path]:
+    """Single effects above `VISIBLE`, and some others, in the order of their meaningless names."""
+    kinds: dict[str, list[Path]] = {"single": [], NONE: [], "outside": []}
+    for case in run.case_folders(work):
+        true = run.planned_case(work, case.name)
+        if true.kind in kinds and (true.kind != "single" or true.snr > VISIBLE):
+            kinds[true.kind].append(case)
+    return [*kinds["single"][:most], *kinds[NONE][:OTHERS], *kinds["outside"][:OTHERS]]
+
+
+def right_after(row: dict, way: str) -> list[bool]:
+    """Whether the verdict is right after 0 to ROUNDS tests; one that stops keeps its verdict."""
+    said = [one["verdict"] == row["truth"] for one in row[way]]
+    return [said[min(k, len(said) - 1)] for k in range(ROUNDS + 1)]
+
+
+def until_right(row: dict, way: str) -> int:
+    """Number of tests after which the verdict is right first; one more than all if it never is."""
+    right = right_after(row, way)
+    return right.index(True) if True in right else ROUNDS + 1
+
+
+def ratio(rows: Sequence[dict]) -> tuple[float, float, float]:
+    """Tests until the verdict is right, asked for over at random, among cases that are not right at
+    once; with a 95 % interval (bootstrap over cases)."""
+    open_ = [row for row in rows if not right_after(row, "asked")[0]]
+    counts = np.array([[until_right(row, way) for way in ("asked", "random")] for row in open_])
+    if not len(counts):
+        return (np.nan,) * 3
+    rng = np.random.default_rng(0)
+    drawn = counts[rng.integers(len(counts), size=(DRAWS, len(counts)))].sum(axis=1)
+    low, high = np.quantile(drawn[:, 0] / drawn[:, 1], [0.025, 0.975])
+    return float(counts[:, 0].sum() / counts[:, 1].sum()), float(low), float(high)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--work", type=Path, default=open_cases.WORK, help="folder of open cases")
+    parser.add_argument("--most", type=int, default=40, help="cases with one effect")
+    given = parser.parse_args()
+    runtime.configure()
+    cases, progress = chosen_cases(given.work, given.most), for_terminal()
+    progress.start("asking for further tests", len(cases))
+    rows = []
+    apart = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
+        for case, found in zip(cases, workers.map(loop, cases), strict=True):
+            true = run.planned_case(given.work, case.name)
+            label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
+            rows.append({
+                "case": case.name, "kind": true.kind, "snr": true.snr,
+                "hidden": TOGETHER.join(h.name for h in true.hidden),
+                "truth": truth_of(label, found["classes"]), **found,
+            })  # fmt: skip
+            progress.advance()
+    progress.finish()
+    written(rows)
+
+
+def written(rows: Sequence[dict]) -> None:
+    """The results file."""
+    origin, lines, shares = reporting.provenance(), [], {}
+    kinds = {
+        "one effect above 1": [r for r in rows if r["kind"] == "single"],
+        "nothing hidden": [r for r in rows if r["kind"] == NONE],
+        "an effect that the library lacks": [r for r in rows if r["kind"] == "outside"],
+    }
+    for words, some in kinds.items():
+        for called, way in WAYS.items():
+            right = np.array([right_after(row, way) for row in some]).sum(axis=0)
+            shares[f"{words}, {called}"] = right.tolist()
+            made = np.mean([len(row[way]) - 1 for row in some])
+            lines.append([words, called, *(f"{n} of {len(some)}" for n in right), f"{made:.1f}"])
+        cheap = sum(row["cheap"]["verdict"] == row["truth"] for row in some)
+        shares[f"{words}, all cheap"] = cheap
+        last = f"{cheap} of {len(some)}"
+        lines.append([words, "all cheap ones", lines[-1][2], "", "", last, "2"])
+    found = ratio(kinds["one effect above 1"])
+    header = ("hidden", "tests", *(f"right after {k}" for k in range(ROUNDS + 1)), "made a case")
+    words = (
+        f"Tests until the verdict is right, asked for over at random: {found[0]:.2f} "
+        f"({found[1]:.2f} to {found[2]:.2f}; {ROUNDS + 1} where it never is)."
+    )
+    unknown = sum(row["asked"][-1]["verdict"] == UNKNOWN for row in kinds["one effect above 1"])
+    after = (
+        f"At the end {unknown} of {len(kinds['one effect above 1'])} effects are called unknown."
+    )
+    listed = [
+        (row["hidden"] or "nothing", f"{row['snr']:.1f}", row["asked"][0]["verdict"],
+         ", then ".join(f"{a['test']}: {a['verdict']}" for a in row["asked"][1:]) or "none asked")
+        for row in sorted(rows, key=lambda r: (r["kind"], r["hidden"], r["snr"]))
+    ]  # fmt: skip
+    text = "\n".join([
+        "# Further tests", "", reporting.table(header, lines), words, after, "", "## Cases", "",
+        reporting.table(("hidden", "signal-to-noise", "at first", "tests asked for"), listed),
+    ])  # fmt: skip
+    content = {"right": shares, "ratio": found, "cases": rows, **origin}
+    reporting.write("further_tests", content, text + reporting.footer(origin))
+
+
+if __name__ == "__main__":
+    main()
