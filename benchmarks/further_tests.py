@@ -7,7 +7,7 @@ hidden or with an effect that the library lacks.  A laboratory answers up to thr
 the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is hidden.
 Three ways to ask are scored on the same answers: what `calibrate next` proposes until it says stop,
 tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts are kept, so
-that a stopped run goes on.
+that a stopped run goes on.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from calibrate.core import runtime
 from calibrate.core.files import write_json
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.comparison.classes import TOGETHER
-from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import load_lab
 from calibrate.simulation.keys import source_hash
@@ -132,44 +132,18 @@ def main() -> None:
 
 
 def written(rows: Sequence[dict]) -> None:
-    """The results file."""
-    origin, lines, shares = reporting.provenance(), [], {}
-    kinds = {
-        "one effect above 1": [r for r in rows if r["kind"] == "single"],
-        "nothing hidden": [r for r in rows if r["kind"] == NONE],
-        "an effect that the library lacks": [r for r in rows if r["kind"] == "outside"],
-    }
-    for words, some in kinds.items():
-        for called, way in WAYS.items():
-            right = np.array([right_after(row, way) for row in some]).sum(axis=0)
-            shares[f"{words}, {called}"] = right.tolist()
-            made = np.mean([len(row[way]) - 1 for row in some])
-            lines.append([words, called, *(f"{n} of {len(some)}" for n in right), f"{made:.1f}"])
-        cheap = sum(row["cheap"]["verdict"] == row["truth"] for row in some)
-        shares[f"{words}, all cheap"] = cheap
-        last = f"{cheap} of {len(some)}"
-        lines.append([words, "all cheap ones", lines[-1][2], "", "", last, "2"])
-    found = ratio(kinds["one effect above 1"])
-    header = ("hidden", "tests", *(f"right after {k}" for k in range(ROUNDS + 1)), "made a case")
-    words = (
-        f"Tests until the verdict is right, asked for over at random: {found[0]:.2f} "
-        f"({found[1]:.2f} to {found[2]:.2f}; {ROUNDS + 1} where it never is)."
-    )
-    unknown = sum(row["asked"][-1]["verdict"] == UNKNOWN for row in kinds["one effect above 1"])
-    after = (
-        f"At the end {unknown} of {len(kinds['one effect above 1'])} effects are called unknown."
-    )
-    listed = [
-        (row["hidden"] or "nothing", f"{row['snr']:.1f}", row["asked"][0]["verdict"],
-         ", then ".join(f"{a['test']}: {a['verdict']}" for a in row["asked"][1:]) or "none asked")
-        for row in sorted(rows, key=lambda r: (r["kind"], r["hidden"], r["snr"]))
-    ]  # fmt: skip
-    text = "\n".join([
-        "# Further tests", "", reporting.table(header, lines), words, after, "", "## Cases", "",
-        reporting.table(("hidden", "signal-to-noise", "at first", "tests asked for"), listed),
-    ])  # fmt: skip
-    content = {"right": shares, "ratio": found, "cases": rows, **origin}
-    reporting.write("further_tests", content, text + reporting.footer(origin))
+    """The results file; how many are right, for a look."""
+    single = [row for row in rows if row["kind"] == "single"]
+    for way in (*WAYS.values(), "cheap"):
+        for kind in dict.fromkeys(row["kind"] for row in rows):
+            some = [row for row in rows if row["kind"] == kind]
+            if way == "cheap":
+                right = [sum(row["cheap"]["verdict"] == row["truth"] for row in some)]
+            else:
+                right = np.sum([right_after(row, way) for row in some], axis=0).tolist()
+            print(f"{kind}, {way}: {right} of {len(some)} after 0, 1, ... tests")
+    content = {"ratio": ratio(single), "cases": list(rows), **reporting.provenance()}
+    reporting.write_content("further_tests", content)
 
 
 if __name__ == "__main__":

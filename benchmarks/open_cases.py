@@ -1,14 +1,16 @@
 """How often the diagnosis names what is hidden in resolved beds, and nothing where nothing is.
 
     python benchmarks/open_cases.py                 20 seconds a case, then ten to judge it
-    python benchmarks/open_cases.py --learn         the same, then probabilities are learned from it
+    python benchmarks/open_cases.py --learn         the same, and evidences are kept for opinion.py
 
 Two hundred cases of four specimens of 1100 spheres of this simulator: 60 hide nothing, 100 one
 effect, 15 two, 25 one that the library lacks.  Beds come from few packings, other ones than those
 of the library and of any sealed set.  Cases are open: they serve development, and the bundled
 probability calibration is learned from them; so shares are told by cross-validation, each case with
-what the other folds' cases gave.  A folder keeps simulations, and the verdicts of one state of
-library and diagnosis, so that a stopped run goes on.
+what the other folds' cases gave.  Sealed sets that have been opened join them (--opened).
+
+A folder keeps simulations, and the evidences of one state of library and diagnosis, so that a
+stopped run goes on.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -33,8 +35,6 @@ from calibrate.core.files import write_json
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.comparison.compare import compare, likeliest_verdict
 from calibrate.discrepancy.comparison.probability_calibration import (
-    NONE,
-    UNKNOWN,
     ProbabilityCalibration,
     bundled_calibration,
 )
@@ -45,7 +45,6 @@ from calibrate.io.lab import load_lab
 from calibrate.simulation.keys import source_hash
 from calibrate.validation import run, trial
 from calibrate.validation.plan import COUNTS, Beds
-from calibrate.validation.seal import open_seal
 
 SEED = 4242
 BEDS = Beds(first_seed=2_900_000, spheres=(1100,), pool=8, packings=8)  # of no library, no seal
@@ -94,24 +93,41 @@ def judge(case: Path) -> None:
     })  # fmt: skip
 
 
-def judged(work: Path, only_made: bool) -> list[dict]:
-    """All cases, made and judged if they are not yet, as lines of the table of evidences."""
-    if not only_made:
-        run.generate(work, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
-    cases = run.case_folders(work)
+def judged(cases: Sequence[Path]) -> list[Path]:
+    """Judges cases that are not judged yet; those that can be."""
     apart = multiprocessing.get_context("spawn")  # threads of JAX do not survive a fork
     with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
         list(workers.map(judge, cases))
-    labels = {} if only_made else open_seal(work)
+    return [case for case in cases if kept_at(case).exists()]
+
+
+def of_work(work: Path, only_made: bool) -> list[dict]:
+    """The open cases, made if they are not yet, as lines of the table of evidences."""
+    if not only_made:
+        run.generate(work, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
     rows = []
-    for case in (case for case in cases if kept_at(case).exists()):
-        one = run.planned_case(work, case.name)
-        true = labels.get(case.name, {"kind": one.kind, "planned_snr": one.snr})
+    for case in judged(run.case_folders(work)):
+        true = run.planned_case(work, case.name)
         rows.append({
-            "set": SET, "case": case.name, "kind": true["kind"], "snr": true["planned_snr"],
-            "hidden": [h.name for h in one.hidden], **json.loads(kept_at(case).read_text()),
+            "set": SET, "case": case.name, "kind": true.kind, "snr": true.snr,
+            "hidden": [h.name for h in true.hidden], **json.loads(kept_at(case).read_text()),
         })  # fmt: skip
     return rows
+
+
+def of_opened(folder: Path) -> list[dict]:
+    """The cases of a sealed set that has been opened and scored, as lines of the same table."""
+    scored = json.loads((folder / "withheld.json").read_text(encoding="utf-8"))
+    known = {row["case"]: row for row in scored["rows"]}
+    return [
+        {
+            "set": folder.name, "case": case.name, "kind": known[case.name]["kind"],
+            "snr": known[case.name]["snr"],
+            "hidden": [one["name"] for one in scored["hidden"][case.name]],
+            **json.loads(kept_at(case).read_text()),
+        }
+        for case in judged(run.case_folders(folder))
+    ]  # fmt: skip
 
 
 def said_of(rows: Sequence[dict], by: Sequence[ProbabilityCalibration]) -> list[dict]:
@@ -122,28 +138,12 @@ def said_of(rows: Sequence[dict], by: Sequence[ProbabilityCalibration]) -> list[
         probability = case.said(calibration)
         verdict = likeliest_verdict(probability)
         found.append({
-            "case": row["case"], "hidden": row["hidden"], "stratum": case.stratum,
-            "snr": row["snr"], "truth": case.truth, "verdict": verdict,
+            "set": row["set"], "case": row["case"], "hidden": row["hidden"],
+            "stratum": case.stratum, "snr": row["snr"], "truth": case.truth, "verdict": verdict,
             "stated": probability[verdict], "right": verdict == case.truth,
             "p_gap": row["p_before"],
         })  # fmt: skip
     return found
-
-
-def summary(said: Sequence[dict]) -> dict[str, dict[str, int]]:
-    """How many of how many are right, called none and called unknown."""
-    kinds = {"none": "nothing hidden", "single below 2": "one effect, 0.5 to 2",
-             "single 2 to 6": "one effect, 2 to 6", "single above 6": "one effect, above 6",
-             "two": "two effects", "outside": "an effect that the library lacks"}  # fmt: skip
-    of = {words: [s for s in said if s["stratum"] == name] for name, words in kinds.items()}
-    return {
-        words: {
-            "right": sum(s["right"] for s in some), "cases": len(some),
-            "none": sum(s["verdict"] == NONE for s in some),
-            "unknown": sum(s["verdict"] == UNKNOWN for s in some),
-        }
-        for words, some in of.items() if some
-    }  # fmt: skip
 
 
 def main() -> None:
@@ -151,45 +151,21 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=WORK, help="folder for simulations")
     parser.add_argument("--learn", action="store_true", help="keep evidences for opinion.py")
     parser.add_argument("--made", action="store_true", help="judge the cases made so far, no more")
+    parser.add_argument("--opened", type=Path, nargs="*", default=[], help="sealed sets, opened")
     chosen = parser.parse_args()
     runtime.configure()
-    rows = judged(chosen.work, chosen.made)
+    rows = of_work(chosen.work, chosen.made)
+    rows += [row for folder in chosen.opened for row in of_opened(folder)]
     some = [evidences.known(row) for row in rows]
     if chosen.learn:
         evidences.keep(rows)
     others = evidences.by_other_folds(some)
     bundled = evidences.quality(some, [bundled_calibration()] * len(some))
-    written(said_of(rows, others), {
-        "bundled calibration": bundled, "that of the other folds": evidences.quality(some, others),
-    })  # fmt: skip
-
-
-def written(said: Sequence[dict], quality: dict) -> None:
-    """The results file of these cases."""
-    origin, found = reporting.provenance(), summary(said)
-    header = ("cases, signal-to-noise", "right", "called none", "called unknown")
-    lines = [
-        (name, f"{n['right']} of {n['cases']}", str(n["none"]), str(n["unknown"]))
-        for name, n in found.items()
-    ]
-    by_folds = quality["that of the other folds"]
-    words = (
-        "Each case with probabilities that were learned from the others. Wrong, and stated with "
-        f"0.8 or more: {100 * by_folds['wrong_and_sure']:.0f} %; calibration error "
-        f"{by_folds['calibration_error']:.3f}."
-    )
-    wrong = [s for s in said if not s["right"] and s["stratum"] != "single below 2"]
-    listed = [
-        (" + ".join(s["hidden"]) or "nothing", f"{s['snr']:.1f}", s["verdict"],
-         f"{s['stated']:.2f}", f"{s['p_gap']:.3f}")
-        for s in sorted(wrong, key=lambda s: (s["stratum"], s["hidden"], s["snr"]))
-    ]  # fmt: skip
-    text = "\n".join([
-        "# Open cases", "", reporting.table(header, lines), words, "", "## Wrong above 2", "",
-        reporting.table(("hidden", "signal-to-noise", "verdict", "stated", "p of a gap"), listed),
-    ])  # fmt: skip
-    content = {"summary": found, "quality": quality, "cases": list(said), **origin}
-    reporting.write("open_cases", content, text + reporting.footer(origin))
+    folds = evidences.quality(some, others)
+    print(json.dumps({"bundled": bundled, "folds": folds}, indent=1))
+    content = {"bundled calibration": bundled, "that of the other folds": folds,
+               "cases": said_of(rows, others), **reporting.provenance()}  # fmt: skip
+    reporting.write_content("open_cases", content)
 
 
 if __name__ == "__main__":

@@ -49,9 +49,14 @@ def file_of(name: str) -> Path:
 
 def write(name: str, content: dict, markdown: str) -> None:
     """The result's JSON and benchmarks/results/<name>.md; says where they are."""
+    write_content(name, content)
+    write_page(name, markdown)
+
+
+def write_content(name: str, content: dict) -> None:
+    """The result's JSON alone, for a page that shows several."""
     write_json(file_of(name), content)
     print(f"written: {file_of(name)}", file=sys.stderr)
-    write_page(name, markdown)
 
 
 def write_page(name: str, markdown: str) -> None:

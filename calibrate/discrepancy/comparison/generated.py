@@ -22,6 +22,8 @@ from calibrate.discrepancy.comparison.score import lengths
 from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
 from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
+HEAVY = 5.0  # degrees of freedom of what a description is wrong by, as an emulator's errors are
+
 
 @dataclass(frozen=True, eq=False)
 class SampleGenerator:
@@ -137,7 +139,8 @@ class SampleGenerator:
         mean = normal(rng, self.packing_root, 1)[0] / np.sqrt(d.mean_specimens)
         shared = normal(rng, self.packing_root / deviation[:, None], len(delta)).T
         slopes = (d.base_errors * shared) @ delta
-        return mean + slopes + d.wrong @ rng.standard_normal(d.wrong.shape[1])
+        tail = np.sqrt(HEAVY / rng.chisquare(HEAVY))  # a few soils are far off
+        return mean + slopes + tail * d.wrong @ rng.standard_normal(d.wrong.shape[1])
 
 
 def normal(rng: np.random.Generator, root: np.ndarray, count: int) -> np.ndarray:

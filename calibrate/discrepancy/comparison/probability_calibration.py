@@ -33,10 +33,10 @@ ALPHA = 0.05  # of a test for a gap
 BUNDLED = "probability_calibration.json"  # beside this file
 MUCH = 3.0  # c: difference of ln evidences, beyond which more of it counts less
 ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them decides alone
-PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about their neutral values
+PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about those of the prior
 CLASS_BIAS_SD = 1.2
 SHARPEST, DULLEST = 2.0, 0.05  # t
-NAMED_BELOW = 0.25  # probability of no gap: alarms in 4 % of opened nulls, by the other folds
+NAMED_BELOW = 0.25  # probability of no gap: alarms in 3 % of open nulls, by the other folds
 HOPELESS = -1e6  # ln evidence of what could not be fitted
 ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
@@ -96,15 +96,17 @@ def bundled_calibration() -> ProbabilityCalibration:
 
 
 def fit_calibration(
-    cases: Sequence[EvidenceSummary], truths: Sequence[np.ndarray]
-) -> ProbabilityCalibration:
+    cases: Sequence[EvidenceSummary], truths: Sequence[np.ndarray],
+    prior: ProbabilityCalibration | None = None,
+) -> ProbabilityCalibration:  # fmt: skip
     """The probability calibration with the best logarithmic score on cases.
 
-    truths: for each case a mask over its `hypotheses`: those that would be right.
+    truths: for each case a mask over its `hypotheses`: those that would be right; prior: towards
+    which numbers are pulled (None: evidences as they are).
     """
     names = tuple(dict.fromkeys(name for summary in cases for name in summary.names))
     columns, share, right = _stacked([_table(summary, names) for summary in cases], truths)
-    uncalibrated = ProbabilityCalibration().numbers(names)
+    before = (prior or ProbabilityCalibration()).numbers(names)
     pull = np.array([*PULL_SD, *[CLASS_BIAS_SD] * len(names)])
 
     def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
@@ -113,13 +115,13 @@ def fit_calibration(
         of_truth = (p * right).sum(axis=1)
         foreseen = ODD + (1 - ODD) * of_truth
         slope = ((1 - ODD) / foreseen)[:, None] * p * (right - of_truth[:, None])
-        away = (numbers - uncalibrated) / pull
+        away = (numbers - before) / pull
         value = 0.5 * away @ away - np.log(foreseen).sum()
         return float(value), away / pull - np.einsum("nh,nhj->j", slope, columns)
 
     free, positive = (None, None), (0.0, None)
     bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 2, *[free] * len(names)]
-    found = minimize(loss, uncalibrated, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
+    found = minimize(loss, before, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
     return ProbabilityCalibration(*found[:6], class_bias=dict(zip(names, found[6:], strict=True)))
 
 

@@ -1,8 +1,8 @@
 """Errors of the emulator: packings left out in turn, and soils repeated on several packings.
 
     e = y - f(x, s)                                      in a standardised component
-    held-out row                e ~ N(0, w v(x, s) + (u + q) n(x))
-    mean of k repeats           e ~ N(0, w v(x, s) + (u + q/k) n(x))
+    held-out row                e ~ t(w v(x, s) + (u + q) n(x))
+    mean of k repeats           e ~ t(w v(x, s) + (u + q/k) n(x))
     repeats about their mean    sum of squares ~ q n(x) chi2(k - 1)
 
 v is the variance that the process states of itself, n = packing + soil block + rest the scatter
@@ -10,7 +10,9 @@ that it states of specimens.  Part of n is no scatter but what a smooth function
 for all specimens of a soil: its misfit u.  Rows have a packing each and cannot tell u from q, the
 scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
 without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
-w with a weak pull to 1, as a few errors of values hide in much scatter.
+w with a weak pull to 1, as a few errors of values hide in much scatter.  Errors have heavy tails
+(Student's t, Lange, Little and Taylor 1989): a few soils are far off, and a variance that they set
+would be too wide for all others.
 
 What no component holds is split as a whole, by mean squares over repeats.  Its scatter goes with
 size and soil as that of components does on average; its misfit is taken for the same everywhere.
@@ -41,6 +43,8 @@ SMALLEST = 1e-9  # variance of errors along a direction, of the largest
 FURTHEST = np.log(10.0)  # of ln w, ln q and ln u
 PULL_SD = 0.5  # of ln w about 0
 LEAST = 1e-3  # of u and q
+FREEDOM = 5.0  # of the errors' t
+FARTHEST = 1.5  # median lengths of errors with an effect, beyond which they count as this long
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,9 +233,18 @@ def _of_effect(standard: np.ndarray, s: np.ndarray, none: np.ndarray) -> np.ndar
     n, m = standard.shape
     if n < FEWEST:
         return np.zeros((m, 0))
-    values, axes = np.linalg.eigh(standard.T @ standard / n)
-    kept = np.flatnonzero(values > _by_chance(none, n))[::-1][:MOST]
+    usual = _shortened(standard)
+    values, axes = np.linalg.eigh(usual.T @ usual / n)
+    kept = np.flatnonzero(values > _by_chance(_shortened(none), n))[::-1][:MOST]
     return axes[:, kept] * np.sqrt((values[kept] - 1) / np.mean(s**2))
+
+
+def _shortened(standard: np.ndarray) -> np.ndarray:
+    """Errors (n, m) of which none is longer than FARTHEST medians: one soil for which an effect is
+    far off would else widen the errors of all."""
+    length = np.linalg.norm(standard, axis=1)
+    most = FARTHEST * np.median(length)
+    return standard * np.minimum(1.0, most / np.maximum(length, 1e-300))[:, None]
 
 
 def _by_chance(none: np.ndarray, count: int) -> float:
@@ -277,8 +290,9 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
         w, q, u = _factors_of(ln_factors, repeated)
         variance = w * stated + (u + q / count) * noise
         within = (count - 1) * np.log(q * noise) + squares / (q * noise)
+        away = (FREEDOM + 1) * np.log1p(errors**2 / (FREEDOM * variance))
         pull = (ln_factors[0] / PULL_SD) ** 2
-        return float((np.log(variance) + errors**2 / variance + within).sum() + pull)
+        return float((np.log(variance) + away + within).sum() + pull)
 
     low = np.log(LEAST)
     bounds = [(0.0, FURTHEST), (low, FURTHEST), (low, FURTHEST)][: 2 + repeated]

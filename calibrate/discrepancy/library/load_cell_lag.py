@@ -162,7 +162,7 @@ class LoadCellLag:
         read, rise = path_at(levels, way, force, reading, length)
         reversal = self._top + length * rise[:, -1:]  # the force is L dR/dx ahead of its reading
         over = reversal / self._top
-        home = np.column_stack([over * back, over * back[:, -1:] + AFTER * length])
+        home = np.column_stack([over * back, over * back[:, -1:] + AFTER * length + APART])
         falling = -reversal * np.append(self._released, 0.0)  # upside down, so that it rises
         reading = reading_at_knots(home, falling, length, -self._top)
         returned, _ = path_at(-down, home, falling, reading, length)

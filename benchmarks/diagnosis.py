@@ -1,0 +1,188 @@
+"""One table of what the diagnosis does today, beside what was asked of it.
+
+    python benchmarks/diagnosis.py        two minutes
+
+Reads the results of open_cases.py, further_tests.py, codes.py and of `calibrate withheld --shapes`,
+and times both commands on a case of open_cases.py.  What is asked was written down before any of
+these cases was made.  Writes benchmarks/results/diagnosis.md.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import further_tests
+import numpy as np
+import open_cases
+import reporting
+
+from calibrate.discrepancy.comparison.classes import TOGETHER
+from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.validation import run
+from calibrate.validation.scores import share
+from jdem.effects.composite import EFFECTS
+
+SURE = 0.8
+Row = tuple[str, str, str, str, str]
+HEADER = ("question", "asked", "found", "95 % interval", "of which cases")
+
+
+def result(name: str) -> dict:
+    """A result file; empty where it was not made."""
+    path = reporting.file_of(name)
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def line(words: str, asked: str, right: Sequence[bool], cases: str) -> Row:
+    """A share with its interval (Clopper and Pearson)."""
+    found = share(right)
+    if not found["n"]:
+        return words, asked, "no such cases", "", cases
+    shown = f"{sum(right)} of {found['n']} ({100 * found['value']:.0f} %)"
+    return words, asked, shown, f"{100 * found['low']:.0f} to {100 * found['high']:.0f} %", cases
+
+
+def kind_of(name: str) -> str:
+    """Whether an effect is one of the machine, or of soil and walls."""
+    return "machine" if EFFECTS[name].about.kind == "instrument" else "soil and walls"
+
+
+def of_open() -> Iterator[Row]:
+    found = result("open_cases")
+    cases = found.get("cases", [])
+    words = "open"
+    sound = [c["verdict"] != NONE for c in cases if c["stratum"] == NONE]
+    yield line("nothing hidden: something named", "at most 5 %", sound, words)
+    for stratum, asked in (("above 6", "at least 90 %"), ("2 to 6", "at least 60 %")):
+        single = [c for c in cases if c["stratum"] == f"single {stratum}"]
+        yield line(f"one effect {stratum}: named first", asked, [c["right"] for c in single], words)
+        for kind in ("machine", "soil and walls"):
+            some = [c["right"] for c in single if kind_of(c["hidden"][0]) == kind]
+            yield line(f"- of these {kind}", asked, some, words)
+    outside = [c["verdict"] == UNKNOWN for c in cases if c["stratum"] == "outside"]
+    yield line("effects that the library lacks: called unknown", "at least 70 %", outside, words)
+    sure = [c["stated"] >= SURE and not c["right"] for c in cases]
+    yield line(f"wrong, and stated with {SURE:g} or more", "below 5 %", sure, words)
+    yield from _calibration(cases, words)
+
+
+def _calibration(cases: Sequence[dict], words: str) -> Iterator[Row]:
+    """Beside what perfect forecasters of as many cases stay below in 95 % of sets."""
+    if not cases:
+        return
+    stated, right = (np.array([float(c[key]) for c in cases]) for key in ("stated", "right"))
+    rng = np.random.default_rng(0)
+    perfect = [
+        open_cases.evidences.expected_error(stated, (rng.random(len(stated)) < stated) * 1.0)
+        for _ in range(further_tests.DRAWS)
+    ]
+    error = open_cases.evidences.expected_error(stated, right)
+    bound = f"at most {np.quantile(perfect, 0.95):.3f}"
+    yield "calibration error of stated probabilities", bound, f"{error:.3f}", "", words
+
+
+def of_further() -> Iterator[Row]:
+    found = result("further_tests")
+    single = [row for row in found.get("cases", []) if row["kind"] == "single"]
+    words = "open, effects above 1"
+    for called, way in further_tests.WAYS.items():
+        right = [further_tests.right_after(row, way)[-1] for row in single]
+        asked = "at least 90 %" if way == "asked" else ""
+        yield line(f"named after at most three further tests, {called}", asked, right, words)
+    if single:
+        value, low, high = found["ratio"]
+        yield (
+            "tests until named, asked for over at random", "below 1", f"{value:.2f}",
+            f"{low:.2f} to {high:.2f}", words,
+        )  # fmt: skip
+
+
+def of_shapes() -> Iterator[Row]:
+    found = result("withheld_shapes")
+    rows, words = found.get("rows", []), "sealed, other specimens"
+    sound = [row["verdict"] != NONE for row in rows if row["kind"] == NONE]
+    yield line("nothing hidden: something named", "at most 5 %", sound, words)
+    for low, high, asked in ((6, np.inf, "at least 90 %"), (2, 6, "at least 60 %")):
+        some = [
+            row["verdict"] == row["truth"] for row in rows
+            if row["kind"] == "single" and low <= row["snr"] < high
+        ]  # fmt: skip
+        stratum = "above 6" if low == 6 else "2 to 6"
+        yield line(f"one effect {stratum}: named first", asked, some, words)
+    sure = [row["stated"] >= SURE and row["verdict"] != row["truth"] for row in rows]
+    yield line(f"wrong, and stated with {SURE:g} or more", "below 5 %", sure, words)
+
+
+def of_codes() -> Iterator[Row]:
+    every = result("codes").get("carried", [])
+    for soil in dict.fromkeys(each["soil"] for each in every):
+        own = [each for each in every if each["soil"] == soil]
+        words = f"six packings, {soil.replace('_', ' ')}"
+        for name, called, asked in (
+            ("depression_depth_mm", "H", "within 5 %"), ("crushing_force_n", "F", "within 10 %"),
+        ):  # fmt: skip
+            ours, theirs = (np.mean([e[who][name] for e in own]) for who in ("ours", "theirs"))
+            text = f"{100 * (theirs / ours - 1):+.1f} %"
+            yield f"calibrated here, in LIGGGHTS: {called}", asked, text, "", words
+
+
+def of_time() -> Iterator[Row]:
+    """Whole commands, on this machine, with nothing beside them."""
+    lab = run.case_folders(open_cases.WORK)[0] / "lab.toml"
+    for verb, asked in (("diagnose", "at most 30 s"), ("next", "at most 60 s")):
+        with tempfile.TemporaryDirectory() as folder:
+            begun = time.perf_counter()
+            command = [sys.executable, "-m", "calibrate", verb, str(lab), "--out", folder]
+            subprocess.run(command, check=True, capture_output=True)
+            taken = time.perf_counter() - begun
+        cores = f"{os.cpu_count()} cores"
+        yield f"`calibrate {verb}`, four specimens", asked, f"{taken:.0f} s", "", cores
+
+
+def wrong() -> list[tuple[str, ...]]:
+    """Open cases above 2 that are not answered rightly."""
+    cases = [c for c in result("open_cases").get("cases", []) if not c["right"]]
+    order = sorted(cases, key=lambda c: (c["stratum"], c["hidden"], c["snr"]))
+    return [
+        (TOGETHER.join(c["hidden"]) or "nothing", f"{c['snr']:.1f}" if c["snr"] else "",
+         c["verdict"], f"{c['stated']:.2f}", f"{c['p_gap']:.3f}")
+        for c in order if c["stratum"] != "single below 2"
+    ]  # fmt: skip
+
+
+def asked_for() -> list[tuple[str, ...]]:
+    """What was asked for in each case of the loop."""
+    rows = sorted(
+        result("further_tests").get("cases", []), key=lambda r: (r["kind"], r["hidden"], r["snr"])
+    )
+    return [
+        (row["hidden"] or "nothing", f"{row['snr']:.1f}" if row["snr"] else "",
+         row["asked"][0]["verdict"],
+         ", then ".join(f"{a['test']}: {a['verdict']}" for a in row["asked"][1:]) or "none asked")
+        for row in rows
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parts: tuple[Callable[[], Iterator[Row]], ...] = (
+        of_open, of_further, of_shapes, of_codes, of_time
+    )  # fmt: skip
+    rows = [row for part in parts for row in part()]
+    text = "\n".join([
+        "# The diagnosis today", "", reporting.table(HEADER, rows),
+        "Open cases served development, and their probabilities are told by cross-validation. "
+        "Signal-to-noise is what calibration leaves of an effect, over scatter and errors.", "",
+        "## Open cases above 2 that are answered wrongly", "",
+        reporting.table(("hidden", "signal-to-noise", "verdict", "stated", "p of a gap"), wrong()),
+        "## Further tests that were asked for", "",
+        reporting.table(("hidden", "signal-to-noise", "at first", "tests"), asked_for()),
+    ])  # fmt: skip
+    reporting.write_page("diagnosis", text + reporting.footer(reporting.provenance()))
+
+
+if __name__ == "__main__":
+    main()
