@@ -174,8 +174,9 @@ def main() -> None:
     rows = [row for part in parts for row in part()]
     text = "\n".join([
         "# The diagnosis today", "", reporting.table(HEADER, rows),
-        "Open cases served development, and their probabilities are told by cross-validation. "
-        "Signal-to-noise is what calibration leaves of an effect, over scatter and errors.", "",
+        "Open cases served development. Their first answers are told by cross-validation; those "
+        "after further tests with probabilities that were learned from them too. Signal-to-noise "
+        "is what calibration leaves of an effect, over scatter and errors.", "",
         "## Open cases above 2 that are answered wrongly", "",
         reporting.table(("hidden", "signal-to-noise", "verdict", "stated", "p of a gap"), wrong()),
         "## Further tests that were asked for", "",

@@ -38,7 +38,6 @@ from calibrate.validation.loop import ROUNDS, Asking
 from calibrate.validation.scores import truth_of
 
 VISIBLE = 1.0  # signal-to-noise from which an effect counts
-OTHERS = 8  # cases with nothing hidden, and as many from outside the library
 DRAWS = 2000  # of the bootstrap
 WAYS = {"asked for": "asked", "at random": "random"}
 
@@ -72,14 +71,14 @@ def loop(case: Path) -> dict:
     return json.loads(kept.read_text())
 
 
-def chosen_cases(work: Path, most: int) -> list[Path]:
-    """Single effects above `VISIBLE`, and some others, in the order of their meaningless names."""
+def chosen_cases(work: Path, most: int, others: int) -> list[Path]:
+    """Single effects above `VISIBLE`, and others, in the order of their meaningless names."""
     kinds: dict[str, list[Path]] = {"single": [], NONE: [], "outside": []}
     for case in run.case_folders(work):
         true = run.planned_case(work, case.name)
         if true.kind in kinds and (true.kind != "single" or true.snr > VISIBLE):
             kinds[true.kind].append(case)
-    return [*kinds["single"][:most], *kinds[NONE][:OTHERS], *kinds["outside"][:OTHERS]]
+    return [*kinds["single"][:most], *kinds[NONE][:others], *kinds["outside"][:others]]
 
 
 def right_after(row: dict, way: str) -> list[bool]:
@@ -109,17 +108,20 @@ def ratio(rows: Sequence[dict]) -> tuple[float, float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--work", type=Path, default=open_cases.WORK, help="folder of open cases")
     parser.add_argument("--most", type=int, default=40, help="cases with one effect")
+    parser.add_argument(
+        "--others", type=int, default=8, help="with nothing hidden, and from outside"
+    )
     given = parser.parse_args()
     runtime.configure()
-    cases, progress = chosen_cases(given.work, given.most), for_terminal()
+    open_cases.unpack()
+    cases, progress = chosen_cases(open_cases.WORK, given.most, given.others), for_terminal()
     progress.start("asking for further tests", len(cases))
     rows = []
     apart = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
         for case, found in zip(cases, workers.map(loop, cases), strict=True):
-            true = run.planned_case(given.work, case.name)
+            true = run.planned_case(open_cases.WORK, case.name)
             label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
             rows.append({
                 "case": case.name, "kind": true.kind, "snr": true.snr,
@@ -142,6 +144,10 @@ def written(rows: Sequence[dict]) -> None:
             else:
                 right = np.sum([right_after(row, way) for row in some], axis=0).tolist()
             print(f"{kind}, {way}: {right} of {len(some)} after 0, 1, ... tests")
+    for row in rows:  # probabilities of all explanations stay in the folder
+        for said in (*row["asked"], *row["random"], row["cheap"]):
+            said.pop("by_class")
+        row.pop("classes")
     content = {"ratio": ratio(single), "cases": list(rows), **reporting.provenance()}
     reporting.write_content("further_tests", content)
 

@@ -7,10 +7,11 @@ Two hundred cases of four specimens of 1100 spheres of this simulator: 60 hide n
 effect, 15 two, 25 one that the library lacks.  Beds come from few packings, other ones than those
 of the library and of any sealed set.  Cases are open: they serve development, and the bundled
 probability calibration is learned from them; so shares are told by cross-validation, each case with
-what the other folds' cases gave.  Sealed sets that have been opened join them (--opened).
+what the other folds' cases gave.  A sealed set of other specimens that has been opened joins them.
 
-A folder keeps simulations, and the evidences of one state of library and diagnosis, so that a
-stopped run goes on.  `diagnosis.py` makes the page.
+results/open_cases.tar.xz holds what has been made so far: 78 of the 200, and the opened set.  A
+folder keeps these, and the evidences of one state of library and diagnosis, so that a stopped run
+goes on; --made stops at what is there.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -19,6 +20,7 @@ import json
 import multiprocessing
 import os
 import sys
+import tarfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
@@ -49,7 +51,8 @@ from calibrate.validation.plan import COUNTS, Beds
 SEED = 4242
 BEDS = Beds(first_seed=2_900_000, spheres=(1100,), pool=8, packings=8)  # of no library, no seal
 SET = "open, 1100 spheres"
-WORK = reporting.CACHE / "open_cases"
+WORK, OPENED = reporting.CACHE / "open_cases", reporting.CACHE / "withheld_shapes"
+ARCHIVE = reporting.RESULTS / "open_cases.tar.xz"
 
 
 @cache
@@ -68,6 +71,14 @@ def judged_by() -> str:
     evidences are kept."""
     library = hashlib.sha256(store.bundled_library().read_bytes()).hexdigest()
     return f"evidences-{library[:8]}-{source_hash(described, prepared_diagnosis, compare)[:8]}"
+
+
+def unpack() -> None:
+    """The cases made so far, where there are none."""
+    if not WORK.exists():
+        reporting.CACHE.mkdir(parents=True, exist_ok=True)
+        with tarfile.open(ARCHIVE) as archive:
+            archive.extractall(reporting.CACHE, filter="data")
 
 
 def kept_at(case: Path) -> Path:
@@ -101,13 +112,13 @@ def judged(cases: Sequence[Path]) -> list[Path]:
     return [case for case in cases if kept_at(case).exists()]
 
 
-def of_work(work: Path, only_made: bool) -> list[dict]:
+def of_work(only_made: bool) -> list[dict]:
     """The open cases, made if they are not yet, as lines of the table of evidences."""
     if not only_made:
-        run.generate(work, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
+        run.generate(WORK, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
     rows = []
-    for case in judged(run.case_folders(work)):
-        true = run.planned_case(work, case.name)
+    for case in judged(run.case_folders(WORK)):
+        true = run.planned_case(WORK, case.name)
         rows.append({
             "set": SET, "case": case.name, "kind": true.kind, "snr": true.snr,
             "hidden": [h.name for h in true.hidden], **json.loads(kept_at(case).read_text()),
@@ -148,14 +159,12 @@ def said_of(rows: Sequence[dict], by: Sequence[ProbabilityCalibration]) -> list[
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--work", type=Path, default=WORK, help="folder for simulations")
     parser.add_argument("--learn", action="store_true", help="keep evidences for opinion.py")
     parser.add_argument("--made", action="store_true", help="judge the cases made so far, no more")
-    parser.add_argument("--opened", type=Path, nargs="*", default=[], help="sealed sets, opened")
     chosen = parser.parse_args()
     runtime.configure()
-    rows = of_work(chosen.work, chosen.made)
-    rows += [row for folder in chosen.opened for row in of_opened(folder)]
+    unpack()
+    rows = [*of_work(chosen.made), *of_opened(OPENED)]
     some = [evidences.known(row) for row in rows]
     if chosen.learn:
         evidences.keep(rows)

@@ -38,6 +38,7 @@ def main() -> None:
     count = len(some)
     content = {
         "calibration": asdict(found),
+        "before": evidences.taught_before(),
         "cases": count,
         "evidences as they are": evidences.quality(some, [ProbabilityCalibration()] * count),
         "learned": evidences.quality(some, [found] * count),

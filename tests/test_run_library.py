@@ -15,6 +15,7 @@ from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import run_library, simulate, store
 from calibrate.discrepancy.library.cross_validation import (
     BLOCK,
+    FARTHEST,
     FOLDS,
     EmulatorErrors,
     Repeats,
@@ -369,8 +370,16 @@ def test_what_no_component_holds_is_split_too():
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
-    """Of two effects the second errs along a direction, ten deviations long at full strength."""
+    """Of two effects the second errs along a direction, ten deviations long at full strength; what
+    is found of it is what errors leave that count for no longer than FARTHEST medians."""
     rng, m = np.random.default_rng(11), 12
+    many = np.random.default_rng(0)
+    strength, drawn = many.uniform(-1, 1, 100_000), many.normal(size=(100_000, m))
+    drawn[:, 0] += 10 * strength * many.normal(size=100_000)
+    length = np.linalg.norm(drawn, axis=1)
+    cut = np.minimum(1.0, FARTHEST * np.median(length) / length)
+    left = np.sqrt((np.mean((cut * drawn[:, 0]) ** 2) - 1) / np.mean(strength**2))
+    assert 4 < left < 8
     root = rng.normal(size=(m, m))
     s = np.zeros((300, 2))
     s[100:160, 0], s[160:220, 1] = rng.uniform(0.2, 1, 60), rng.uniform(-1, 1, 60)
@@ -379,9 +388,22 @@ def test_errors_that_an_effect_makes_along_one_direction_are_found():
     directions, effect = by_effects(errors, s)
     assert set(effect.tolist()) == {1}
     found, *by_chance = np.linalg.solve(root, directions).T
-    assert abs(found[0]) == pytest.approx(10, rel=0.35)
+    assert abs(found[0]) == pytest.approx(left, rel=0.35)
     assert np.abs(found[1:]).max() < 0.2 * abs(found[0])
     assert all(np.linalg.norm(other) < 3 for other in by_chance)
+
+
+def test_one_soil_that_is_far_off_does_not_widen_the_errors_of_all():
+    """One of sixty rows with an effect misses by two hundred deviations."""
+    rng, m = np.random.default_rng(13), 12
+    s = np.zeros((300, 1))
+    s[200:260, 0] = rng.uniform(0.3, 1, 60)
+    errors = rng.normal(size=(300, m))
+    errors[200:260] += 6 * s[200:260] * rng.normal(size=(60, 1)) * np.eye(m)[0]
+    longest = np.linalg.norm(by_effects(errors, s)[0], axis=0).max()
+    errors[230] += 200 * np.eye(m)[1]
+    far_off = np.linalg.norm(by_effects(errors, s)[0], axis=0).max()
+    assert 2 < longest < 6 and far_off < 1.3 * longest
 
 
 def test_errors_without_a_direction_have_hardly_any():

@@ -309,11 +309,13 @@ def result_of(rows: list[Row]) -> dict:
 def test_targets_are_those_that_were_asked():
     asked = {t.words: t for t in criteria(result_of(hand_made()))}
     bounds = [(t.sense, t.bound) for t in asked.values() if t.unit == "share"]
-    assert bounds == [(AT_LEAST, 0.9), (AT_LEAST, 0.7), (AT_MOST, 0.05), (AT_LEAST, 0.7),
+    assert bounds == [(AT_LEAST, 0.9), (AT_LEAST, 0.6), (AT_MOST, 0.05), (AT_LEAST, 0.7),
                       (AT_MOST, 0.1), (BELOW, 0.05), (AT_LEAST, 0.8)]  # fmt: skip
     assert all(t.standing == Standing.MISSED for t in asked.values() if t.unit == "cases")
     other = [t.bound for t in criteria({**result_of(hand_made()), "other_code": True})]
-    assert other[:4] == [40, 0.8, 0.7, 0.1]
+    assert other[:4] == [40, 0.8, 0.6, 0.1]
+    sizes = [t.bound for t in criteria({**result_of(hand_made()), "other_sizes": True})]
+    assert sizes[:2] == [30, 0.9]
 
 
 def test_being_better_needs_points_and_significance():

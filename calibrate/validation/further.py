@@ -24,6 +24,7 @@ from calibrate.discrepancy.library.further_tests import (
     DECADES_OF_A_HOLD,
     DRIFT,
     HOLD,
+    OF_NAME,
     OFFSET,
     RATE,
     REPEATS,
@@ -38,7 +39,6 @@ from calibrate.simulation.resolution import STILL
 from calibrate.simulation.run import points_of
 from calibrate.validation.laboratory import DISPLACEMENT_SD, FORCE_SD, Laboratory
 from calibrate.validation.plan import SPECIMENS, Hidden, WithheldCase
-from jdem.effects.composite import EFFECTS
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
 
@@ -94,7 +94,7 @@ class FurtherLaboratory:
         """A curve of the machine without soil, to the largest force of the lab's first test."""
         force = lab.pair().compression.force_high
         test = MachineTest.model_validate({"name": "bare", "force": f"{force!r} N"})
-        effects = tuple(EFFECTS[h.name](h.strength) for h in case.hidden if h.name in EFFECTS)
+        effects = tuple(OF_NAME[h.name](h.strength) for h in case.hidden if h.name in OF_NAME)
         press = test.apparatus(lab.specimen, STILL)
         (reading,) = BareMachine(TestSequence((press,)), effects).run().values()
         way, reads = points_of(reading.curve).T

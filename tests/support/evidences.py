@@ -3,14 +3,15 @@
 `tests/data/opinion/evidences.jsonl.xz` has one case a line: the ln evidences of the explanations,
 rounded to 1e-4, what was hidden, and its signal-to-noise.  They are those of open cases of 1100
 spheres and of the sealed set of other specimens, opened (`benchmarks/open_cases.py --learn`).
-`coarse_beds.json` beside it is what sealed sets of 120 to 200 spheres had taught before; towards it
-numbers are pulled.
+Numbers are pulled towards what sealed sets of 120 to 200 spheres had taught before, which stands
+beside what is learned (`before`).
 """
 
 import json
 import lzma
 from collections import Counter
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from calibrate.discrepancy.comparison.classes import TOGETHER, Classes
 from calibrate.discrepancy.comparison.compare import label, likeliest_verdict, probabilities
 from calibrate.discrepancy.comparison.evidence import Evidence
 from calibrate.discrepancy.comparison.probability_calibration import (
+    BUNDLED,
     NONE,
     UNKNOWN,
     EvidenceSummary,
@@ -29,7 +31,6 @@ from calibrate.discrepancy.comparison.probability_calibration import (
 from calibrate.validation.scores import expected_error, truth_of
 
 TABLE = Path(__file__).parents[1] / "data" / "opinion" / "evidences.jsonl.xz"
-BEFORE = TABLE.with_name("coarse_beds.json")
 LEAST = 0.01  # probability below which a logarithmic score falls no further
 FOLDS = 5
 EDGES, STRATA = (2.0, 6.0), ("single below 2", "single 2 to 6", "single above 6")
@@ -91,9 +92,15 @@ def known(row: dict) -> Known:
     return Known(summary, classes, truth, stratum)
 
 
+def taught_before() -> dict:
+    """What coarse beds taught: a calibration, from how many cases, and where these are."""
+    folder = resources.files("calibrate.discrepancy.comparison")
+    return json.loads((folder / BUNDLED).read_text(encoding="utf-8"))["before"]
+
+
 def learn(some: list[Known]) -> ProbabilityCalibration:
     """From these cases, and from what coarse beds taught before."""
-    before = ProbabilityCalibration(**json.loads(BEFORE.read_text())["calibration"])
+    before = ProbabilityCalibration(**taught_before()["calibration"])
     return fit_calibration([case.summary for case in some], [case.right for case in some], before)
 
 

@@ -51,7 +51,7 @@ class LoadCellLag:
     def shift(self, values: np.ndarray, lag: np.ndarray) -> np.ndarray:
         """What lags (n,), s, add to features (n, m) that are read without any."""
         moved = np.zeros_like(values)
-        late = np.flatnonzero(lag.real > 0)
+        late = np.flatnonzero(np.real(lag) > 0)
         if len(late) and self._has_branches:
             moved[late[:, None], self._branches] = self._moved(
                 values[late], self.speed * lag[late, None]
@@ -68,8 +68,8 @@ class LoadCellLag:
         lags = np.full(len(every), complex(lag))
         lags[-1] += 1j * TINY
         shift = self.shift(every, lags)
-        slope = shift.imag / TINY
-        return values + shift[-1].real, slopes + slope[:-1].T, slope[-1]
+        slope = np.imag(shift) / TINY
+        return values + np.real(shift[-1]), slopes + slope[:-1].T, slope[-1]
 
     @cached_property
     def _up(self) -> np.ndarray:
@@ -105,9 +105,9 @@ class LoadCellLag:
         is no curve of a soil, as fits may try."""
         moved = np.zeros((len(values), len(self._branches)), values.dtype)
         way, back = self._curve(values)
-        gone = (way[:, -1] - way[:, 0]).real
-        a_curve = (gone > SHORT) & (gone < LONG) & (back[:, -1].real < LONG)
-        some = np.flatnonzero(a_curve & (length[:, 0].real < LONG))
+        gone = np.real(way[:, -1] - way[:, 0])
+        a_curve = (gone > SHORT) & (gone < LONG) & (np.real(back[:, -1]) < LONG)
+        some = np.flatnonzero(a_curve & (np.real(length[:, 0]) < LONG))
         if len(some):
             way, back = way[some], back[some]
             late, reached = self._late(way, back, length[some])
@@ -157,7 +157,7 @@ class LoadCellLag:
         up, down = self._forces
         force = np.broadcast_to(self._loaded, way.shape)
         reading = reading_at_knots(way, force, length, 0.0)
-        reached = reading[:, -1:].real > self._top
+        reached = np.real(reading[:, -1:]) > self._top
         levels = np.array([*up, REFERENCE * self._top, self._top])
         read, rise = path_at(levels, way, force, reading, length)
         reversal = self._top + length * rise[:, -1:]  # the force is L dR/dx ahead of its reading

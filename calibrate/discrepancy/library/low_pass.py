@@ -53,7 +53,7 @@ def path_at(
     Newton's method in the interval of each level: R bends one way in it, so from the end on the
     outer side of that bend no step goes too far.
     """
-    below = (reading.real[:, :, None] < levels).sum(axis=1)
+    below = (np.real(reading)[:, :, None] < levels).sum(axis=1)
     at = np.clip(below - 1, 0, path.shape[1] - 2)
 
     def ends(of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +63,7 @@ def path_at(
     slope = (f_end - f) / (x_end - x)
     behind = length * slope
     bend = r - f + behind
-    far = np.where(bend.real > 0, x_end - x, 0.0)
+    far = np.where(np.real(bend) > 0, x_end - x, 0.0)
     for _ in range(STEPS):
         fading = bend * np.exp(-far / length)
         rise = slope - fading / length
