@@ -132,6 +132,7 @@ def of_codes() -> Iterator[Row]:
 
 def of_time() -> Iterator[Row]:
     """Whole commands, on this machine, with nothing beside them."""
+    open_cases.unpack()
     lab = run.case_folders(open_cases.WORK)[0] / "lab.toml"
     for verb, asked in (("diagnose", "at most 30 s"), ("next", "at most 60 s")):
         with tempfile.TemporaryDirectory() as folder:
@@ -175,8 +176,9 @@ def main() -> None:
     text = "\n".join([
         "# The diagnosis today", "", reporting.table(HEADER, rows),
         "Open cases served development. Their first answers are told by cross-validation; those "
-        "after further tests with probabilities that were learned from them too. Signal-to-noise "
-        "is what calibration leaves of an effect, over scatter and errors.", "",
+        "after further tests with probabilities that were learned from them too. The sealed cases "
+        "were judged before, by what the diagnosis was then; now they are among the open ones. "
+        "Signal-to-noise is what calibration leaves of an effect, over scatter and errors.", "",
         "## Open cases above 2 that are answered wrongly", "",
         reporting.table(("hidden", "signal-to-noise", "verdict", "stated", "p of a gap"), wrong()),
         "## Further tests that were asked for", "",

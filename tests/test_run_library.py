@@ -487,6 +487,21 @@ def test_the_bundled_library_is_whole():
     assert 0.6 < np.mean(squares) < 1.6
 
 
+def test_specimens_of_one_class_of_porosity_share_a_program(tmp_path):
+    """Lists have room for the largest spheres of the class."""
+    simulator = simulate.Simulator(LAB, tmp_path)
+    first, second, denser = (
+        simulator._campaign(500, loose, 1.0, True) for loose in (0.005, 0.013, -0.01)
+    )
+    assert first.lab.grid == second.lab.grid and first.lab.capacity == second.lab.capacity
+    assert first.lab.numerics.sample_time == second.lab.numerics.sample_time
+    assert first.specimen.porosity != second.specimen.porosity
+    assert denser.lab.grid != first.lab.grid
+    for each in (first, second, denser):
+        grid = each.lab.grid
+        assert grid.cell >= 2 * each.specimen.max_radius() + grid.skin + grid.reach
+
+
 def test_repeats_are_simulated_on_their_packings(monkeypatch):
     seen = []
     monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))

@@ -38,7 +38,7 @@ from calibrate.validation.plan import (
 from jdem.effects.composite import EFFECTS
 
 DENSITY_SD = 0.004  # of density, from specimen to specimen
-POROSITY_STEP = 0.002  # specimens of one porosity share their packings and a compiled program
+POROSITY_STEP = 0.002  # specimens of one porosity share their packings
 MOISTURE_SD = 0.03  # of stiffness and surface energy together
 FORCE_SD, DISPLACEMENT_SD = 0.5, 3e-3  # N, mm; of one reading
 READINGS = 160  # of a curve

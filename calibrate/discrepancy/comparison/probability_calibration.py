@@ -36,7 +36,7 @@ ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them 
 PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about those of the prior
 CLASS_BIAS_SD = 1.2
 SHARPEST, DULLEST = 2.0, 0.05  # t
-NAMED_BELOW = 0.25  # probability of no gap: alarms in 3 % of open nulls, by the other folds
+NAMED_BELOW = 0.25  # probability of no gap: alarms in 6 % of open nulls, by the other folds
 HOPELESS = -1e6  # ln evidence of what could not be fitted
 ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 

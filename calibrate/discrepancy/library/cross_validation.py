@@ -11,8 +11,8 @@ for all specimens of a soil: its misfit u.  Rows have a packing each and cannot 
 scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
 without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
 w with a weak pull to 1, as a few errors of values hide in much scatter.  Errors have heavy tails
-(Student's t, Lange, Little and Taylor 1989): a few soils are far off, and a variance that they set
-would be too wide for all others.
+(Student's t with HEAVY degrees of freedom, Lange, Little and Taylor 1989): a few soils are far off,
+and a variance that they set would be too wide for all others.
 
 What no component holds is split as a whole, by mean squares over repeats.  Its scatter goes with
 size and soil as that of components does on average; its misfit is taken for the same everywhere.
@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
+from calibrate.discrepancy.comparison.generated import HEAVY
 from calibrate.discrepancy.library.design import SIZES
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator, leading
 
@@ -43,7 +44,6 @@ SMALLEST = 1e-9  # variance of errors along a direction, of the largest
 FURTHEST = np.log(10.0)  # of ln w, ln q and ln u
 PULL_SD = 0.5  # of ln w about 0
 LEAST = 1e-3  # of u and q
-FREEDOM = 5.0  # of the errors' t
 FARTHEST = 1.5  # median lengths of errors with an effect, beyond which they count as this long
 
 
@@ -290,7 +290,7 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
         w, q, u = _factors_of(ln_factors, repeated)
         variance = w * stated + (u + q / count) * noise
         within = (count - 1) * np.log(q * noise) + squares / (q * noise)
-        away = (FREEDOM + 1) * np.log1p(errors**2 / (FREEDOM * variance))
+        away = (HEAVY + 1) * np.log1p(errors**2 / (HEAVY * variance))
         pull = (ln_factors[0] / PULL_SD) ** 2
         return float((np.log(variance) + away + within).sum() + pull)
 
