@@ -13,6 +13,7 @@ import typer
 from calibrate.commands.options import renamed
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
+REFINED = "packings x 5 simulations of the effects that are hardest to predict; 0: none"
 SHAPED = "packings x 6 simulations of specimens of other heights and largest stresses; 0: none"
 
 
@@ -33,6 +34,7 @@ def library_command(
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
     ] = None,
     shaped: Annotated[int, typer.Option("--shaped", min=0, max=300, help=SHAPED)] = 48,
+    refined: Annotated[int, typer.Option("--refined", min=0, max=300, help=REFINED)] = 32,
     spheres: Annotated[
         int, typer.Option("--spheres", min=60, help="Spheres of the middle of three sizes.")
     ] = 1000,
@@ -48,6 +50,7 @@ def library_command(
     from calibrate.discrepancy.library.run_library import (
         check_extends,
         collect,
+        lacks_refined,
         lacks_shapes,
         repeats_of,
     )
@@ -55,6 +58,7 @@ def library_command(
         Simulator,
         reference_run,
         run_design,
+        run_refined,
         run_repeats,
         run_shaped,
     )
@@ -65,7 +69,7 @@ def library_command(
     measured.pair()  # refuses other tests than those of a library
     make_folder(out.parent)
     smaller = None if onto is None else store.load(onto)
-    design = Design(packings=packings, spheres=spheres, shaped=shaped)
+    design = Design(packings=packings, spheres=spheres, shaped=shaped, refined=refined)
     if centred:
         soil = base_soil(measured)
         centre = {name: float(getattr(soil, name)) for name in design.soil_names}
@@ -73,7 +77,7 @@ def library_command(
     progress = for_terminal()
     simulator = Simulator(measured, out.parent / f"{out.stem}_runs")
     if smaller is None:
-        plain = replace(design, shaped=0)
+        plain = replace(design, shaped=0, refined=0)
         runs = run_design(plain, simulator, progress)
         library = collect(plain, measured, runs, reference_run(plain, simulator))
     else:
@@ -82,6 +86,8 @@ def library_command(
         library = smaller.grown(design, runs) if runs else smaller
     if lacks_shapes(design, library):
         library = library.with_shapes(design, run_shaped(design, simulator, progress))
+    if lacks_refined(design, library):
+        library = library.refined(design, run_refined(design, simulator, progress))
     if library.repeats is None:
         repeats = repeats_of(design, measured, run_repeats(design, simulator, progress))
         library = replace(library, repeats=repeats)

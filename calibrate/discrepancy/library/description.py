@@ -17,10 +17,16 @@ from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import SETTINGS, SHAPE, SMOOTHING, SPEEDS, Design
+from calibrate.discrepancy.library.design import (
+    SETTINGS,
+    SHAPE,
+    SHAPE_COLUMNS,
+    SMOOTHING,
+    SPEEDS,
+)
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize
-from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
+from calibrate.discrepancy.library.machine import Machine
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
@@ -101,14 +107,15 @@ class EmulatedLibrary:
         widened afterwards (`LocalEmulator.wrong`)."""
         emulator, emulator_errors = self.emulator, self.emulator_errors
         library = self.library.joined(rows)
-        if self.library.lag_shift is not None:
-            behind = library.lag_shifts(emulator)[len(self.library.lag_shift) :]
-            library = replace(library, lag_shift=np.vstack([self.library.lag_shift, behind]))
+        known = self.library.machine_shift
+        if known is not None:
+            behind = library.machine_shifts(emulator)[len(known) :]
+            library = replace(library, machine_shift=np.vstack([known, behind]))
         noise = np.ones((len(library.values), len(emulator.components)))
         of_rows = emulator_errors.scatter + emulator_errors.misfit
         noise[len(own.values) :] = of_rows / emulator_errors.widening
         fitted = fit_emulator(
-            *library.scaled(), library.packing, library.without_lag, library.scale(),
+            *library.scaled(), library.packing, library.of_soils, library.scale(),
             library.kernels, emulator.basis, noise,
         )  # fmt: skip
         return replace(self, library=library, emulator=fitted)
@@ -130,12 +137,42 @@ class EmulatedLibrary:
 
     def at(self, soil_prior: SoilPrior) -> "LocalEmulator":
         """The emulator in the coordinates of a diagnosis."""
-        library, design = self.library, self.library.design
+        design = self.library.design
         return LocalEmulator(
             self.emulator, soil_prior.offset, design.spread(), design.typical() / limits(design),
-            self.emulator_errors, self.units,
-            library.load_cell_lag() if library.lag_shift is not None else None, _lag(design),
+            self.emulator_errors, self.units, self._machine(),
         )  # fmt: skip
+
+    def _machine(self) -> "LocalMachine | None":
+        """The machine of a lab of this size; None where rows do not tell soil and machine apart."""
+        library = self.library
+        if library.machine_shift is None:
+            return None
+        machine, design = library.machine(), library.design
+        names = np.array(design.effect_names)
+        told = (np.array(machine.told)[:, None] == names) * design.typical()
+        closing = machine.closing_force / self.size.force
+        return LocalMachine(replace(machine, closing_force=closing), told)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalMachine:
+    """A machine at the library's size, and its errors (e, k), SI, per typical strength."""
+
+    machine: Machine
+    typical: np.ndarray
+
+    def read(self, strengths, shape, of_library: int, values, base, effects):
+        """Features (m,) of a specimen of a shape (2,) and their slopes as the machine reads them;
+        the shape is among the first `of_library` base coordinates."""
+        slopes = np.hstack([base, effects])
+        along = np.zeros((slopes.shape[1], len(shape)))
+        along[np.arange(of_library)[SHAPE_COLUMNS], range(len(shape))] = 1.0
+        shown, turned, more = self.machine.read(
+            values, slopes, self.typical @ strengths, shape, along
+        )
+        base, effects = np.split(turned, [base.shape[1]], axis=1)
+        return shown, base, effects + more @ self.typical
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +180,7 @@ class LocalEmulator:
     """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
     typical strength; with a model discrepancy, its directions are further base coordinates.
     `emulator_errors` are those that cross-validation adds to what it states; units (m,) bring
-    features from the library's size to the lab's; `load_cell_lag`, at the library's size, turns
-    features without a lag into those with one, lag (k,) being seconds per typical strength."""
+    features from the library's size to the lab's; `machine` reads the features of a soil."""
 
     emulator: FeatureEmulator
     offset: np.ndarray
@@ -152,8 +188,7 @@ class LocalEmulator:
     strength: np.ndarray
     emulator_errors: EmulatorErrors
     units: np.ndarray
-    load_cell_lag: LoadCellLag | None
-    lag: np.ndarray
+    machine: LocalMachine | None
     discrepancy: ModelDiscrepancy | None = None
 
     def __call__(self, delta, strengths):
@@ -162,8 +197,9 @@ class LocalEmulator:
         found = values, base / self.scale, effects * self.strength
         if self.discrepancy is not None:
             found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
-        if self.load_cell_lag:
-            found = self._read(self.load_cell_lag, strengths, *found)
+        if self.machine:
+            shape = (self.offset + delta[: len(self.offset)])[SHAPE_COLUMNS]
+            found = self.machine.read(strengths, shape, len(self.offset), *found)
         values, base, effects = found
         rows = self.units[:, None]
         return self.units * values, rows * base, rows * effects
@@ -177,13 +213,6 @@ class LocalEmulator:
     def _scaled(self, delta, strengths):
         return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
 
-    def _read(self, load_cell_lag: LoadCellLag, strengths, values, base, effects):
-        """The same as a machine reads it."""
-        slopes = np.hstack([base, effects])
-        values, slopes, along = load_cell_lag.read(values, slopes, float(self.lag @ strengths))
-        base, effects = np.split(slopes, [base.shape[1]], axis=1)
-        return values, base, effects + along[:, None] * self.lag
-
     def _shifted(self, wrong: ModelDiscrepancy, share, values, base, effects):
         """The same with the discrepancy added to the warped features."""
         scale = self.emulator.scale
@@ -193,11 +222,6 @@ class LocalEmulator:
         turned = (steep / np.sqrt(1 + before**2))[:, None]
         base = np.hstack([base * turned, (scale * steep)[:, None] * wrong.directions])
         return scale * np.sinh(warped), base, effects * turned
-
-
-def _lag(design: Design) -> np.ndarray:
-    """Lag of the load cell (k,), s per typical strength."""
-    return np.where(np.array(design.effect_names) == LAG, design.typical(), 0.0)
 
 
 def soil_prior_of(

@@ -26,6 +26,10 @@ Laboratories differ in height over diameter and in the largest stress.  Further 
 have the heights of HEIGHTS in turn, and each of their rows a largest stress within STRESSES; all
 else is as in the rows of the library's own cylinder.
 
+What the emulator misses most is sampled again: on further packings, `refined`, all rows share one
+soil, the first has no effect at work and the others one of REFINED each, at strengths that leave
+much of the curve to the soil.
+
 Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
 effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
 misses, as a row has a soil and nearly a packing of its own; repeats can.
@@ -56,6 +60,10 @@ FIRST_SHAPED = 600  # of the first packing of other shapes
 HEIGHTS = (0.5, 1.5, 0.8, 1.25, 0.63, 1.0)  # of their specimens over the library's, in turn
 STRESSES = (0.25, 2.5)  # largest stress over the library's
 SHAPED_SIZES = (0.5, 1.0)  # spheres in the library's cylinder over the design's, after each turn
+FIRST_REFINED = 700  # of the first packing of effects that are sampled again
+REFINED = ("capillary_tension", "capillary_tension", "specimen_density", "wall_friction")
+REFINED_SHARE = (0.08, 0.65)  # of their limits
+REFINED_SIZES = (1.0, 0.5, 1.0, 1.0)  # spheres over the design's, in turn
 SETTINGS = ("smoothing", "porosity", "pace", "slenderness", "stress", "sphere_size")
 SETTING_SPREAD = (0.5, 0.02, 0.5, 0.4, 0.7, 0.3)
 SHAPE = ("slenderness", "stress")  # settings that a specimen and its test state
@@ -118,7 +126,7 @@ class Design:
 
     packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
     TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils;
-    `shaped` packings of other heights.
+    `shaped` packings of other heights; `refined` packings of effects that are sampled again.
     """
 
     packings: int = 160
@@ -128,6 +136,7 @@ class Design:
     slow_in: int = 4
     repeated: int = 24
     shaped: int = 0
+    refined: int = 0
     centre: Mapping[str, float] = field(default_factory=lambda: dict(CENTRE))
     soil_sd: Mapping[str, float] = field(default_factory=lambda: dict(SOIL_PRIOR_SD))
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(LIMITS))
@@ -206,6 +215,34 @@ class Design:
         }
         base = np.column_stack([self._soil(unit[:, :soils]), *(settings[n] for n in SETTINGS)])
         return base, self._strengths(unit[:, soils + 2 :]), FIRST_SHAPED + packing
+
+    def refined_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of effects that are
+        sampled again; every second packing is slow, and weakens where an effect can."""
+        number, soils = np.arange(self.refined), len(self.soil_names)
+        unit = _sobol(soils + len(REFINED), self.refined, self.seed + 3)
+        size = [self.sphere_size(self.refined_spheres(int(j))) for j in number]
+        slow = number % 2 == 1
+        pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
+        porosity = np.array(POROSITIES)[number % len(POROSITIES)]
+        least = np.full(self.refined, SMOOTHING[0])
+        base = self._of_one_shape(self._soil(unit[:, :soils]), least, porosity, pace, size)
+        strengths = np.zeros((self.refined, 1 + len(REFINED), len(self.limits)))
+        for row, name in enumerate(REFINED):
+            low, high = self.limits[name]
+            largest = np.where(number // 2 % 2 == 1, low or high, high)
+            share = _between(*REFINED_SHARE, unit[:, soils + row])
+            strengths[:, 1 + row, self.effect_names.index(name)] = largest * share
+        rows = 1 + len(REFINED)
+        return (
+            np.repeat(base, rows, axis=0),
+            strengths.reshape(-1, len(self.limits)),
+            FIRST_REFINED + np.repeat(number, rows),
+        )
+
+    def refined_spheres(self, packing: int) -> int:
+        """Number of spheres of a packing of effects that are sampled again."""
+        return round(self.spheres * REFINED_SIZES[packing % len(REFINED_SIZES)])
 
     def shaped_spheres(self, packing: int) -> int:
         """Number of spheres, in the library's cylinder, of a packing of another shape."""

@@ -19,9 +19,9 @@ from scipy.interpolate import PchipInterpolator
 from calibrate.discrepancy.comparison.linear import Emulator, Linearised
 from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.library.load_cell_lag import LAG
-from calibrate.discrepancy.library.low_pass import filtered
+from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.measurements import Measurements
+from calibrate.discrepancy.library.reading import filtered
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.contact import readings_before_contact
 from calibrate.labtests.diagnosis.curves import (

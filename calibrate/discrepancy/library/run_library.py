@@ -1,7 +1,7 @@
 """The library of runs: points, the features of their curves, fitted kernels, one reference curve.
 
-A row is one simulated specimen.  What a lag of the load cell adds to a row is kept apart, so that
-the emulator interpolates features without it (`load_cell_lag`).
+A row is one simulated specimen.  What the errors of its machine add to it is kept apart, so that
+the emulator interpolates features without them (`machine`).
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from calibrate.discrepancy.library.cross_validation import (
 )
 from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
-from calibrate.discrepancy.library.load_cell_lag import LAG, LoadCellLag
+from calibrate.discrepancy.library.machine import MACHINE, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
@@ -93,8 +93,8 @@ class RunLibrary:
     """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
     all features (n, m), a reference specimen's curves, the platen's speeds (mm/s) in both tests,
     and repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
-    errors, and what the lag of the load cell adds to the rows, lag_shift (n, m).  Rows of other
-    shapes are on specimens of the cylinder's diameter."""
+    errors, and what the machine adds to the rows, machine_shift (n, m), by its errors that are told
+    in closed form.  Rows of other shapes are on specimens of the cylinder's diameter."""
 
     design: Design
     cylinder: Cylinder
@@ -106,7 +106,8 @@ class RunLibrary:
     reference: Curves
     kernels: tuple[Kernel, ...] = ()
     emulator_errors: EmulatorErrors | None = None
-    lag_shift: np.ndarray | None = None
+    machine_shift: np.ndarray | None = None
+    told: tuple[str, ...] = MACHINE
     speed: float = 8.0
     crushing_speed: float = 0.01
     repeats: Rows | None = None
@@ -126,26 +127,24 @@ class RunLibrary:
         return self.base / self.design.spread(), self.strengths / limits(self.design)
 
     @property
-    def without_lag(self) -> np.ndarray:
-        """Values (n, m) less what the lag of the load cell adds."""
-        return self.values if self.lag_shift is None else self.values - self.lag_shift
+    def of_soils(self) -> np.ndarray:
+        """Values (n, m) less what the machine adds."""
+        return self.values if self.machine_shift is None else self.values - self.machine_shift
+
+    def machine(self) -> Machine:
+        """What its errors do to the features; those that no row has are not told."""
+        known = tuple(name for name in self.told if name in self.design.effect_names)
+        return Machine(self.features, self.speed, self.crushing_speed, known)
 
     @property
-    def lag(self) -> np.ndarray:
-        """Lag of the load cell in each row (n,), s."""
-        names = self.design.effect_names
-        return self.strengths[:, names.index(LAG)] if LAG in names else np.zeros(len(self.values))
-
-    def load_cell_lag(self) -> LoadCellLag:
-        """What a lag of the load cell does to the features."""
-        return LoadCellLag(self.features, self.speed)
+    def _of_machine(self) -> np.ndarray:
+        """The columns (e,) of strengths that are told in closed form."""
+        return np.array([self.design.effect_names.index(n) for n in self.machine().told], int)
 
     def emulator(self) -> FeatureEmulator:
-        """The emulator of all features without a lag."""
+        """The emulator of all features as a machine without errors reads them."""
         x, s = self.scaled()
-        return fit_emulator(
-            x, s, self.packing, self.without_lag, self.scale(), self.kernels or None
-        )
+        return fit_emulator(x, s, self.packing, self.of_soils, self.scale(), self.kernels or None)
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
@@ -154,44 +153,59 @@ class RunLibrary:
         later = packing >= first
         base, strengths = (part[later] for part in design.rows())
         rows = Rows.of(self.cylinder, base, strengths, packing[later] - first, runs)
-        as_large = replace(design, shaped=self.design.shaped)
+        as_large = replace(design, shaped=self.design.shaped, refined=self.design.refined)
         return replace(self.joined(rows, first), design=as_large, kernels=(), emulator_errors=None)
 
     def with_shapes(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a design's rows of other shapes, where it has none; not
         fitted."""
-        base, strengths, packing = design.shaped_rows()
-        rows = Rows.of(self.cylinder, base, strengths, packing, runs)
+        as_shaped = replace(design, refined=self.design.refined)
+        return self._with(as_shaped, design.shaped_rows(), runs)
+
+    def refined(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
+        """The library with the runs of a design's effects that are sampled again, where it has
+        none; not fitted."""
+        return self._with(design, design.refined_rows(), runs)
+
+    def _with(
+        self, design: Design, points: tuple[np.ndarray, np.ndarray, np.ndarray],
+        runs: Sequence[Run | None],
+    ) -> "RunLibrary":  # fmt: skip
+        rows = Rows.of(self.cylinder, *points, runs)
         return replace(self.joined(rows, 0), design=design, kernels=(), emulator_errors=None)
 
     def joined(self, rows: "Rows", first: int | None = None) -> "RunLibrary":
         """The library with further runs behind its own, their packings numbered from `first` (after
-        its own) on; kernels stay, the shift by the lag has to be estimated again."""
+        its own) on; kernels stay, what the machine adds has to be estimated again."""
         packing = (self.packing.max() + 1 if first is None else first) + rows.packing
         return replace(
             self,
-            lag_shift=None,
+            machine_shift=None,
             base=np.vstack([self.base, rows.base]),
             strengths=np.vstack([self.strengths, rows.strengths]),
             packing=np.concatenate([self.packing, packing]),
             values=np.vstack([self.values, rows.values]),
         )
 
-    def lag_shifts(self, emulator: FeatureEmulator) -> np.ndarray:
-        """What the lag adds to the rows (n, m), by an emulator of features without one."""
-        x, s = self.scaled()
-        lag, shifts = self.lag, np.zeros_like(self.values)
-        for row in np.flatnonzero(lag):
-            without = np.where(np.array(self.design.effect_names) == LAG, 0.0, s[row])
-            without_lag = emulator(x[row], without)[0]
-            shifts[row] = self.load_cell_lag().shift(without_lag[None], lag[[row]])[0]
+    def machine_shifts(self, emulator: FeatureEmulator) -> np.ndarray:
+        """What the machine adds to the rows (n, m), by an emulator of features without that."""
+        (x, s), of_machine = self.scaled(), self._of_machine
+        strengths = self.strengths[:, of_machine]
+        s = s.copy()
+        s[:, of_machine] = 0.0
+        on = np.flatnonzero(strengths.any(axis=1))
+        shifts = np.zeros_like(self.values)
+        if len(on):
+            without = np.array([emulator(x[row], s[row])[0] for row in on])
+            shape = self.base[on][:, SHAPE_COLUMNS]
+            shifts[on] = self.machine().shift(without, strengths[on], shape)
         return shifts
 
-    def _rows_without_lag(self) -> "RunLibrary":
-        """The rows without a lag of the load cell."""
-        on = self.lag == 0
+    def _with_good_machines(self) -> "RunLibrary":
+        """The rows whose machine has no errors that are told in closed form."""
+        on = ~self.strengths[:, self._of_machine].any(axis=1)
         parts = {name: getattr(self, name)[on] for name in ("base", "strengths", "packing")}
-        return replace(self, **parts, values=self.values[on], lag_shift=None, kernels=())
+        return replace(self, **parts, values=self.values[on], machine_shift=None, kernels=())
 
     def scale(self) -> np.ndarray:
         """By what the emulator warps features, shape (m,)."""
@@ -199,15 +213,26 @@ class RunLibrary:
 
     def fitted(self) -> "RunLibrary":
         """The library with its kernels and their errors by cross-validation; takes minutes."""
-        lag_shift = self.lag_shifts(self._rows_without_lag().emulator()) if self.lag.any() else None
-        library = replace(self, lag_shift=lag_shift, kernels=())
+        library = self._with_machine_shift()
         emulator = library.emulator()
         kernels = tuple(c.kernel for c in emulator.components)
         points = TrainingPoints(
-            *library.scaled(), library.packing, library.without_lag, library.scale(), kernels
+            *library.scaled(), library.packing, library.of_soils, library.scale(), kernels
         )
         errors = cross_validate(points, emulator, library._soils_repeated())
         return replace(library, kernels=kernels, emulator_errors=errors)
+
+    def _with_machine_shift(self) -> "RunLibrary":
+        """The rows with what their machines add, not fitted: first by an emulator of the rows
+        with good machines, then by one of all rows."""
+        plain = replace(self, machine_shift=None, kernels=(), told=MACHINE)
+        if not self.strengths[:, plain._of_machine].any():
+            return plain
+        emulator = plain._with_good_machines().emulator()
+        kernels = tuple(c.kernel for c in emulator.components)
+        shifted = replace(plain, machine_shift=plain.machine_shifts(emulator), kernels=kernels)
+        shift = plain.machine_shifts(shifted.emulator())
+        return replace(plain, machine_shift=shift)
 
     def _soils_repeated(self) -> Repeats | None:
         """Soils with two specimens or more that have all features; None where there are none."""
@@ -274,12 +299,14 @@ def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run
 
 def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> None:
     """Refuses to grow a library of another plan or cylinder, or by nothing."""
-    like = replace(design, packings=smaller.design.packings, shaped=smaller.design.shaped)
+    own = smaller.design
+    like = replace(design, packings=own.packings, shaped=own.shaped, refined=own.refined)
     if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
         problem = "this library was made for another centre, cylinder or number of spheres"
         raise InputError(file, "design", problem, "give the options that made it, or no --onto")
     more = design.packings > smaller.design.packings
-    if not more and not lacks_shapes(design, smaller):
+    lacks = lacks_shapes(design, smaller) or lacks_refined(design, smaller)
+    if not more and not lacks:
         problem = f"it has {smaller.design.packings} packings already"
         raise InputError(file, "packings", problem, "ask for more with --packings")
     if design.packings < smaller.design.packings:
@@ -290,3 +317,8 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
 def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:
     """Whether a library has no specimens of other shapes, and a design has."""
     return bool(design.shaped and not smaller.design.shaped)
+
+
+def lacks_refined(design: Design, smaller: RunLibrary) -> bool:
+    """Whether a library has no effects that are sampled again, and a design has."""
+    return bool(design.refined and not smaller.design.refined)

@@ -16,6 +16,7 @@ import numpy as np
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.discrepancy.library.design import (
+    FIRST_REFINED,
     FIRST_REPEAT,
     FIRST_SHAPED,
     SMOOTHING,
@@ -192,6 +193,17 @@ def run_shaped(
     """Runs of a design's rows of other shapes, in their order; failed ones keep their place."""
     base, strengths, packing = design.shaped_rows()
     spheres = [design.shaped_spheres(int(j) - FIRST_SHAPED) for j in packing]
+    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
+    return run_points(design, points, simulator, progress, workers)
+
+
+def run_refined(
+    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
+) -> list[Run]:
+    """Runs of a design's effects that are sampled again, in the order of their rows; failed ones
+    keep their place."""
+    base, strengths, packing = design.refined_rows()
+    spheres = [design.refined_spheres(int(j) - FIRST_REFINED) for j in packing]
     points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
     return run_points(design, points, simulator, progress, workers)
 

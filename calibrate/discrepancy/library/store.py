@@ -1,7 +1,7 @@
 """The file of a library of runs: one NetCDF of about a megabyte, read in seconds.
 
 It says which engine made the runs, for which cylinder and forces, and how far its points reach.
-Variables keep the names of the first files: `late` is the shift by the load cell's lag, `twin`
+Variables keep the names of the first files: `late` is what the machine adds to the rows, `twin`
 the variance of soil blocks, `widening`, `scatter`, `misfit`, `dropped` and `missed_*` the
 emulator's errors.
 """
@@ -19,12 +19,14 @@ from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
 from calibrate.discrepancy.library.emulator import Kernel
+from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
 
 NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
+ONLY_LAG = json.dumps([LAG])  # what earlier files tell of a machine in closed form
 NO_SOIL_BLOCKS = -6.0  # their kernels' logarithm in files that do not have it
 
 
@@ -42,8 +44,8 @@ def save(library: RunLibrary, path: Path) -> None:
         rows = np.array([np.atleast_1d(getattr(k, field)) for k in library.kernels])
         name = STORED.get(field, field)
         data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
-    if library.lag_shift is not None:
-        data["late"] = (("row", "feature"), library.lag_shift.astype(np.float32))
+    if library.machine_shift is not None:
+        data["late"] = (("row", "feature"), library.machine_shift.astype(np.float32))
     if library.emulator_errors is not None:
         data["widening"] = (("component",), library.emulator_errors.widening)
         data["scatter"] = (("component",), library.emulator_errors.scatter)
@@ -66,6 +68,7 @@ def save(library: RunLibrary, path: Path) -> None:
         "engine": library.engine,
         "speed": library.speed,
         "crushing_speed": library.crushing_speed,
+        "told": json.dumps(library.told),
         **{k: json.dumps(v) for k, v in about.items()},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -132,7 +135,8 @@ def _read(stored: xr.Dataset) -> RunLibrary:
         reference=reference,
         kernels=_kernels(stored),
         emulator_errors=_emulator_errors(stored),
-        lag_shift=stored["late"].values.astype(float) if "late" in stored else None,
+        machine_shift=stored["late"].values.astype(float) if "late" in stored else None,
+        told=tuple(json.loads(stored.attrs.get("told", ONLY_LAG))),
         speed=float(stored.attrs.get("speed", RunLibrary.speed)),
         crushing_speed=float(stored.attrs.get("crushing_speed", RunLibrary.crushing_speed)),
         repeats=_repeats(stored, design),

@@ -1,0 +1,185 @@
+"""How a machine reads the curve of a soil that is pressed in the mould, laid through its features.
+
+The curve is straight between the features; beyond the largest force straight on; unloading from a
+larger force as from the largest one, larger alike in force and displacement.  The machine reverses
+by what it shows, so the force at reversal is another one where the load cell errs.
+
+    L = v tau       v: the platen's speed, tau the lag (`reading` has the filter)
+
+With a lag the force overshoots, and readings lie L behind both ways: between 20 and 320 N the
+unloading branch moves as a whole, by about -(2 - p) L where p of the overshoot stays.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibrate.discrepancy.library.reading import MachineErrors, between, path_at, reading_at_knots
+from calibrate.labtests.diagnosis.base import REFERENCE, Feature
+
+BEYOND = 2.5  # largest forces up to which a curve goes on
+LAST = 5  # features of loading that make the slope by which it does
+AFTER = 60.0  # lengths for which the reading is followed after unloading
+SHORT, LONG = 0.2, 200.0  # mm; ways that a platen may go
+APART = 1e-9  # mm; least distance of two points of a curve
+
+
+@dataclass(frozen=True, eq=False)
+class MouldReading:
+    """Which of the features are read off the two branches in the mould, and the platen's speed
+    (mm/s) there."""
+
+    features: Sequence[Feature]
+    speed: float
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """The features (b,) that a machine moves: loading by rising force, unloading by falling;
+        none where branches have too few."""
+        enough = len(self._up) > LAST and len(self._down) > 1
+        return np.concatenate([self._up, self._down])[: None if enough else 0]
+
+    def moved(self, values: np.ndarray, errors: MachineErrors) -> np.ndarray:
+        """What errors, in the features' own forces, add to the features `rows` (n, b), given all
+        (n, m) without any; nothing to what is no curve of a soil, as fits may try."""
+        moved = np.zeros((len(values), len(self.rows)), np.result_type(values, errors.compliance))
+        if not len(self.rows):
+            return moved
+        way, back = self._curve(values)
+        gone = np.real(way[:, -1] - way[:, 0])
+        a_curve = (gone > SHORT) & (gone < LONG) & (np.real(back[:, -1]) < LONG)
+        length = self.speed * errors.lag
+        late = np.real(length[:, 0]) > 0
+        for read, rows in (
+            (self._prompt, a_curve & ~late),
+            (self._late, a_curve & late & (np.real(length[:, 0]) < LONG)),
+        ):
+            some = np.flatnonzero(rows)
+            if len(some):
+                its = MachineErrors(*(part[some] for part in errors))
+                own = way[some], back[some]
+                read_now, reached = read(*own, its, length[some])
+                moved[some] = np.where(reached, read_now - self._laid(*own), 0.0)
+        return moved
+
+    @cached_property
+    def _up(self) -> np.ndarray:
+        return _rows(self.features, "loading")
+
+    @cached_property
+    def _down(self) -> np.ndarray:
+        """By falling force."""
+        return _rows(self.features, "unloading")[::-1]
+
+    @cached_property
+    def _forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (N) of features on loading, rising, and on unloading, falling."""
+        both = (self._up, self._down)
+        up, down = (np.array([self.features[i].abscissa for i in rows]) for rows in both)
+        return up, down
+
+    @property
+    def _top(self) -> float:
+        """The largest force, N."""
+        return self.features[self._up[0]].scale
+
+    @cached_property
+    def _levels(self) -> np.ndarray:
+        """Forces that are read on loading: the features', that of their zero, the largest."""
+        return np.array([*self._forces[0], REFERENCE * self._top, self._top])
+
+    @cached_property
+    def _at_double(self) -> np.ndarray:
+        """Weights of loading's features for the displacement at twice the least force."""
+        return _between(2 * self._forces[0][0], self._forces[0])
+
+    @cached_property
+    def _at_zero(self) -> np.ndarray:
+        """Weights of a curve's points for the displacement from which features count."""
+        return _between(REFERENCE * self._top, self._loaded)
+
+    def _curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement of loading (n, k) at `_loaded` forces, and the way back (n, j) from the
+        largest force to `_released` shares of it."""
+        up = self._forces[0]
+        loading = np.maximum.accumulate(values[:, self._up], axis=1)
+        first = 2 * loading[:, 0] - loading @ self._at_double
+        slope = (loading[:, -1] - loading[:, -LAST]) / (up[-1] - up[-LAST])
+        at_top = loading[:, -1] + slope * (self._top - up[-1])
+        end = at_top + slope * (BEYOND - 1) * self._top
+        way = np.column_stack([first, loading, at_top, end])
+        way = way + APART * np.arange(way.shape[1])
+        falling = np.column_stack([np.zeros(len(values)), at_top[:, None] - values[:, self._down]])
+        back = np.maximum.accumulate(falling, axis=1)
+        share = self._released
+        last = (back[:, -1] - back[:, -2]) * share[-2] / (share[-3] - share[-2])
+        back = np.column_stack([back, back[:, -1] + last])
+        return way, back + APART * np.arange(back.shape[1])
+
+    @cached_property
+    def _loaded(self) -> np.ndarray:
+        """Forces (k,) of a curve's points on loading, N."""
+        return np.array([0.0, *self._forces[0], self._top, BEYOND * self._top])
+
+    @cached_property
+    def _released(self) -> np.ndarray:
+        """Shares (j,) of the force at reversal of a curve's points on unloading."""
+        return np.array([self._top, *self._forces[1], 0.0]) / self._top
+
+    def _laid(self, way: np.ndarray, back: np.ndarray) -> np.ndarray:
+        """Both branches' features (n, b) of the curve itself."""
+        zero = way @ self._at_zero
+        returned = way[:, -2:-1] - back[:, 1:-1]
+        return np.column_stack([way[:, 1:-2], returned]) - zero[:, None]
+
+    def _prompt(
+        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Both branches' features (n, b) without a lag, and whether (n, 1) the largest force is
+        reached at all."""
+        force = errors.reading(self._levels)
+        read = between(force, np.broadcast_to(self._loaded, way.shape), way)
+        over = force[:, -1:] / self._top
+        left = errors.reading(self._forces[1])
+        falling = -over * self._top * self._released  # upside down, so that it rises
+        home = between(-left, falling, over * back)
+        reached = np.real(force[:, -1:]) < BEYOND * self._top
+        return self._as_shown(read, force, home, left, errors), reached
+
+    def _late(
+        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same with lags of `length` (n, 1), mm."""
+        force = np.broadcast_to(self._loaded, way.shape)
+        reading = reading_at_knots(way, force, length, 0.0)
+        levels, down = errors.reading(self._levels), errors.reading(self._forces[1])
+        reached = np.real(reading[:, -1:]) > np.real(levels[:, -1:])
+        read, rise = path_at(levels, way, force, reading, length)
+        pressed = levels + length * rise  # the force is L dR/dx ahead of its reading
+        reversal = pressed[:, -1:]
+        over = reversal / self._top
+        home = np.column_stack([over * back, over * back[:, -1:] + AFTER * length + APART])
+        falling = -reversal * np.append(self._released, 0.0)  # upside down, so that it rises
+        reading = reading_at_knots(home, falling, length, -levels[:, -1])
+        returned, rise = path_at(-down, home, falling, reading, length)
+        return self._as_shown(read, pressed, returned, down - length * rise, errors), reached
+
+    def _as_shown(self, read, pressed, home, left, errors: MachineErrors) -> np.ndarray:
+        """Features (n, b) from where the platen is on loading (n, q) and how far it is back
+        (n, j), and the forces there: displacements with what the machine yields, from its zero."""
+        loading = read + errors.travel(pressed)
+        returned = read[:, -1:] - home + errors.travel(left)
+        return np.column_stack([loading[:, :-2], returned]) - loading[:, -2:-1]
+
+
+def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
+    """The features of a kind by rising force."""
+    found = [i for i, feature in enumerate(features) if feature.kind == kind]
+    return np.array(sorted(found, key=lambda i: features[i].abscissa), int)
+
+
+def _between(level: float, levels: np.ndarray) -> np.ndarray:
+    """Weights (k,) by which values at rising levels (k,) make the value at `level`."""
+    return np.array([np.interp(level, levels, one) for one in np.eye(len(levels))])

@@ -1,0 +1,201 @@
+"""A machine's readings in closed form: against the effects' own equations along whole curves, the
+filter step by step, and as slopes."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calibrate.discrepancy.library.machine import MACHINE, Machine
+from calibrate.discrepancy.library.mould_reading import MouldReading
+from calibrate.discrepancy.library.reading import MachineErrors, filtered
+from calibrate.discrepancy.library.run_library import Cylinder
+from calibrate.labtests.diagnosis.curves import feature_values
+from jdem.effects.composite import EFFECTS
+
+SPEED, CRUSHING_SPEED = 8.0, 0.01  # mm/s
+CYLINDER = Cylinder(0.05, 0.1, 200.0, 400.0)
+FEATURES = CYLINDER.features()
+MACHINE_HERE = Machine(FEATURES, SPEED, CRUSHING_SPEED)
+MOULD = MouldReading(FEATURES, SPEED)
+UP = np.array([f.kind == "loading" for f in FEATURES])
+DOWN = np.array([f.kind == "unloading" for f in FEATURES])
+BRANCHES = UP | DOWN
+CRUSHED = np.array([f.test == "unconfined" and f.kind != "target" for f in FEATURES])
+USUAL_SHAPE = np.zeros(2)
+STRENGTHS = {  # strong ones, SI
+    "load_frame_compliance": 1e-6, "seating_gap": 8e-4, "load_cell_gain": 0.09,
+    "load_cell_offset": -11.0, "load_cell_drift": 0.02,
+}  # fmt: skip
+
+
+def errors_of(**strengths: float) -> np.ndarray:
+    return np.array([strengths.get(name, 0.0) for name in MACHINE])
+
+
+def shifted(values: np.ndarray, shape: np.ndarray = USUAL_SHAPE, **strengths: float) -> np.ndarray:
+    return MACHINE_HERE.shift(values[None], errors_of(**strengths)[None], shape[None])[0]
+
+
+def pressed(top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Travel (mm) and force (N) of a soil that stiffens by x = 3 (F/400)^0.6, and springs back by
+    0.8 mm F/400 as a force F falls to nothing."""
+    up = np.linspace(0.0, top, 4001)
+    loading = 3.0 * (up / 400.0) ** 0.6
+    down = up[::-1]
+    return (
+        np.concatenate([loading, loading[-1] - 0.8 * (top - down) / 400.0]),
+        np.concatenate([up, down]),
+    )
+
+
+def crushed(slender: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Travel (mm) and force (N) of a specimen that breaks at 250 N and 4 mm, from its touch on."""
+    travel = np.linspace(0.0, 14.0 * slender, 8001)
+    u = travel / 4.0 / slender
+    return travel, 250.0 * u**1.3 * np.exp(1.3 * (1 - u))
+
+
+def shown_by(name: str, strength: float, shape: np.ndarray = USUAL_SHAPE) -> np.ndarray:
+    """The features of these soils on a machine with one error, by the effect's own equations."""
+    slender, stress = np.exp(shape)
+    effect = EFFECTS[name](strength=strength)
+    reversal = 400.0 * stress
+    if name == "load_cell_gain":
+        reversal = reversal / (1 + strength)
+    if name == "load_cell_offset":
+        reversal = reversal - strength
+    curves = {}
+    for test, (travel, force), speed in (
+        ("confined", pressed(reversal), SPEED), ("unconfined", crushed(slender), CRUSHING_SPEED),
+    ):  # fmt: skip
+        time = travel / speed if test == "unconfined" else np.zeros_like(travel)
+        curves[test] = (
+            travel + 1e3 * np.asarray(effect.travel_error(force)) + 0.0 * travel,
+            force + np.asarray(effect.force_error(force, time)),
+        )
+    return feature_values(CYLINDER.shaped(shape).features(), curves)
+
+
+@pytest.mark.parametrize("shape", [USUAL_SHAPE, np.log([0.6, 0.5])], ids=["usual", "other shape"])
+@pytest.mark.parametrize("name", STRENGTHS)
+def test_one_error_moves_features_as_its_equations_say(name, shape):
+    exact, known = shown_by(name, 0.0, shape), shown_by(name, STRENGTHS[name], shape)
+    moved = shifted(np.nan_to_num(exact), shape, **{name: STRENGTHS[name]})
+    change = known - exact
+    for rows, least in ((BRANCHES, 2e-3), (CRUSHED, 0.5)):  # mm, N: what straight lines cut off
+        read = rows & np.isfinite(change)
+        largest = np.abs(change[read]).max()
+        assert change[read] == pytest.approx(moved[read], abs=least + 0.1 * largest)
+    assert np.abs(moved[CRUSHED]).max() > 1.0  # there was something to be told
+
+
+def curve(length: float) -> tuple[np.ndarray, np.ndarray]:
+    """The soil's curve as it is read `length` (mm) late, step by step: the platen goes down until
+    the reading is 400 N and up again; unloading from F releases 0.8 mm F/400 as its force falls."""
+    step, way, force, reading = 1e-3, 0.0, 0.0, 0.0
+    path, shown = [0.0], [0.0]
+    while reading < 400.0:
+        way += step
+        force = 400.0 * (way / 3.0) ** (1 / 0.6)
+        reading += step / (length + step) * (force - reading)
+        path.append(way)
+        shown.append(reading)
+    top, turn = force, way
+    while way > turn - 0.8 * top / 400.0 - 5 * length:
+        way -= step
+        force = max(top - (turn - way) * 400.0 / 0.8, 0.0)
+        reading += step / (length + step) * (force - reading)
+        path.append(way)
+        shown.append(reading)
+    return np.array(path), np.array(shown)
+
+
+@cache
+def soil() -> np.ndarray:
+    """All features of the soil in the mould and of the specimen that breaks, read at once."""
+    return np.nan_to_num(
+        feature_values(FEATURES, {"confined": curve(1e-6), "unconfined": crushed()})
+    )
+
+
+@pytest.mark.parametrize("lag", [0.01, 0.03, 0.06])
+def test_a_soil_with_a_lag_moves_as_the_filter_says(lag):
+    moved = shifted(soil(), acquisition_lag=lag)
+    length = SPEED * lag
+    change = feature_values(FEATURES, {"confined": curve(length)}) - soil()
+    middle = DOWN & np.array([40 <= f.abscissa <= 320 for f in FEATURES])
+    assert change[middle] == pytest.approx(moved[middle], abs=0.1 * length)
+    assert change[UP] == pytest.approx(moved[UP], abs=0.12 * length)
+    assert np.abs(change[middle]).min() > 0.9 * length  # something to be predicted
+
+
+def test_nothing_moves_without_errors_and_a_lag_moves_nothing_but_the_branches():
+    assert not shifted(soil()).any()
+    moved = shifted(soil(), acquisition_lag=0.05)
+    assert not moved[~BRANCHES].any() and np.abs(moved[DOWN]).min() > 0.1
+
+
+@pytest.mark.parametrize("absurd", [0.0, 1e9, -1e9, np.inf])
+def test_what_is_no_curve_is_left_as_it_is(absurd):
+    """Fits try any values on their way."""
+    values = np.full(len(FEATURES), absurd)
+    with np.errstate(invalid="ignore"):
+        assert not shifted(values, acquisition_lag=0.05)[BRANCHES].any()
+        assert not shifted(soil(), acquisition_lag=1e9).any()
+        assert np.isfinite(shifted(values, seating_gap=1e-3)).all()
+
+
+def test_the_closed_form_is_the_filter_step_by_step():
+    """Against a filter in steps of 1 um along the curve that is laid through the features."""
+    way, back = (each[0] for each in MOULD._curve(soil()[None]))
+    length, step, top = 0.3, 1e-3, 400.0
+    path = np.arange(way[0], way[-1], step)
+    reading = filtered(path, np.interp(path, way, MOULD._loaded), length)
+    read = np.interp([20.0, 140.0, 290.0, 200.0, top], reading, path)
+    over = np.interp(read[-1], way, MOULD._loaded) / top
+    home = np.arange(0.0, over * back[-1] + 6 * length, step)
+    force = over * top * np.interp(home / over, back, MOULD._released)
+    falling = filtered(home, force + 0.0, length) + (top - force[0]) * np.exp(-home / length)
+    none = MachineErrors(*np.zeros((6, 1, 1)), np.ones((1, 1)))
+    late, reached = MOULD._late(way[None], back[None], none, np.array([[length]]))
+    assert reached.all()
+    up = [f.abscissa for f in FEATURES if f.kind == "loading"]
+    for force_n, found in zip((20.0, 140.0, 290.0), read[:3], strict=True):
+        assert late[0, up.index(force_n)] == pytest.approx(found - read[3], abs=2e-3)
+    for force_n in (40.0, 200.0):
+        down = sorted((f.abscissa for f in FEATURES if f.kind == "unloading"), reverse=True)
+        where = read[-1] - np.interp(force_n, falling[::-1], home[::-1]) - read[3]
+        assert late[0, len(up) + down.index(force_n)] == pytest.approx(where, abs=2e-3)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_slopes_are_those_of_the_shifted_values(lag):
+    values, rng = soil(), np.random.default_rng(0)
+    smooth = np.where(BRANCHES, np.linspace(0.0, 1.0, len(values)), 0.0)
+    slopes = np.column_stack([0.1 * values, smooth, rng.standard_normal(len(values)) * ~BRANCHES])
+    along = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    strengths = errors_of(**STRENGTHS, acquisition_lag=lag)
+    known = (strengths, USUAL_SHAPE, along)
+    shown, turned, by_strength = MACHINE_HERE.read(values, slopes, *known)
+    assert shown == pytest.approx(values + MACHINE_HERE.shift(
+        values[None], strengths[None], USUAL_SHAPE[None])[0])  # fmt: skip
+    for before, after, shape in zip(slopes.T, turned.T, along, strict=True):
+        beside = MACHINE_HERE.read(
+            values + 1e-6 * before, slopes, strengths, USUAL_SHAPE + 1e-6 * shape, along
+        )[0]
+        assert (beside - shown) / 1e-6 == pytest.approx(after, abs=1e-3 * np.abs(after).max())
+    for number, after in enumerate(by_strength.T):
+        step = 1e-5 * abs(STRENGTHS.get(MACHINE[number], 0.04 if lag else 1e3))
+        more = strengths + step * np.eye(len(strengths))[number]
+        beside = MACHINE_HERE.read(values, slopes, more, USUAL_SHAPE, along)[0]
+        assert (beside - shown) / step == pytest.approx(after, abs=1e-3 * np.abs(after).max())
+
+
+def test_a_good_machine_shows_a_soil_and_its_slopes_as_they_are():
+    slopes = np.ones((len(FEATURES), 2))
+    shown, turned, by_strength = MACHINE_HERE.read(
+        soil(), slopes, errors_of(), USUAL_SHAPE, np.zeros((2, 2))
+    )
+    assert shown == pytest.approx(soil(), abs=1e-12) and turned is slopes
+    assert (np.abs(by_strength).max(axis=0) > 0).all()
