@@ -27,6 +27,7 @@ from calibrate.validation.scores import share
 from jdem.effects.composite import EFFECTS
 
 SURE = 0.8
+NOT_TOLD = ("single below 2", "outside below 2")  # too little to see
 Row = tuple[str, str, str, str, str]
 HEADER = ("question", "asked", "found", "95 % interval", "of which cases")
 
@@ -63,8 +64,9 @@ def of_open() -> Iterator[Row]:
         for kind in ("machine", "soil and walls"):
             some = [c["right"] for c in single if kind_of(c["hidden"][0]) == kind]
             yield line(f"- of these {kind}", asked, some, words)
-    outside = [c["verdict"] == UNKNOWN for c in cases if c["stratum"] == "outside"]
-    yield line("effects that the library lacks: called unknown", "at least 70 %", outside, words)
+    unknown = [c["verdict"] == UNKNOWN for c in cases if c["stratum"] == "outside"]
+    called = "effects that the library lacks, above 2: called unknown"
+    yield line(called, "at least 70 %", unknown, words)
     sure = [c["stated"] >= SURE and not c["right"] for c in cases]
     yield line(f"wrong, and stated with {SURE:g} or more", "below 5 %", sure, words)
     yield from _calibration(cases, words)
@@ -151,7 +153,7 @@ def wrong() -> list[tuple[str, ...]]:
     return [
         (TOGETHER.join(c["hidden"]) or "nothing", f"{c['snr']:.1f}" if c["snr"] else "",
          c["verdict"], f"{c['stated']:.2f}", f"{c['p_gap']:.3f}")
-        for c in order if c["stratum"] != "single below 2"
+        for c in order if c["stratum"] not in NOT_TOLD
     ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ effect, 15 two, 25 one that the library lacks.  Beds come from few packings, oth
 of the library and of any sealed set.  Cases are open: they serve development, and the bundled
 probability calibration is learned from them; so shares are told by cross-validation, each case with
 what the other folds' cases gave.  A sealed set of other specimens that has been opened joins them.
+How visible an effect is, two specimens tell that are simulated without it, as for a sealed set.
 
 results/open_cases.tar.xz holds what has been made so far: 78 of the 200, and the opened set.  A
 folder keeps these, and the evidences of one state of library and diagnosis, so that a stopped run
@@ -26,6 +27,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import reporting
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -43,10 +45,14 @@ from calibrate.discrepancy.comparison.probability_calibration import (
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
 from calibrate.discrepancy.library import store
 from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import load_lab
+from calibrate.simulation import side_by_side
 from calibrate.simulation.keys import source_hash
 from calibrate.validation import run, trial
-from calibrate.validation.plan import COUNTS, Beds
+from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
+from calibrate.validation.laboratory import Laboratory
+from calibrate.validation.plan import COUNTS, Beds, WithheldCase
 
 SEED = 4242
 BEDS = Beds(first_seed=2_900_000, spheres=(1100,), pool=8, packings=8)  # of no library, no seal
@@ -112,18 +118,38 @@ def judged(cases: Sequence[Path]) -> list[Path]:
     return [case for case in cases if kept_at(case).exists()]
 
 
+def changes_of(true: WithheldCase, only_made: bool) -> np.ndarray:
+    """What a case's effects do to its features (n, m), by simulations with and without them on two
+    of its packings, kept; none where they are not made."""
+    path = WORK / "changes" / f"{true.name}.json"
+    if not path.exists() and true.hidden and not only_made:
+        found = Laboratory(WORK / "simulated", CENTRE).changes(true, range(FEWEST_CHANGES))
+        path.parent.mkdir(exist_ok=True)
+        write_json(path, {"changes": found.round(6).tolist()})
+    kept = json.loads(path.read_text())["changes"] if path.exists() else []
+    return np.array(kept)
+
+
 def of_work(only_made: bool) -> list[dict]:
     """The open cases, made if they are not yet, as lines of the table of evidences."""
     if not only_made:
         run.generate(WORK, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
-    rows = []
-    for case in judged(run.case_folders(WORK)):
-        true = run.planned_case(WORK, case.name)
-        rows.append({
-            "set": SET, "case": case.name, "kind": true.kind, "snr": true.snr,
-            "hidden": [h.name for h in true.hidden], **json.loads(kept_at(case).read_text()),
-        })  # fmt: skip
-    return rows
+    true = {case.name: run.planned_case(WORK, case.name) for case in run.case_folders(WORK)}
+    every = list(true.values())
+    changes = side_by_side(
+        lambda i: changes_of(every[i], only_made), len(every), for_terminal(), "without effects"
+    )
+    labels = {c.name: c.label(made) for c, made in zip(every, changes, strict=True)}
+    seen = with_visibility(labels, emulated(), None)
+    return [
+        {
+            "set": SET, "case": case.name, "kind": true[case.name].kind,
+            "snr": seen[case.name]["snr"],
+            "hidden": [h.name for h in true[case.name].hidden],
+            **json.loads(kept_at(case).read_text()),
+        }
+        for case in judged(run.case_folders(WORK))
+    ]  # fmt: skip
 
 
 def of_opened(folder: Path) -> list[dict]:

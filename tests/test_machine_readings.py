@@ -146,6 +146,18 @@ def test_what_is_no_curve_is_left_as_it_is(absurd):
         assert np.isfinite(shifted(values, seating_gap=1e-3)).all()
 
 
+@pytest.mark.parametrize(
+    "error", [{"load_cell_offset": 500.0}, {"load_cell_gain": -1.0}, {"load_cell_gain": -1.5}]
+)
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+def test_a_machine_that_never_presses_moves_no_branch_of_the_mould(error, lag):
+    slopes, along = np.ones((len(FEATURES), 1)), np.zeros((1, 2))
+    strengths = errors_of(**error, acquisition_lag=lag)
+    shown, *turned = MACHINE_HERE.read(soil(), slopes, strengths, USUAL_SHAPE, along)
+    assert (shown == soil())[BRANCHES].all()
+    assert all(np.isfinite(part).all() for part in (shown, *turned))
+
+
 def test_the_closed_form_is_the_filter_step_by_step():
     """Against a filter in steps of 1 um along the curve that is laid through the features."""
     way, back = (each[0] for each in MOULD._curve(soil()[None]))

@@ -17,6 +17,7 @@ import pytest
 import toy_library
 from judged_cases import SEAT, label, specimens, there_and_back, verdict
 
+from calibrate.commands.withheld import withheld_command
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.description import EmulatedLibrary
@@ -398,3 +399,40 @@ def test_cases_with_the_same_effect_are_pooled_for_the_error_of_predictions():
     alone, estimated = (with_visibility(some, emulated, None) for some in (few, labels))
     assert alone["0"]["snr"] == pytest.approx(visible.left(change), rel=1e-3)
     assert estimated["0"]["snr"] == pytest.approx(visible.left(2 * change), rel=0.1)
+
+
+def test_a_half_made_set_goes_on_from_its_cases_and_seals(tmp_path, monkeypatch):
+    """Its simulations may be gone."""
+    case = WithheldCase(
+        name="0a1b2", kind="single", stratum="", snr=3.0, hidden=(Hidden("seating_gap", 1e-3),),
+        soil={}, spheres=1100, porosity=0.005, packings=tuple(range(8)), seed=7, nonce="",
+    )  # fmt: skip
+    asked = []
+
+    class FakeLaboratory:
+        def __init__(self, folder, centre):
+            pass
+
+        def specimens(self, case):
+            return specimens(3)
+
+        def changes(self, case, packings):
+            asked.append(packings)
+            return np.ones((len(packings), 2))
+
+    monkeypatch.setattr(run, "Laboratory", FakeLaboratory)
+    monkeypatch.setattr(run, "_plan", lambda *any: [[case]])
+    library = cast(EmulatedLibrary, None)
+    run.generate(tmp_path, library, None, None, Silent())
+    sealed = (tmp_path / HASHES).read_text()
+    run.generate(tmp_path, library, None, None, Silent())
+    assert asked == [range(4)] and (tmp_path / HASHES).read_text() == sealed
+    assert open_seal(tmp_path)["0a1b2"]["changes"] == [[1.0, 1.0]] * 4
+    (tmp_path / "sealed" / "0a1b2.changes").write_text("[[2.0, 2.0]]")
+    with pytest.raises(InputError, match="no longer give the labels that were sealed"):
+        run.generate(tmp_path, library, None, None, Silent())
+
+
+def test_given_cases_are_not_made(tmp_path):
+    with pytest.raises(InputError, match="nothing to make where cases are given"):
+        withheld_command(given=tmp_path, judge=False)

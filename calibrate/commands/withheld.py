@@ -31,6 +31,10 @@ def withheld_command(
     fresh: Annotated[
         bool, typer.Option("--fresh/--no-fresh", help="Check shrinkage on fresh specimens.")
     ] = True,
+    judge: Annotated[
+        bool,
+        typer.Option("--judge/--make-only", help="Judge now; or make and seal the cases, no more."),
+    ] = True,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the diagnoses.")] = 0,
     out: Annotated[
         Path, typer.Option("--out", help="Folder for results; a second run resumes.")
@@ -40,6 +44,7 @@ def withheld_command(
     """Make cases whose effect is withheld, diagnose them, open the seal, score."""
     from rich.console import Console
 
+    from calibrate.core.errors import InputError
     from calibrate.core.files import check_writable, make_folder
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import store
@@ -50,6 +55,9 @@ def withheld_command(
     from calibrate.validation import run
     from calibrate.validation.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
 
+    if given is not None and not judge:
+        problem = "there is nothing to make where cases are given"
+        raise InputError(str(given), "--make-only", problem, "leave out --given or --make-only")
     check_writable(json)
     make_folder(out)
     progress = for_terminal()
@@ -59,6 +67,9 @@ def withheld_command(
         usual, sizes = (OF_SHAPES, SHAPES) if shapes else (COUNTS, (USUAL,))
         counts = {kind: max(round(share * count), 1) for kind, count in usual.items()}
         run.generate(out, emulated, counts, None, progress, sizes=sizes)
+    if not judge:
+        print(f"cases are in {out}, hashes of their labels in labels.sha256; a second run judges")
+        return
     source = out if given is None else given
     run.judge(source, out, emulated, seed, progress, estimated)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more

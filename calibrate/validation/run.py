@@ -68,10 +68,23 @@ def generate(
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
         packings = range(SPECIMENS if with_changes else 0)
-        return [case.label(laboratory.changes(case, packings))] if case else []
+        return [case.label(_changes(out, laboratory, case, packings))] if case else []
 
     labels = side_by_side(label, len(attempts), progress, "making cases")
-    seal.write_seal([one for made in labels for one in made], out)
+    _seal(out, [one for made in labels for one in made])
+
+
+def _seal(out: Path, labels: list[dict]) -> None:
+    """Seals the labels; those that are sealed already must be the same."""
+    if (out / seal.HASHES).exists():
+        known = seal.open_seal(out)
+        if {n: seal.digest(one) for n, one in known.items()} != {
+            one["case"]: seal.digest(one) for one in labels
+        }:
+            problem = "the cases no longer give the labels that were sealed"
+            raise InputError(str(out), "sealed", problem, "make the cases in another folder")
+    else:
+        seal.write_seal(labels, out)
 
 
 def _plan(
@@ -126,6 +139,17 @@ def _made(
             return case
     write_text(kept, "-1")
     return None
+
+
+def _changes(out: Path, laboratory: Laboratory, case: WithheldCase, packings: range) -> np.ndarray:
+    """What the case's effects do to its features, kept beside its seal: a set that is half made
+    needs none of its simulations to go on."""
+    if not packings:
+        return np.zeros((0, 0))
+    kept = out / "sealed" / f"{case.name}.changes"
+    if not kept.exists():
+        write_text(kept, json.dumps(laboratory.changes(case, packings).tolist()))
+    return np.array(json.loads(kept.read_text()))
 
 
 def case_folders(out: Path) -> list[Path]:

@@ -34,6 +34,7 @@ TABLE = Path(__file__).parents[1] / "data" / "opinion" / "evidences.jsonl.xz"
 LEAST = 0.01  # probability below which a logarithmic score falls no further
 FOLDS = 5
 EDGES, STRATA = (2.0, 6.0), ("single below 2", "single 2 to 6", "single above 6")
+OUTSIDE, UNSEEN = "outside", "outside below 2"  # effects that the library lacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,8 @@ def known(row: dict) -> Known:
     truth = truth_of({"kind": row["kind"], "hidden": hidden}, members)
     single = np.searchsorted(EDGES, row["snr"], side="right")
     stratum = STRATA[single] if row["kind"] == "single" else row["kind"]
+    if stratum == OUTSIDE and row["snr"] < EDGES[0]:
+        stratum = UNSEEN
     return Known(summary, classes, truth, stratum)
 
 
@@ -99,9 +102,11 @@ def taught_before() -> dict:
 
 
 def learn(some: list[Known]) -> ProbabilityCalibration:
-    """From these cases, and from what coarse beds taught before."""
+    """From these cases, and from what coarse beds taught before.  An effect that the library lacks
+    and that leaves nothing to see teaches nothing: there "none" is as right as "unknown"."""
     before = ProbabilityCalibration(**taught_before()["calibration"])
-    return fit_calibration([case.summary for case in some], [case.right for case in some], before)
+    seen = [case for case in some if case.stratum != UNSEEN]
+    return fit_calibration([case.summary for case in seen], [case.right for case in seen], before)
 
 
 def quality(some: list[Known], by: list[ProbabilityCalibration]) -> dict:

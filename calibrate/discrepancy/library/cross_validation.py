@@ -21,7 +21,9 @@ Rows with effects miss more there, along directions of their own, and do not cou
 Where an effect is on, features err together, along a few directions that few components hold (the
 turn of a curve recorded with a lag).  These are the leading principal directions of the errors of
 rows with that effect, in units of the errors of rows without any, that are longer than as many
-rows without an effect have by chance; they grow with its strength.
+rows without an effect have by chance.  Rows longer than the median count as this long (near the
+sign covariance of Visuri, Koivunen and Oja 2000, J. Stat. Plan. Inference 91, 557), and how long a
+direction is follows from the same likelihood with heavy tails, z ~ t(1 + (size s)^2).
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +31,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from calibrate.discrepancy.comparison.generated import HEAVY
 from calibrate.discrepancy.library.design import SIZES
@@ -38,13 +40,13 @@ from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_
 FOLDS, BLOCK = 4, len(SIZES)  # packings are left out in turn, by blocks
 FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance
 FEWEST = 20  # rows with an effect, for its directions
-MOST = 5  # directions of an effect
+MOST = 8  # directions of an effect
 CHANCES = 50  # draws of rows without an effect
 SMALLEST = 1e-9  # variance of errors along a direction, of the largest
 FURTHEST = np.log(10.0)  # of ln w, ln q and ln u
 PULL_SD = 0.5  # of ln w about 0
 LEAST = 1e-3  # of u and q
-FARTHEST = 1.5  # median lengths of errors with an effect, beyond which they count as this long
+SIZES_OF_ERRORS = (np.log(0.05), np.log(400.0))  # of directions at full strength, logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,15 +238,26 @@ def _of_effect(standard: np.ndarray, s: np.ndarray, none: np.ndarray) -> np.ndar
     usual = _shortened(standard)
     values, axes = np.linalg.eigh(usual.T @ usual / n)
     kept = np.flatnonzero(values > _by_chance(_shortened(none), n))[::-1][:MOST]
-    return axes[:, kept] * np.sqrt((values[kept] - 1) / np.mean(s**2))
+    return axes[:, kept] * [_size(along, s) for along in (standard @ axes[:, kept]).T]
 
 
 def _shortened(standard: np.ndarray) -> np.ndarray:
-    """Errors (n, m) of which none is longer than FARTHEST medians: one soil for which an effect is
-    far off would else widen the errors of all."""
+    """Errors (n, m) of which none is longer than the median: one soil for which an effect is far
+    off would else turn the directions of all."""
     length = np.linalg.norm(standard, axis=1)
-    most = FARTHEST * np.median(length)
-    return standard * np.minimum(1.0, most / np.maximum(length, 1e-300))[:, None]
+    return standard * np.minimum(1.0, np.median(length) / np.maximum(length, 1e-300))[:, None]
+
+
+def _size(along: np.ndarray, s: np.ndarray) -> float:
+    """How long a direction is at strength 1, beside an error of 1 without an effect, given what
+    errors at strengths (n,) have along it (n,)."""
+
+    def loss(ln_size: float) -> float:
+        variance = 1 + (np.exp(ln_size) * s) ** 2
+        away = (HEAVY + 1) * np.log1p(along**2 / (HEAVY * variance))
+        return float((np.log(variance) + away).sum())
+
+    return float(np.exp(minimize_scalar(loss, bounds=SIZES_OF_ERRORS, method="bounded").x))
 
 
 def _by_chance(none: np.ndarray, count: int) -> float:

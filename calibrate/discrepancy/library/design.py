@@ -218,7 +218,8 @@ class Design:
 
     def refined_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of effects that are
-        sampled again; every second packing is slow, and weakens where an effect can."""
+        sampled again; of four packings in turn two are slow, and the last two weaken, where an
+        effect can."""
         number, soils = np.arange(self.refined), len(self.soil_names)
         unit = _sobol(soils + len(REFINED), self.refined, self.seed + 3)
         size = [self.sphere_size(self.refined_spheres(int(j))) for j in number]
@@ -227,13 +228,14 @@ class Design:
         porosity = np.array(POROSITIES)[number % len(POROSITIES)]
         least = np.full(self.refined, SMOOTHING[0])
         base = self._of_one_shape(self._soil(unit[:, :soils]), least, porosity, pace, size)
-        strengths = np.zeros((self.refined, 1 + len(REFINED), len(self.limits)))
-        for row, name in enumerate(REFINED):
+        known = [name for name in REFINED if name in self.limits]
+        strengths = np.zeros((self.refined, 1 + len(known), len(self.limits)))
+        for row, name in enumerate(known):
             low, high = self.limits[name]
             largest = np.where(number // 2 % 2 == 1, low or high, high)
             share = _between(*REFINED_SHARE, unit[:, soils + row])
             strengths[:, 1 + row, self.effect_names.index(name)] = largest * share
-        rows = 1 + len(REFINED)
+        rows = 1 + len(known)
         return (
             np.repeat(base, rows, axis=0),
             strengths.reshape(-1, len(self.limits)),

@@ -35,7 +35,7 @@ from calibrate.discrepancy.library.design import SETTINGS
 COMPONENTS = 14
 LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
-MOST_ROWS = 700  # from which hyperparameters are estimated
+MOST_ROWS = 1100  # from which hyperparameters are estimated
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
@@ -328,15 +328,15 @@ class FeatureEmulator:
 def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
     kernels: Sequence[Kernel] | None = None, basis: Basis | None = None,
-    noise: np.ndarray | None = None,
+    noise: np.ndarray | None = None, most_rows: int = MOST_ROWS,
 ) -> FeatureEmulator:  # fmt: skip
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
-    components already known are kept.  noise (n, c): factors on the variance that rows scatter
-    with in each component."""
+    components already known are kept, others estimated from about `most_rows`.  noise (n, c):
+    factors on the variance that rows scatter with in each component."""
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
-    few, blocks = _spread(packing), Blocks.of(x, packing)
+    few, blocks = _spread(packing, most_rows), Blocks.of(x, packing)
     parts = []
     for c, y in enumerate(scores.T):
         given = None if kernels is None else kernels[c]
@@ -367,10 +367,10 @@ def _at_centre(dropped: np.ndarray, x: np.ndarray) -> np.ndarray:
     return dropped / np.exp(x @ slopes)[:, None]
 
 
-def _spread(packing: np.ndarray) -> np.ndarray:
-    """Mask of at most about MOST_ROWS rows: whole packings, evenly from first to last."""
+def _spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
+    """Mask of at most about `most_rows` rows: whole packings, evenly from first to last."""
     every = np.unique(packing)
-    share = min(MOST_ROWS / len(packing), 1.0)
+    share = min(most_rows / len(packing), 1.0)
     kept = every[np.unique((np.arange(len(every)) * share).astype(int), return_index=True)[1]]
     return np.isin(packing, kept)
 

@@ -37,6 +37,7 @@ MACHINE = (  # in the order of `MachineErrors`
 )  # fmt: skip
 MILLIMETRES = ("m", "m/N")  # units of strengths that are told in mm
 SMALL = 0.01  # s; step of the lag for a slope where there is none
+LEAST = 1e-12  # s; a lag below is none
 TINY = 1e-30  # imaginary parts of derivatives
 
 
@@ -88,8 +89,9 @@ class Machine:
         return values + shift, slopes + turned[:, :q] if q else slopes, by_strength
 
     def _lag_from_none(self, strengths: np.ndarray) -> list[int]:
-        """The place of the lag where there is none: readings have no slope there but in steps."""
-        return [i for i, name in enumerate(self.told) if name == LAG and not strengths[i]]
+        """The place of the lag where there is none.  Its slope is taken over SMALL: the turn of a
+        curve bends within a few readings, so the slope at no lag says little of a real one."""
+        return [i for i, name in enumerate(self.told) if name == LAG and strengths[i] < LEAST]
 
     def _errors(self, strengths: np.ndarray) -> MachineErrors:
         """Strengths (n, e) in mm, N and s; those that are not told here are none."""

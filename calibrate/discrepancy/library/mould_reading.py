@@ -2,12 +2,13 @@
 
 The curve is straight between the features; beyond the largest force straight on; unloading from a
 larger force as from the largest one, larger alike in force and displacement.  The machine reverses
-by what it shows, so the force at reversal is another one where the load cell errs.
+by what it shows, so the force at reversal is another one where the load cell errs.  The test lasts
+seconds, in which a load cell does not drift.
 
     L = v tau       v: the platen's speed, tau the lag (`reading` has the filter)
 
 With a lag the force overshoots, and readings lie L behind both ways: between 20 and 320 N the
-unloading branch moves as a whole, by about -(2 - p) L where p of the overshoot stays.
+unloading branch moves as a whole, by L to 2 L, the less the more of the overshoot stays.
 """
 
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ class MouldReading:
         gone = np.real(way[:, -1] - way[:, 0])
         a_curve = (gone > SHORT) & (gone < LONG) & (np.real(back[:, -1]) < LONG)
         length = self.speed * errors.lag
-        late = np.real(length[:, 0]) > 0
+        late = np.real(length[:, 0]) > APART
         for read, rows in (
             (self._prompt, a_curve & ~late),
             (self._late, a_curve & late & (np.real(length[:, 0]) < LONG)),
@@ -141,11 +142,11 @@ class MouldReading:
         reached at all."""
         force = errors.reading(self._levels)
         read = between(force, np.broadcast_to(self._loaded, way.shape), way)
-        over = force[:, -1:] / self._top
+        reached = _possible(force[:, -1:], errors) & (np.real(force[:, -1:]) < BEYOND * self._top)
+        over = np.where(reached, force[:, -1:], self._top) / self._top
         left = errors.reading(self._forces[1])
         falling = -over * self._top * self._released  # upside down, so that it rises
         home = between(-left, falling, over * back)
-        reached = np.real(force[:, -1:]) < BEYOND * self._top
         return self._as_shown(read, force, home, left, errors), reached
 
     def _late(
@@ -155,7 +156,8 @@ class MouldReading:
         force = np.broadcast_to(self._loaded, way.shape)
         reading = reading_at_knots(way, force, length, 0.0)
         levels, down = errors.reading(self._levels), errors.reading(self._forces[1])
-        reached = np.real(reading[:, -1:]) > np.real(levels[:, -1:])
+        reached = _possible(levels[:, -1:], errors)
+        reached &= np.real(reading[:, -1:]) > np.real(levels[:, -1:])
         read, rise = path_at(levels, way, force, reading, length)
         pressed = levels + length * rise  # the force is L dR/dx ahead of its reading
         reversal = pressed[:, -1:]
@@ -172,6 +174,11 @@ class MouldReading:
         loading = read + errors.travel(pressed)
         returned = read[:, -1:] - home + errors.travel(left)
         return np.column_stack([loading[:, :-2], returned]) - loading[:, -2:-1]
+
+
+def _possible(reversal: np.ndarray, errors: MachineErrors) -> np.ndarray:
+    """Whether (n, 1) a machine presses at all before it turns at a force (n, 1)."""
+    return (np.real(reversal) > 0) & (np.real(errors.gain) > -1)
 
 
 def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:

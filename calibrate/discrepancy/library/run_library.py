@@ -17,13 +17,19 @@ from calibrate.discrepancy.library.cross_validation import (
     cross_validate,
 )
 from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
-from calibrate.discrepancy.library.emulator import FeatureEmulator, Kernel, fit_emulator
+from calibrate.discrepancy.library.emulator import (
+    MOST_ROWS,
+    FeatureEmulator,
+    Kernel,
+    fit_emulator,
+)
 from calibrate.discrepancy.library.machine import MACHINE, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
 from calibrate.simulation import Run, engine_hash
 
+ROWS_FOR_MACHINES = 700  # from which the emulator is estimated that says what machines add
 # Usual strain and stress (Pa) of the peak, by which crushing features are declared.
 PEAK_STRAIN, PEAK_STRESS = 0.04, 250.0 / (np.pi / 4 * 0.05**2)
 
@@ -141,10 +147,13 @@ class RunLibrary:
         """The columns (e,) of strengths that are told in closed form."""
         return np.array([self.design.effect_names.index(n) for n in self.machine().told], int)
 
-    def emulator(self) -> FeatureEmulator:
-        """The emulator of all features as a machine without errors reads them."""
-        x, s = self.scaled()
-        return fit_emulator(x, s, self.packing, self.of_soils, self.scale(), self.kernels or None)
+    def emulator(self, most_rows: int = MOST_ROWS) -> FeatureEmulator:
+        """The emulator of all features as a machine without errors reads them; kernels that are not
+        known are estimated from about `most_rows`."""
+        points, kernels = self.scaled(), self.kernels or None
+        return fit_emulator(
+            *points, self.packing, self.of_soils, self.scale(), kernels, most_rows=most_rows
+        )
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
@@ -228,7 +237,7 @@ class RunLibrary:
         plain = replace(self, machine_shift=None, kernels=(), told=MACHINE)
         if not self.strengths[:, plain._of_machine].any():
             return plain
-        emulator = plain._with_good_machines().emulator()
+        emulator = plain._with_good_machines().emulator(ROWS_FOR_MACHINES)
         kernels = tuple(c.kernel for c in emulator.components)
         shifted = replace(plain, machine_shift=plain.machine_shifts(emulator), kernels=kernels)
         shift = plain.machine_shifts(shifted.emulator())
@@ -304,13 +313,18 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
     if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
         problem = "this library was made for another centre, cylinder or number of spheres"
         raise InputError(file, "design", problem, "give the options that made it, or no --onto")
-    more = design.packings > smaller.design.packings
+    for name in ("shaped", "refined"):
+        asked, there = getattr(design, name), getattr(own, name)
+        if there and asked != there:
+            problem = f"it has {there} packings of --{name} already, and they do not grow"
+            raise InputError(file, name, problem, f"give --{name} {there}, or no --onto")
+    more = design.packings > own.packings
     lacks = lacks_shapes(design, smaller) or lacks_refined(design, smaller)
     if not more and not lacks:
-        problem = f"it has {smaller.design.packings} packings already"
+        problem = f"it has {own.packings} packings already"
         raise InputError(file, "packings", problem, "ask for more with --packings")
-    if design.packings < smaller.design.packings:
-        problem = f"it has {smaller.design.packings} packings, and --packings asks for fewer"
+    if design.packings < own.packings:
+        problem = f"it has {own.packings} packings, and --packings asks for fewer"
         raise InputError(file, "packings", problem, "ask for as many or more")
 
 
