@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import fminbound, minimize
 
 from calibrate.discrepancy.comparison.generated import HEAVY
 from calibrate.discrepancy.library.design import SIZES
@@ -257,7 +257,7 @@ def _size(along: np.ndarray, s: np.ndarray) -> float:
         away = (HEAVY + 1) * np.log1p(along**2 / (HEAVY * variance))
         return float((np.log(variance) + away).sum())
 
-    return float(np.exp(minimize_scalar(loss, bounds=SIZES_OF_ERRORS, method="bounded").x))
+    return float(np.exp(fminbound(loss, *SIZES_OF_ERRORS)))
 
 
 def _by_chance(none: np.ndarray, count: int) -> float:

@@ -100,7 +100,8 @@ class Machine:
             name: column[:, None] * (1e3 if EFFECTS[name].about.unit in MILLIMETRES else 1.0)
             for name, column in zip(self.told, strengths.T, strict=True)
         }
-        return MachineErrors(*(of.get(name, none) for name in MACHINE), none + self.closing_force)
+        parts = [of.get(name, none) for name in MACHINE]
+        return MachineErrors(*parts, closing_force=none + self.closing_force)
 
     @cached_property
     def _mould(self) -> MouldReading:

@@ -80,7 +80,7 @@ def filtered(path: np.ndarray, force: np.ndarray, length: float) -> np.ndarray:
 
 
 def reading_at_knots(
-    path: np.ndarray, force: np.ndarray, length: np.ndarray, first: float
+    path: np.ndarray, force: np.ndarray, length: np.ndarray, first: np.ndarray | float
 ) -> np.ndarray:
     """Readings (n, k) of n forces (n, k) at points of their paths (n, k), from R = `first`;
     length (n, 1).  Complex numbers carry derivatives."""
