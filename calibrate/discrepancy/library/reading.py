@@ -87,12 +87,12 @@ def reading_at_knots(
     steps = np.diff(path, axis=1)
     behind = length * np.diff(force, axis=1) / steps
     kept = np.exp(-steps / length)
-    reading = np.zeros(path.shape, np.result_type(path, force, length))
-    reading[:, 0] = first
-    for i in range(steps.shape[1]):
-        left = (reading[:, i] - force[:, i] + behind[:, i]) * kept[:, i]
-        reading[:, i + 1] = force[:, i + 1] - behind[:, i] + left
-    return reading
+    gained = force[:, 1:] - behind + kept * (behind - force[:, :-1])
+    reading = np.zeros((path.shape[1], len(path)), np.result_type(path, force, length))
+    reading[0] = first
+    for i, (more, share) in enumerate(zip(gained.T, kept.T, strict=True)):
+        reading[i + 1] = more + share * reading[i]
+    return reading.T
 
 
 def path_at(
