@@ -1,13 +1,13 @@
 """How many further tests it takes to name what is hidden: those asked for, at random, all cheap.
 
-    python benchmarks/further_tests.py --most 24        40 cases in 27 minutes
+    python benchmarks/further_tests.py --most 24        40 cases, 12 to 27 minutes
 
-Cases of `open_cases.py` whose one effect has a signal-to-noise above 1, and some with nothing
-hidden or with an effect that the library lacks.  A laboratory answers up to three tests a case from
-the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is hidden.
-Three ways to ask are scored on the same answers: what `calibrate next` proposes until it says stop,
-tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts are kept, so
-that a stopped run goes on.  `diagnosis.py` makes the page.
+Cases of `open_cases.py` whose one effect was planned with a signal-to-noise above 1, and some with
+nothing hidden or with an effect that the library lacks.  A laboratory answers up to three tests a
+case from the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is
+hidden.  Three ways to ask are scored on the same answers: what `calibrate next` proposes until it
+says stop, tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts
+are kept, so that a stopped run goes on.  `diagnosis.py` makes the page.
 """
 
 import argparse
