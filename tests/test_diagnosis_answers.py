@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from calibrate.discrepancy.comparison import next_test
+from calibrate.discrepancy.comparison import fits, next_test
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
 from calibrate.discrepancy.comparison.examples import generated_case
 from calibrate.discrepancy.comparison.fits import covariance_at, fitted_base
@@ -260,6 +260,30 @@ def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
     where_it_ends = covariance_at(bent, vague.noise, fit)
     np.testing.assert_allclose(fit.covariance, where_it_ends, rtol=1e-9)
     assert vague.summary.evidence.singles[2] < known.summary.evidence.singles[2]
+
+
+def test_a_pair_never_ends_below_its_parts(monkeypatch: pytest.MonkeyPatch):
+    """Fits of pairs that descend to a poor place: the best fit of one of the two stands."""
+
+    def poor(d, measured, covariance, chosen, starts):
+        if len(chosen) < 2:
+            return local_minima(d, measured, covariance, chosen, starts)
+        far = start_at(d, 50 * d.prior_sd)
+        return [replace(refit(d, measured, covariance, (), far), chosen=chosen, delta=far[0])]
+
+    monkeypatch.setattr(fits, "local_minima", poor)
+    found = compare(with_nulls(), generator.case(7, gap_of(2, 12.0)))
+    pairs = [key for key in found.refits if len(key) == 2]
+    parts = {key: [found.refits[(k,)] for k in key if (k,) in found.refits] for key in pairs}
+    assert any(parts.values())
+    for key, alone in parts.items():
+        for part in (found.base, *alone):
+            assert _unlikely(found.refits[key]) <= _unlikely(part) + 1e-6
+
+
+def _unlikely(fit) -> float:
+    """Minus twice the log posterior density, up to a constant."""
+    return fit.objective + float(np.linalg.slogdet(fit.covariance)[1])
 
 
 # ------------------------------------------------------------------ where

@@ -5,7 +5,7 @@ that moves it, since an emulator knows least where an effect is strong.  A fit i
 noise where it ends, not where it came from.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -75,7 +75,7 @@ def all_fits(
     fitter = _Fitter(d, measured, noise, inflation)
     order = [int(k) for k in np.argsort(-first.singles)]
     alone = order if d.emulator is not None else order[:REFITTED]
-    fits: Fits = {(k,): fitter.likeliest((k,), _starts(d, base, k)) for k in alone}
+    fits: Fits = {(k,): fitter.likeliest((k,), _starts(d, base, k), [base]) for k in alone}
     lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
     chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
     if lead:
@@ -84,7 +84,10 @@ def all_fits(
         i, j = first.pair_index[int(np.argmax(first.pairs))]
         chosen.append((int(i), int(j)))
     pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
-    return fits | {key: fitter.likeliest(key, _of_its_parts(key, base, fits)) for key in pairs}
+    for key in pairs:
+        parts = [base, *(fits[(k,)] for k in key if (k,) in fits)]
+        fits[key] = fitter.likeliest(key, [(fit.delta, fit.strengths) for fit in parts], parts)
+    return fits
 
 
 def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:
@@ -98,12 +101,6 @@ def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:
         yield start_at(d, delta, effect, sign * share * candidate.reach)
 
 
-def _of_its_parts(key: tuple[int, ...], base: Refit, fits: Fits) -> list[Start]:
-    """Starts with two effects: the base fit and those with one of them."""
-    alone = [fits[(k,)] for k in key if (k,) in fits]
-    return [(fit.delta, fit.strengths) for fit in (base, *alone)]
-
-
 @dataclass(frozen=True, eq=False)
 class _Fitter:
     """Fits explanations to one sample."""
@@ -113,11 +110,15 @@ class _Fitter:
     noise: Noise
     inflation: float
 
-    def likeliest(self, key: tuple[int, ...], starts: Iterable[Start]) -> Refit:
-        """The likeliest of the best fits from some starts, each weighed by the noise at its own
-        location, and moved to where this leads while that is likelier."""
+    def likeliest(
+        self, key: tuple[int, ...], starts: Iterable[Start], parts: Sequence[Refit] = ()
+    ) -> Refit:
+        """The likeliest of the best fits from some starts and of those of its parts, with fewer
+        effects, each weighed by the noise at its own location, and moved to where this leads while
+        that is likelier: it never ends below its parts."""
         covariance = self.inflation * self.noise.mean
         found = local_minima(self.d, self.measured, covariance, key, starts)[:MINIMA]
+        found += [replace(part, chosen=key) for part in parts]
         best = min((self._weighed(fit) for fit in found), key=self._unlikely)
         for _ in range(MOVES if self.d.emulator is not None else 0):
             start, own = (best.delta, best.strengths), self.inflation * best.covariance
