@@ -27,7 +27,7 @@ from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded
 from calibrate.simulation import side_by_side
 from calibrate.validation import seal
 from calibrate.validation.canary import canary
-from calibrate.validation.labels import normalised, with_visibility
+from calibrate.validation.labels import FEWEST_CHANGES, normalised, with_visibility
 from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
 from calibrate.validation.plan import (
     SPECIMENS,
@@ -60,14 +60,14 @@ def generate(
     sizes: Sequence[SpecimenSize] = (USUAL,), with_changes: bool = True,
 ) -> None:  # fmt: skip
     """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Specimens
-    have one of the sizes.  Without changes, which double the time, a case's signal-to-noise stays
-    what the library predicts."""
+    have one of the sizes.  Without changes, which take half as long again, a case's
+    signal-to-noise stays what the library predicts."""
     attempts = _plan(out, emulated, counts, seed, beds, sizes)
     laboratory = Laboratory(out / "simulated", CENTRE)
 
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
-        packings = range(SPECIMENS if with_changes else 0)
+        packings = range(FEWEST_CHANGES if with_changes else 0)
         return [case.label(_changes(out, laboratory, case, packings))] if case else []
 
     labels = side_by_side(label, len(attempts), progress, "making cases")
