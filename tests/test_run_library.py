@@ -28,6 +28,7 @@ from calibrate.discrepancy.library.cross_validation import (
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
 from calibrate.discrepancy.library.design import (
     ACTIVE,
+    AGAIN,
     ALONE,
     FIRST_REFINED,
     FURTHEST,
@@ -35,6 +36,7 @@ from calibrate.discrepancy.library.design import (
     OF,
     POROSITIES,
     REFINED,
+    REFINED_AGAIN,
     REFINED_SHARE,
     SETTINGS,
     SPECIMENS,
@@ -235,7 +237,19 @@ def test_a_file_without_soil_blocks_has_none(tmp_path: Path):
     with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
         older = stored.load().drop_vars("kernel_twin")
     older.to_netcdf(path, engine=store.NETCDF)
-    assert all(kernel.soil_block == store.NO_SOIL_BLOCKS for kernel in store.load(path).kernels)
+    assert all(kernel.soil_block == store.NOTHING for kernel in store.load(path).kernels)
+
+
+def test_a_file_whose_soils_do_not_bend_effects_is_read(tmp_path: Path):
+    path = tmp_path / "library.nc"
+    library = toy_library.library()
+    store.save(library, path)
+    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+        older = stored.load().drop_vars(["kernel_local", "kernel_local_length"])
+    older.to_netcdf(path, engine=store.NETCDF)
+    for kernel, now in zip(store.load(path).kernels, library.kernels, strict=True):
+        assert (kernel.local == store.NOTHING).all() and kernel.local.shape == now.local.shape
+        assert kernel.local_length.shape == now.local_length.shape
 
 
 def test_a_file_whose_scatter_depends_on_size_alone_is_read(tmp_path: Path):
@@ -253,7 +267,7 @@ def test_a_file_whose_scatter_depends_on_size_alone_is_read(tmp_path: Path):
 def test_emulator_is_less_certain_far_away(emulator):
     none = np.zeros(K)
     nothing = EmulatorErrors.nothing(len(emulator.components), len(SCALE))
-    near, far = (nothing.of_values(emulator, np.full(P, at), none) for at in (0.0, 4.0))
+    near, far = (nothing.of_values(emulator, np.full(P, at), none) for at in (0.0, 6.0))
     assert ((far**2).sum(axis=1) > 3 * (near**2).sum(axis=1)).all()
 
 
@@ -394,6 +408,22 @@ def test_effects_are_sampled_again_on_packings_of_one_soil():
     assert np.array_equal(fewer, base[: len(fewer)])
 
 
+def test_later_packings_sample_other_effects_again():
+    design = Design(refined=AGAIN + 16)
+    every, later = design.refined_rows(), design.refined_rows(AGAIN)
+    for whole, part in zip(every, later, strict=True):
+        assert np.array_equal(part, whole[-len(part) :])
+    strengths, each = later[1], 1 + len(REFINED_AGAIN)
+    at_work = strengths.reshape(16, each, -1) != 0
+    names = [[design.effect_names[k] for k in np.flatnonzero(row)] for row in at_work[0]]
+    assert names == [[], *([name] for name in REFINED_AGAIN)]
+    assert (at_work == at_work[0]).all()
+    density = strengths[:, design.effect_names.index("specimen_density")].reshape(16, each).sum(1)
+    sizes = np.array([design.refined_spheres(j) for j in range(AGAIN, AGAIN + 16)])
+    for size in set(sizes):  # of one size some are denser and some looser
+        assert len(set(np.sign(density[sizes == size]))) == 2
+
+
 def test_effects_that_are_sampled_again_join_a_library(monkeypatch):
     library = toy_library.library()
     design = replace(library.design, refined=2)
@@ -404,6 +434,10 @@ def test_effects_that_are_sampled_again_join_a_library(monkeypatch):
     assert 0 < len(grown.values) - len(library.values) <= len(runs)
     assert grown.design.refined == 2 and not lacks_refined(design, grown)
     assert grown.packing.max() == FIRST_REFINED + 1
+    more = replace(design, refined=3)
+    larger = grown.refined(more, run_refined(more, None, None, first=2))  # type: ignore[arg-type]
+    assert np.array_equal(larger.base[: len(grown.base)], grown.base)
+    assert set(larger.packing[len(grown.base) :]) == {FIRST_REFINED + 2}
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
@@ -636,9 +670,10 @@ def test_a_library_grows_only_by_more_of_the_same():
     with pytest.raises(InputError, match="another centre, cylinder or number of spheres"):
         run_library.check_extends(other, LAB, smaller, "library.nc")
     fixed = replace(smaller, design=replace(smaller.design, refined=2))
-    more = replace(fixed.design, packings=20, refined=4)
-    with pytest.raises(InputError, match="2 packings of --refined already"):
-        run_library.check_extends(more, LAB, fixed, "library.nc")
+    fewer = replace(fixed.design, packings=20, refined=1)
+    with pytest.raises(InputError, match="2 packings of --refined, and fewer"):
+        run_library.check_extends(fewer, LAB, fixed, "library.nc")
+    run_library.check_extends(replace(fixed.design, refined=4), LAB, fixed, "library.nc")
 
 
 @pytest.mark.parametrize("field", ["rate", "pressed_at"])

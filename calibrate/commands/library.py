@@ -34,7 +34,7 @@ def library_command(
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
     ] = None,
     shaped: Annotated[int, typer.Option("--shaped", min=0, max=300, help=SHAPED)] = 48,
-    refined: Annotated[int, typer.Option("--refined", min=0, max=300, help=REFINED)] = 32,
+    refined: Annotated[int, typer.Option("--refined", min=0, max=300, help=REFINED)] = 80,
     spheres: Annotated[
         int, typer.Option("--spheres", min=60, help="Spheres of the middle of three sizes.")
     ] = 1000,
@@ -87,7 +87,8 @@ def library_command(
     if lacks_shapes(design, library):
         library = library.with_shapes(design, run_shaped(design, simulator, progress))
     if lacks_refined(design, library):
-        library = library.refined(design, run_refined(design, simulator, progress))
+        more = run_refined(design, simulator, progress, library.design.refined)
+        library = library.refined(design, more)
     if library.repeats is None:
         repeats = repeats_of(design, measured, run_repeats(design, simulator, progress))
         library = replace(library, repeats=repeats)

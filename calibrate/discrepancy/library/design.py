@@ -27,8 +27,8 @@ have the heights of HEIGHTS in turn, and each of their rows a largest stress wit
 else is as in the rows of the library's own cylinder.
 
 What the emulator misses most is sampled again: on further packings, `refined`, all rows share one
-soil, the first has no effect at work and the others one of REFINED each, at strengths that leave
-much of the curve to the soil.
+soil, the first has no effect at work and the others one each, at strengths that leave much of the
+curve to the soil: those of REFINED, from packing AGAIN on those of REFINED_AGAIN.
 
 Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
 effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
@@ -62,6 +62,8 @@ STRESSES = (0.25, 2.5)  # largest stress over the library's
 SHAPED_SIZES = (0.5, 1.0)  # spheres in the library's cylinder over the design's, after each turn
 FIRST_REFINED = 700  # of the first packing of effects that are sampled again
 REFINED = ("capillary_tension", "capillary_tension", "specimen_density", "wall_friction")
+AGAIN = 32  # packing from which others take turns: what was missed most then
+REFINED_AGAIN = ("cementation", "cementation", "capillary_tension", "specimen_density")
 REFINED_SHARE = (0.08, 0.65)  # of their limits
 REFINED_SIZES = (1.0, 0.5, 1.0, 1.0)  # spheres over the design's, in turn
 SETTINGS = ("smoothing", "porosity", "pace", "slenderness", "stress", "sphere_size")
@@ -216,31 +218,37 @@ class Design:
         base = np.column_stack([self._soil(unit[:, :soils]), *(settings[n] for n in SETTINGS)])
         return base, self._strengths(unit[:, soils + 2 :]), FIRST_SHAPED + packing
 
-    def refined_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def refined_rows(self, first: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of effects that are
-        sampled again; of four packings in turn two are slow, and the last two weaken, where an
-        effect can."""
+        sampled again, from packing `first` on; every other packing is slow, and those of every
+        other pair, later of every other four, weaken, where an effect can."""
         number, soils = np.arange(self.refined), len(self.soil_names)
         unit = _sobol(soils + len(REFINED), self.refined, self.seed + 3)
         size = [self.sphere_size(self.refined_spheres(int(j))) for j in number]
-        slow = number % 2 == 1
-        pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
+        pace = np.where(number % 2 == 1, SPEEDS[1] / SPEEDS[0], 1.0)
         porosity = np.array(POROSITIES)[number % len(POROSITIES)]
         least = np.full(self.refined, SMOOTHING[0])
         base = self._of_one_shape(self._soil(unit[:, :soils]), least, porosity, pace, size)
-        known = [name for name in REFINED if name in self.limits]
-        strengths = np.zeros((self.refined, 1 + len(known), len(self.limits)))
+        strengths = [self._refined_strengths(int(j), unit[j, soils:]) for j in number[first:]]
+        rows = [len(of_packing) for of_packing in strengths]
+        return (
+            np.repeat(base[first:], rows, axis=0),
+            np.concatenate([*strengths, np.zeros((0, len(self.limits)))]),
+            FIRST_REFINED + np.repeat(number[first:], rows),
+        )
+
+    def _refined_strengths(self, packing: int, unit: np.ndarray) -> np.ndarray:
+        """Strengths (n, k) of the rows of a packing, by numbers between 0 and 1."""
+        later = packing >= AGAIN
+        known = [name for name in (REFINED_AGAIN if later else REFINED) if name in self.limits]
+        weaker = packing // (4 if later else 2) % 2 == 1
+        strengths = np.zeros((1 + len(known), len(self.limits)))
         for row, name in enumerate(known):
             low, high = self.limits[name]
-            largest = np.where(number // 2 % 2 == 1, low or high, high)
-            share = _between(*REFINED_SHARE, unit[:, soils + row])
-            strengths[:, 1 + row, self.effect_names.index(name)] = largest * share
-        rows = 1 + len(known)
-        return (
-            np.repeat(base, rows, axis=0),
-            strengths.reshape(-1, len(self.limits)),
-            FIRST_REFINED + np.repeat(number, rows),
-        )
+            largest = low if weaker and low else high
+            share = _between(*REFINED_SHARE, unit[row])
+            strengths[1 + row, self.effect_names.index(name)] = largest * share
+        return strengths
 
     def refined_spheres(self, packing: int) -> int:
         """Number of spheres of a packing of effects that are sampled again."""

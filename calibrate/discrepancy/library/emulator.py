@@ -5,14 +5,16 @@
 
     cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
           + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
+          + sum_k e_k^2 s_k s_k' exp(-|x - x'|^2_n / 2)
 
-x are base coordinates over their spread, s strengths over their limits.  The inverse
-hyperbolic sine makes factors of force and stiffness add up and scatter alike for weak and strong
-soils (Johnson 1949, SU).  What a packing does to all its rows has a variance of its own, so that
-slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
-(soil blocks within it, whose rows differ in effects and pace alone): the less is left, the better
-an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
-all three deviations go with exp(g.x).  Residuals are given for x = 0.
+x are base coordinates over their spread, s strengths over their limits.  The last term is how
+soils bend what effects do, over lengths n of its own.  The inverse hyperbolic sine makes factors of
+force and stiffness add up and scatter alike for weak and strong soils (Johnson 1949, SU).  What a
+packing does to all its rows has a variance of its own, so that slopes rest on differences within
+packings (blocks); so has what it does to all rows of one soil (soil blocks within it, whose rows
+differ in effects and pace alone): the less is left, the better an effect is estimated.  Some soils
+scatter more than others, and coarse beds more than fine ones: all three deviations go with
+exp(g.x).  Residuals are given for x = 0.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
@@ -45,8 +47,9 @@ COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (benchmarks/
 
 
 class Kernel(NamedTuple):
-    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) three times, then (p,):
-    scattering, the slopes g of the logarithm of deviations with base coordinates."""
+    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) four times, (p,), then
+    scalars, then (p,): scattering, the slopes g of the logarithm of deviations with base
+    coordinates."""
 
     linear: Any
     length: Any
@@ -55,6 +58,8 @@ class Kernel(NamedTuple):
     effect: Any
     interaction: Any
     bent: Any
+    local: Any
+    local_length: Any
     packing: Any
     soil_block: Any
     rest: Any
@@ -70,8 +75,9 @@ class Kernel(NamedTuple):
         low = np.log(0.1)
         return Kernel(
             np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
-            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.log(0.3), np.log(0.2),
-            np.log(0.2), np.append(np.zeros(p - 1), COARSE),
+            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.full(k, np.log(0.2)),
+            np.full(p, np.log(3.0)), np.log(0.3), np.log(0.2), np.log(0.2),
+            np.append(np.zeros(p - 1), COARSE),
         )  # fmt: skip
 
     def larger(self, x, xp=np):
@@ -96,18 +102,25 @@ class Blocks(NamedTuple):
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
     """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l); xp: numpy or its
     traceable twin."""
-    effect, mixed, bent = (
-        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent)
+    effect, mixed, bent, local = (
+        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent, kernel.local)
     )
     scaled, scaled2 = (
         xp.hstack([a / xp.exp(kernel.length), b / xp.exp(kernel.reach)])
         for a, b in ((x, s), (x2, s2))
     )
-    distance = (scaled**2).sum(1)[:, None] + (scaled2**2).sum(1) - 2 * scaled @ scaled2.T
     straight = 1.0 + (x * xp.exp(2 * kernel.linear)) @ x2.T
-    curved = xp.exp(2 * kernel.curved - 0.5 * xp.maximum(distance, 0.0))
+    curved = xp.exp(2 * kernel.curved) * _nearness(scaled, scaled2, xp)
     together = ((s * mixed) @ s2.T) * (x @ x2.T) / x.shape[1]
-    return straight + curved + (s * effect) @ s2.T + together + (s**2 * bent) @ (s2**2).T
+    near = _nearness(x / xp.exp(kernel.local_length), x2 / xp.exp(kernel.local_length), xp)
+    by_soil = together + ((s * local) @ s2.T) * near
+    return straight + curved + (s * effect) @ s2.T + by_soil + (s**2 * bent) @ (s2**2).T
+
+
+def _nearness(a, b, xp):
+    """exp(-|a - b|^2/2) between points (n, d) and (l, d); shape (n, l)."""
+    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
+    return xp.exp(-0.5 * xp.maximum(distance, 0.0))
 
 
 def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
@@ -229,6 +242,9 @@ class Processes:
         self.bent = bent * (self.weights @ s**2)
         shared = np.einsum("cn,np,nk->cpk", self.weights, x, s, optimize=True) / x.shape[1]
         self.mixed = mixed[:, None, :] * shared
+        self.local_near = np.exp(-2 * every.local_length)
+        self.local_height = -0.5 * self.local_near @ (x**2).T
+        self.local = np.exp(2 * every.local)
 
     def __call__(self, at: np.ndarray, strength: np.ndarray):
         """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
@@ -242,7 +258,19 @@ class Processes:
         base = self.linear + slopes[:, :p] + self.mixed @ strength
         effects = along + 2 * self.bent * strength + slopes[:, p:]
         value = self.sum + self.linear @ at + level + along @ strength + self.bent @ strength**2
-        return value, base, effects
+        more, steeper, apart = self._by_soil(at, strength)
+        return value + more, base + steeper, effects + apart
+
+    def _by_soil(self, at: np.ndarray, strength: np.ndarray):
+        """The same three of the part e."""
+        x, s = np.split(self.points, [self.wide], axis=1)
+        pulled = self.local_near * at
+        exponent = self.local_height - 0.5 * (pulled @ at)[:, None] + pulled @ x.T
+        near = np.exp(exponent) * self.weights
+        apart = self.local * (near @ s)
+        along = near * ((self.local * strength) @ s.T)
+        level = along.sum(axis=1)
+        return level, self.local_near * (along @ x - level[:, None] * at), apart
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,9 +172,9 @@ class RunLibrary:
         return self._with(as_shaped, design.shaped_rows(), runs)
 
     def refined(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
-        """The library with the runs of a design's effects that are sampled again, where it has
-        none; not fitted."""
-        return self._with(design, design.refined_rows(), runs)
+        """The library with the runs of a design's effects that are sampled again, behind those that
+        it has; not fitted."""
+        return self._with(design, design.refined_rows(self.design.refined), runs)
 
     def _with(
         self, design: Design, points: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -313,11 +313,12 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
     if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
         problem = "this library was made for another centre, cylinder or number of spheres"
         raise InputError(file, "design", problem, "give the options that made it, or no --onto")
-    for name in ("shaped", "refined"):
-        asked, there = getattr(design, name), getattr(own, name)
-        if there and asked != there:
-            problem = f"it has {there} packings of --{name} already, and they do not grow"
-            raise InputError(file, name, problem, f"give --{name} {there}, or no --onto")
+    if own.shaped and design.shaped != own.shaped:
+        problem = f"it has {own.shaped} packings of --shaped already, and they do not grow"
+        raise InputError(file, "shaped", problem, f"give --shaped {own.shaped}, or no --onto")
+    if design.refined < own.refined:
+        problem = f"it has {own.refined} packings of --refined, and fewer are asked for"
+        raise InputError(file, "refined", problem, f"give --refined {own.refined} or more")
     more = design.packings > own.packings
     lacks = lacks_shapes(design, smaller) or lacks_refined(design, smaller)
     if not more and not lacks:
@@ -334,5 +335,5 @@ def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:
 
 
 def lacks_refined(design: Design, smaller: RunLibrary) -> bool:
-    """Whether a library has no effects that are sampled again, and a design has."""
-    return bool(design.refined and not smaller.design.refined)
+    """Whether a design samples effects again on more packings than a library has."""
+    return design.refined > smaller.design.refined

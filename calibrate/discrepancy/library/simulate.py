@@ -198,11 +198,12 @@ def run_shaped(
 
 
 def run_refined(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """Runs of a design's effects that are sampled again, in the order of their rows; failed ones
-    keep their place."""
-    base, strengths, packing = design.refined_rows()
+    design: Design, simulator: Simulator, progress: AbstractProgress, first: int = 0,
+    workers: int | None = None,
+) -> list[Run]:  # fmt: skip
+    """Runs of a design's effects that are sampled again, from packing `first` on, in the order of
+    their rows; failed ones keep their place."""
+    base, strengths, packing = design.refined_rows(first)
     spheres = [design.refined_spheres(int(j) - FIRST_REFINED) for j in packing]
     points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
     return run_points(design, points, simulator, progress, workers)

@@ -27,7 +27,7 @@ NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
 ONLY_LAG = json.dumps([LAG])  # what earlier files tell of a machine in closed form
-NO_SOIL_BLOCKS = -6.0  # their kernels' logarithm in files that do not have it
+NOTHING = -6.0  # logarithm of a kernel's deviation that a file does not have
 
 
 def save(library: RunLibrary, path: Path) -> None:
@@ -108,7 +108,7 @@ def _with_shape(stored: xr.Dataset) -> xr.Dataset:
         return stored
     place = known.index(SETTINGS[-1])
     names = [*known[:place], *SHAPE, *known[place:]]
-    unseen = {"kernel_linear": NO_SOIL_BLOCKS, "kernel_length": MOST_LENGTH}
+    unseen = {"kernel_linear": NOTHING, "kernel_length": MOST_LENGTH}
     widened = {}
     for name, part in stored.data_vars.items():
         if "coordinate" in part.dims:
@@ -176,7 +176,10 @@ def _kernels(stored: xr.Dataset) -> tuple[Kernel, ...]:
     parts = {field: stored[name].values for field, name in names.items() if name in stored}
     if not parts:
         return ()
-    parts.setdefault("soil_block", np.full_like(parts["rest"], NO_SOIL_BLOCKS))
+    parts.setdefault("soil_block", np.full_like(parts["rest"], NOTHING))
+    if "local" not in parts:
+        parts["local"] = np.full_like(parts["effect"], NOTHING)
+        parts["local_length"] = np.full_like(parts["linear"], MOST_LENGTH)
     if "scattering" not in parts:  # earlier files: with the size of spheres alone
         known = np.zeros((len(parts["rest"]), parts["linear"].shape[1]))
         known[:, -1:] = stored["kernel_coarse"].values
