@@ -5,7 +5,7 @@
 The bundled soil at quick: the paper's sequence (screening, central composite, Box-Behnken, one
 factor), slopes of its surfaces against gradients, where both ways of calibrating end, and what
 that gives on fresh packings.  Runs are kept in results/benchmarks; a second call resumes.
-Writes benchmarks/results/designs.json and .md.
+Writes benchmarks/results/designs.md.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from calibrate.designs.calibration import Designed, design
 from calibrate.designs.comparison import Ending, Enhanced, SlopePair
 from calibrate.designs.study import ranked
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.reports.study import as_json, sentence, short
+from calibrate.reports.study import sentence, short
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
@@ -103,10 +103,7 @@ def main() -> None:
     lab, quick = load_lab(bundled_lab()), PRESETS["quick"]
     work = Campaign(virtual_lab(lab, quick), specimen(lab, quick), chosen.folder, for_terminal())
     found = design(lab, quick, {}, chosen.seed, work)
-    origin = reporting.provenance()
-    study = as_json(found.study, found.comparison)
-    content = {**origin, "seed": chosen.seed, "observables": found.study.observables, **study}
-    reporting.write("designs", content, markdown(found, origin))
+    reporting.write_page("designs", markdown(found, reporting.provenance()))
 
 
 if __name__ == "__main__":

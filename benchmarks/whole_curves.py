@@ -12,7 +12,7 @@ Chen et al. 2023 state 2.8 % and 93.5 % for the confined, 3.7 % and 94.2 % for t
     python benchmarks/whole_curves.py          some 25 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-benchmarks/results/whole_curves.json and .md and a picture in results/benchmarks.
+benchmarks/results/whole_curves.md and a picture in results/benchmarks.
 """
 
 import argparse
@@ -155,10 +155,7 @@ def main() -> None:
             for packing in result["packings"]["fresh"]
         ]
         found[test] = compared([run.curves[test] for run in runs], fresh, LAST[test])
-    origin = reporting.provenance()
-    kept = {name: result[name] for name in ("free", "parameters")}
-    content = {**origin, "hidden": HIDDEN, "fit": kept, "tests": found}
-    reporting.write("whole_curves", content, markdown(result, found, origin))
+    reporting.write_page("whole_curves", markdown(result, found, reporting.provenance()))
     picture(found)
 
 
