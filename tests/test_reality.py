@@ -17,7 +17,7 @@ from support.reality import instrument, labfiles, referee
 from support.reality.cases import plan
 from support.reality.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
 from support.reality.physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force
-from support.reality.soil import PLATEN, TYPES, Soil, draw_soil
+from support.reality.soil import MEAN_DIAMETER, PLATEN, TYPES, Soil, draw_soil
 from support.reality.specimen import run
 
 from calibrate.core.errors import InputError
@@ -185,7 +185,7 @@ def test_parameters_keep_their_meaning_in_the_other_code():
     moduli = property_values(text, "youngsModulus")
     assert moduli[:-1] == pytest.approx(2 * 8.5e6 * 1.3)  # the last is crushed spheres
     energy = property_values(text, "surfaceEnergy").reshape(TYPES, TYPES)
-    assert energy[0, 0] == pytest.approx(17 * 8e-3 / 80e-6)
+    assert energy[0, 0] == pytest.approx(17 * MEAN_DIAMETER / 80e-6, rel=1e-5)
     assert not energy[PLATEN - 1].any() and (energy == energy.T).all()
     ratio = property_values(text, "UnloadingStiffness")
     assert 1 - 1 / ratio == pytest.approx(0.7, rel=1e-5)
@@ -270,11 +270,11 @@ def test_a_contact_force_above_its_strength_crushes_a_sphere_for_good(tmp_path, 
 
 def test_a_stretched_bond_breaks_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    stretch = 3.0 / referee.BOND_STIFFNESS
+    stretch = 1.5e-4
     Path("bonds.txt").write_text("1 1 2 0.008\n2 2 3 0.008\n")
     rows = [(1, 0.0), (2, 0.008), (3, 0.016 + 1.01 * stretch)]
     Path("look.txt").write_text("ITEM: ATOMS\n" + "".join(f"{i} {x} 0 0\n" for i, x in rows))
-    assert referee.verdict_on_bonds(3.0) == "delete_bonds all bond 2 remove\n"
+    assert referee.verdict_on_bonds(stretch) == "delete_bonds all bond 2 remove\n"
     assert Path("bonds.txt").read_text() == "1 1 2 0.008\n"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from support.reality.instrument import Instrument
 from support.reality.physics import Physics
-from support.reality.soil import Soil
+from support.reality.soil import SIZE, Soil
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,9 @@ class Effect:
 
 
 # Compliance of both platens between 100 and 395 N, mm/kN, for each 1/MPa by which the inverse of
-# their modulus exceeds the soil's: 12.49 at 5 MPa, 12.50 at 10 MPa, soil of 22.1 MPa, packing 1.
-PLATEN_COMPLIANCE = 12.5
+# their modulus exceeds the soil's: 12.49 at 5 MPa, 12.50 at 10 MPa, soil of 22.1 MPa, 370 spheres.
+# As many smaller ones as touch a platen are stiffer together: each goes with d, their number d^-2.
+PLATEN_COMPLIANCE = 12.5 * SIZE
 
 
 def elastic_platens(setup: Setup, compliance: float) -> Setup:

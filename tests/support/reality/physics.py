@@ -13,6 +13,7 @@ from support.reality.soil import (
     MEAN_DIAMETER,
     PLATEN,
     POISSON_RATIO,
+    SIZE,
     TENSILE_EXPONENT,
     TYPES,
     WEAK,
@@ -36,7 +37,8 @@ BRIDGED_LAW = (
 
 @dataclass(frozen=True)
 class Physics:
-    """Strength of everything beyond the base soil.
+    """Strength of everything beyond the base soil; tensions and forces are those of spheres of
+    8 mm, smaller ones have as much stress.
 
     platen_modulus     Young's modulus of elastic platens, Pa (None: as the soil)
     bridge_tension     surface tension of liquid bridges between spheres, N/m
@@ -123,7 +125,7 @@ def _bridges(physics: Physics, number: int) -> list[str]:
         return []
     rows: list[tuple[str, str, np.ndarray | float]] = [
         ("surfaceLiquidContentInitial", "scalar", physics.liquid),
-        ("surfaceTension", "scalar", physics.bridge_tension),
+        ("surfaceTension", "scalar", SIZE * physics.bridge_tension),
         ("contactAngle", "peratomtype", np.zeros(TYPES)),
         ("minSeparationDistanceRatio", "scalar", 1.01),
         ("maxSeparationDistanceRatio", "scalar", BRIDGE_RATIO),

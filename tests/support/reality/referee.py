@@ -11,8 +11,6 @@ import random
 import sys
 from pathlib import Path
 
-BOND_GAP = 1e-4  # m; spheres nearer than this are bonded
-BOND_STIFFNESS = 2e4  # N/m, about half that of a contact
 CRUSHED_BOND = 1.0  # compression that breaks a bond, over the tension that does
 EVERY = 5  # rounds of the loop between two looks
 STRENGTH_SCATTER = 0.25  # ln-scatter of the strength of spheres
@@ -26,9 +24,9 @@ def crush_commands(force: float, seed: int) -> str:
     )
 
 
-def bond_commands(strength: float) -> str:
-    """referee.in of bonds that break at a tension of `strength` N."""
-    return _called("dump look all custom 1 look.txt id x y z\n", f"bonds {strength:.6g}")
+def bond_commands(stretch: float) -> str:
+    """referee.in of bonds that break when they are longer by `stretch` m."""
+    return _called("dump look all custom 1 look.txt id x y z\n", f"bonds {stretch:.6g}")
 
 
 def _called(dump: str, arguments: str) -> str:
@@ -43,8 +41,9 @@ def _called(dump: str, arguments: str) -> str:
     )
 
 
-def bonded_start(bed: str) -> tuple[str, str]:
-    """The settled bed as a data file with one bond, of its own type, for every near pair.
+def bonded_start(bed: str, gap: float, stiffness: float) -> tuple[str, str]:
+    """The settled bed as a data file with one bond, of its own type and this stiffness (N/m), for
+    every pair nearer than the gap (m).
 
     Returns the data file, and the LIGGGHTS lines that give each bond its length at rest.
     """
@@ -55,7 +54,7 @@ def bonded_start(bed: str) -> tuple[str, str]:
     for first, (d1, *x1) in places.items():
         for second, (d2, *x2) in places.items():
             distance = math.dist(x1, x2)
-            if first < second and distance < (d1 + d2) / 2 + BOND_GAP:
+            if first < second and distance < (d1 + d2) / 2 + gap:
                 pairs.append((first, second, distance))
     count = len(pairs)
     head = head.replace(
@@ -65,7 +64,7 @@ def bonded_start(bed: str) -> tuple[str, str]:
     bonds = [f"{n} {n} {p[0]} {p[1]}" for n, p in enumerate(pairs, 1)]
     text = head + "Atoms\n\n" + "\n".join(lines) + "\n\nBonds\n\n" + "\n".join(bonds) + "\n"
     rest_lengths = [
-        f"bond_coeff {n} {BOND_STIFFNESS / 2} {p[2]:.9g}" for n, p in enumerate(pairs, 1)
+        f"bond_coeff {n} {stiffness / 2:.9g} {p[2]:.9g}" for n, p in enumerate(pairs, 1)
     ]
     return text, "\n".join(rest_lengths) + "\n"
 
@@ -85,11 +84,10 @@ def strength_of(sphere: int, mean: float, seed: int) -> float:
 
 
 def torn(
-    look: list[list[float]], bonds: list[tuple[int, int, int, float]], strength: float
+    look: list[list[float]], bonds: list[tuple[int, int, int, float]], limit: float
 ) -> list[int]:
-    """Bonds (number, sphere, sphere, length at rest) stretched beyond their strength."""
+    """Bonds (number, sphere, sphere, length at rest) stretched beyond a limit (m)."""
     places = {int(row[0]): row[1:] for row in look}
-    limit = strength / BOND_STIFFNESS
     stretch = {n: math.dist(places[i], places[j]) - rest for n, i, j, rest in bonds}
     return [n for n, s in stretch.items() if s > limit or s < -CRUSHED_BOND * limit]
 
@@ -112,11 +110,11 @@ def verdict_on_spheres(mean: float, seed: int) -> str:
     return "".join(f"set atom {i} type 8\n" for i in now)
 
 
-def verdict_on_bonds(strength: float) -> str:
+def verdict_on_bonds(limit: float) -> str:
     bond_file = Path("bonds.txt")
     rows = [row.split() for row in bond_file.read_text().splitlines()]
     bonds = [(int(n), int(i), int(j), float(rest)) for n, i, j, rest in rows]
-    now = set(torn(read_look(), bonds, strength))
+    now = set(torn(read_look(), bonds, limit))
     kept = [row for row in rows if int(row[0]) not in now]
     bond_file.write_text("".join(" ".join(row) + "\n" for row in kept))
     return "".join(f"delete_bonds all bond {n} remove\n" for n in sorted(now))

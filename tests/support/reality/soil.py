@@ -13,7 +13,10 @@ import numpy as np
 
 POISSON_RATIO = 0.3
 REFERENCE_DIAMETER = 8e-5  # m, of the surface energy
-MEAN_DIAMETER = 8e-3  # m, of the spheres
+SPHERES = 1000  # fill the mould to about 100 mm
+STATED_FOR = 8e-3  # m, of the spheres for which strengths of effects are stated
+MEAN_DIAMETER = STATED_FOR * (370 / SPHERES) ** (1 / 3)  # m; 370 of 8 mm fill it too
+SIZE = MEAN_DIAMETER / STATED_FOR
 TENSILE_EXPONENT = 1.0
 TYPES = 8  # 1 soil, 2 mould, 3 platens, 4-7 layers of soil above the first, 8 crushed spheres
 MOULD, PLATEN, WEAK = 2, 3, 8

@@ -30,14 +30,20 @@ from support.reality.physics import (
     trapped_air_force,
 )
 from support.reality.referee import bond_commands, bonded_start, crush_commands
-from support.reality.soil import MEAN_DIAMETER, Soil
+from support.reality.soil import MEAN_DIAMETER, SIZE, SPHERES, Soil
 
 HERE = Path(__file__).parent
 MOULD_RADIUS = 0.025  # m
 SPREAD = 0.15  # of the radii, uniform on both sides
 DENSITY = 1830.0  # kg/m3, of the spheres
-SPHERES = 370  # fill the mould to about 100 mm
-TIME_STEP = 8e-6  # s
+TIME_STEP, FILLING_STEP = 8e-6 * SIZE, 2e-5 * SIZE  # s
+# Stages that last a given time, in steps of 8e-6 s of the tests and of 2e-5 s of filling.
+STAGES = {"begin": 2000, "end": 750, "opening": 80, "free": 4000, "stand": 2500, "round": 200}
+FILLING_STAGES = {"fall": 16000, "sink": 8000, "lift": 2000, "calm": 3000}
+DRAG = {"slow": 0.05, "slower": 0.2}  # N s/m, of spheres of 8 mm; goes with their mass
+FILLING_DRAG = {"slow": 5e-3, "slower": 0.05}
+BOND_GAP = 1e-4 * SIZE  # m; spheres nearer than this are bonded
+BOND_STIFFNESS = 2e4 * SIZE  # N/m, about half that of a contact
 LOADING, UNLOADING, CRUSHING = 0.1, 0.08, 0.08  # m/s, simulated platen speeds
 STRAIN = 0.12  # end of the second test
 CHUNK, EVERY = 60, 15  # time steps between looks at the machine, and between saved forces
@@ -71,8 +77,9 @@ def run(soil: Soil, physics: Physics, instrument: Instrument, seed: int, folder:
     radii = _column(folder / "column.data", spheres, random)
     for name in ("in.settle", "in.tests", "plate.stl"):
         shutil.copy(HERE / "liggghts" / name, folder)
-    levelling = f"variable level index {LEVELLING_FORCE}\n"
-    (folder / "filling.in").write_text(levelling + filling_materials(filling))
+    values = {"level": LEVELLING_FORCE, "dt": FILLING_STEP}
+    settings = _variables(values, FILLING_STAGES, FILLING_DRAG)
+    (folder / "filling.in").write_text(settings + filling_materials(filling))
     _liggghts(folder, "in.settle")
     height = _heights(folder / "bed.data")[1]
     _write_input(folder, soil, physics, instrument, height, seed)
@@ -93,6 +100,16 @@ def specimen_of(
         surface_energy=soil.surface_energy * float(wet[1]),
     )
     return moist, min(max(filling, 0.02), 1.5), spheres
+
+
+def _variables(values: dict, stages: dict[str, int], drag: dict[str, float]) -> str:
+    """Numbers of an input script: as they are, stages of the same time, drag by mass."""
+    every = {
+        **{name: f"{value:.8g}" for name, value in values.items()},
+        **{name: str(round(steps / SIZE)) for name, steps in stages.items()},
+        **{name: f"{force * SIZE**3:.8g}" for name, force in drag.items()},
+    }
+    return "".join(f"variable {name} index {value}\n" for name, value in every.items())
 
 
 def _column(path: Path, spheres: int, random: np.random.Generator) -> np.ndarray:
@@ -139,8 +156,8 @@ def _write_input(
         "deepest": DEEPEST, "tilt": physics.tilt, "lift": MOULD_RADIUS * math.tan(tilt),
     }  # fmt: skip
     style = "hybrid granular molecular" if physics.bond_strength else "granular"
-    settings = [f"variable {name} index {value:.8g}" for name, value in values.items()]
-    (folder / "settings.in").write_text("\n".join([*settings, f"atom_style {style}"]) + "\n")
+    settings = _variables(values, STAGES, DRAG) + f"atom_style {style}\n"
+    (folder / "settings.in").write_text(settings)
     round_time = CHUNK * TIME_STEP * LOADING / CONFINED_SPEED
     share = smoothing_per_round(instrument, round_time)
     reading = machine(physics, instrument.gain, instrument.offset, share, height)
@@ -165,7 +182,7 @@ def _write_referee(folder: Path, physics: Physics, seed: int) -> None:
     """start.data, more.in (layers or bonds) and referee.in."""
     bed, more, calls = (folder / "bed.data").read_text(), "", ""
     if physics.bond_strength:
-        bed, more = bonded_start(bed)
+        bed, more = bonded_start(bed, BOND_GAP, BOND_STIFFNESS)
         rows = [line.split() for line in bed.split("Bonds\n", 1)[1].splitlines() if line]
         lengths = [line.split()[3] for line in more.splitlines()]
         table = "".join(
@@ -173,11 +190,11 @@ def _write_referee(folder: Path, physics: Physics, seed: int) -> None:
         )
         (folder / "bonds.txt").write_text(table)
         more = "bond_style harmonic\nspecial_bonds lj/coul 1 1 1\n" + more
-        calls = bond_commands(physics.bond_strength)
+        calls = bond_commands(SIZE**2 * physics.bond_strength / BOND_STIFFNESS)
     if physics.gradient:
         more = _layers(_heights(folder / "bed.data")[1])
     if physics.crushing_force:
-        calls = crush_commands(physics.crushing_force, seed)
+        calls = crush_commands(SIZE**2 * physics.crushing_force, seed)
     (folder / "start.data").write_text(bed)
     (folder / "more.in").write_text(more + "\n")
     (folder / "referee.in").write_text(calls + "\n")
