@@ -90,7 +90,7 @@ def _calibration(cases: Sequence[dict], words: str) -> Iterator[Row]:
 def of_further() -> Iterator[Row]:
     found = result("further_tests")
     single = [row for row in found.get("cases", []) if row["kind"] == "single"]
-    words = "open, effects planned above 1"
+    words = "open, effects above 1"
     for called, way in further_tests.WAYS.items():
         right = [further_tests.right_after(row, way)[-1] for row in single]
         asked = "at least 90 %" if way == "asked" else ""
@@ -183,7 +183,7 @@ def main() -> None:
         "Signal-to-noise is what calibration leaves of an effect, over scatter and errors.", "",
         "## Open cases above 2 that are answered wrongly", "",
         reporting.table(("hidden", "signal-to-noise", "verdict", "stated", "p of a gap"), wrong()),
-        "## Further tests that were asked for", "", "Signal-to-noise is as planned here.", "",
+        "## Further tests that were asked for", "",
         reporting.table(("hidden", "signal-to-noise", "at first", "tests"), asked_for()),
     ])  # fmt: skip
     reporting.write_page("diagnosis", text + reporting.footer(reporting.provenance()))

@@ -2,8 +2,8 @@
 
     python benchmarks/further_tests.py --most 24        40 cases, 12 to 27 minutes
 
-Cases of `open_cases.py` whose one effect was planned with a signal-to-noise above 1, and some with
-nothing hidden or with an effect that the library lacks.  A laboratory answers up to three tests a
+Cases of `open_cases.py` whose one effect has a signal-to-noise above 1, and some with nothing
+hidden or with an effect that the library lacks.  A laboratory answers up to three tests a
 case from the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is
 hidden.  Three ways to ask are scored on the same answers: what `calibrate next` proposes until it
 says stop, tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts
@@ -71,13 +71,13 @@ def loop(case: Path) -> dict:
     return json.loads(kept.read_text())
 
 
-def chosen_cases(work: Path, most: int, others: int) -> list[Path]:
+def chosen_cases(work: Path, snr: dict[str, float], most: int, others: int) -> list[Path]:
     """Single effects above `VISIBLE`, and others, in the order of their meaningless names."""
     kinds: dict[str, list[Path]] = {"single": [], NONE: [], "outside": []}
     for case in run.case_folders(work):
-        true = run.planned_case(work, case.name)
-        if true.kind in kinds and (true.kind != "single" or true.snr > VISIBLE):
-            kinds[true.kind].append(case)
+        kind = run.planned_case(work, case.name).kind
+        if kind in kinds and (kind != "single" or snr[case.name] > VISIBLE):
+            kinds[kind].append(case)
     return [*kinds["single"][:most], *kinds[NONE][:others], *kinds["outside"][:others]]
 
 
@@ -115,7 +115,8 @@ def main() -> None:
     given = parser.parse_args()
     runtime.configure()
     open_cases.unpack()
-    cases, progress = chosen_cases(open_cases.WORK, given.most, given.others), for_terminal()
+    snr, progress = open_cases.snr_by_case(only_made=True), for_terminal()
+    cases = chosen_cases(open_cases.WORK, snr, given.most, given.others)
     progress.start("asking for further tests", len(cases))
     rows = []
     apart = multiprocessing.get_context("spawn")
@@ -124,7 +125,7 @@ def main() -> None:
             true = run.planned_case(open_cases.WORK, case.name)
             label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
             rows.append({
-                "case": case.name, "kind": true.kind, "snr": true.snr,
+                "case": case.name, "kind": true.kind, "snr": snr[case.name],
                 "hidden": TOGETHER.join(h.name for h in true.hidden),
                 "truth": truth_of(label, found["classes"]), **found,
             })  # fmt: skip

@@ -134,22 +134,28 @@ def of_work(only_made: bool) -> list[dict]:
     """The open cases, made if they are not yet, as lines of the table of evidences."""
     if not only_made:
         run.generate(WORK, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
-    true = {case.name: run.planned_case(WORK, case.name) for case in run.case_folders(WORK)}
-    every = list(true.values())
+    seen = snr_by_case(only_made)
+    return [
+        {
+            "set": SET, "case": case.name, "kind": true.kind, "snr": seen[case.name],
+            "hidden": [h.name for h in true.hidden],
+            **json.loads(kept_at(case).read_text()),
+        }
+        for case in judged(run.case_folders(WORK))
+        for true in [run.planned_case(WORK, case.name)]
+    ]  # fmt: skip
+
+
+def snr_by_case(only_made: bool) -> dict[str, float]:
+    """Signal-to-noise of all open cases by simulations without the effect, as far as these are
+    made."""
+    every = [run.planned_case(WORK, case.name) for case in run.case_folders(WORK)]
     changes = side_by_side(
         lambda i: changes_of(every[i], only_made), len(every), for_terminal(), "without effects"
     )
     labels = {c.name: c.label(made) for c, made in zip(every, changes, strict=True)}
     seen = with_visibility(labels, emulated(), None)
-    return [
-        {
-            "set": SET, "case": case.name, "kind": true[case.name].kind,
-            "snr": seen[case.name]["snr"],
-            "hidden": [h.name for h in true[case.name].hidden],
-            **json.loads(kept_at(case).read_text()),
-        }
-        for case in judged(run.case_folders(WORK))
-    ]  # fmt: skip
+    return {name: label["snr"] for name, label in seen.items()}
 
 
 def of_opened(folder: Path) -> list[dict]:
