@@ -32,7 +32,9 @@ from jax.flatten_util import ravel_pytree
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
+from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.design import SETTINGS
+from calibrate.simulation import side_by_side
 
 COMPONENTS = 14
 LEAST_SCATTER = 1e-6  # of a feature's variance
@@ -365,12 +367,13 @@ def fit_emulator(
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
     few, blocks = _spread(packing, most_rows), Blocks.of(x, packing)
-    parts = []
-    for c, y in enumerate(scores.T):
-        given = None if kernels is None else kernels[c]
-        kernel = given or fit_kernel(x[few], s[few], packing[few], y[few])
-        factor = np.ones(len(y)) if noise is None else noise[:, c]
-        parts.append(_component(kernel, x, s, blocks, y, factor))
+    kernels = kernels or [fit_kernel(x[few], s[few], packing[few], y[few]) for y in scores.T]
+
+    def component(c: int) -> Component:
+        factor = np.ones(len(x)) if noise is None else noise[:, c]
+        return _component(kernels[c], x, s, blocks, scores[:, c], factor)
+
+    parts = side_by_side(component, len(kernels), Silent(), "")
     left = np.array([_as_large_as_stated(c.kernel, c.left, x) for c in parts])
     dropped = _at_centre(warped - basis.mean - scores @ basis.carried.T, x)
     residuals = dropped + left.T @ basis.carried.T
