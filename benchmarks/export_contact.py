@@ -3,7 +3,7 @@
     python benchmarks/export_contact.py [--folder FOLDER]
 
 Needs the Debian packages `liggghts` and `yade`; takes a minute or two.  Writes
-benchmarks/results/export_contact.json and .md, docs/images/export.png, and into
+benchmarks/results/export_contact.md, docs/images/export.png, and into
 tests/data/export_contact the exported texts with the loops that the programs made of them,
 to which tests compare where the programs are absent.
 """
@@ -88,7 +88,7 @@ def main() -> None:
     }
     _figure(loops["linear"], equal)
     origin = reporting.provenance()
-    reporting.write("export_contact", {**origin, **measured}, _markdown(measured, origin))
+    reporting.write_page("export_contact", _markdown(measured, origin))
 
 
 def soil(changes: dict[str, float]) -> Found:

@@ -46,12 +46,11 @@ from calibrate.discrepancy.library.design import (
     Design,
 )
 from calibrate.discrepancy.library.emulator import (
-    PACE,
-    Blocks,
     FeatureEmulator,
     fit_emulator,
     leading,
 )
+from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, lacks_refined
 from calibrate.discrepancy.library.simulate import run_refined
 from calibrate.io.lab import bundled_lab, load_lab

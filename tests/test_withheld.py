@@ -26,10 +26,17 @@ from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import load_lab
 from calibrate.validation import laboratory, run
 from calibrate.validation.canary import canary
-from calibrate.validation.labels import with_visibility
+from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
 from calibrate.validation.laboratory import READINGS, recorded, write_case
 from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
-from calibrate.validation.plan import Hidden, Visibility, WithheldCase, relative_error
+from calibrate.validation.plan import (
+    PACKINGS,
+    SPECIMENS,
+    Hidden,
+    Visibility,
+    WithheldCase,
+    relative_error,
+)
 from calibrate.validation.seal import HASHES, LABELS, digest, open_seal, write_seal
 
 FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
@@ -146,9 +153,9 @@ def test_specimens_held_back_have_packings_of_their_own(tmp_path, monkeypatch):
     found = run._fresh(tmp_path, said, labels, Silent())
     assert list(found) == list(used) == names[:1]
     case = planned[0][0]
-    assert len(used[case.name]) == 12
+    assert len(used[case.name]) == PACKINGS - SPECIMENS > 0
     assert not set(used[case.name]) & set(case.packings[:4])
-    assert len(set(case.packings)) == 16
+    assert len(set(case.packings)) == PACKINGS
 
 
 # ---------------------------------------------------------------- seal
@@ -426,8 +433,8 @@ def test_a_half_made_set_goes_on_from_its_cases_and_seals(tmp_path, monkeypatch)
     run.generate(tmp_path, library, None, None, Silent())
     sealed = (tmp_path / HASHES).read_text()
     run.generate(tmp_path, library, None, None, Silent())
-    assert asked == [range(4)] and (tmp_path / HASHES).read_text() == sealed
-    assert open_seal(tmp_path)["0a1b2"]["changes"] == [[1.0, 1.0]] * 4
+    assert asked == [range(FEWEST_CHANGES)] and (tmp_path / HASHES).read_text() == sealed
+    assert open_seal(tmp_path)["0a1b2"]["changes"] == [[1.0, 1.0]] * FEWEST_CHANGES
     (tmp_path / "sealed" / "0a1b2.changes").write_text("[[2.0, 2.0]]")
     with pytest.raises(InputError, match="no longer give the labels that were sealed"):
         run.generate(tmp_path, library, None, None, Silent())

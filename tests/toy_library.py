@@ -11,7 +11,8 @@ import numpy as np
 from formulas import BASE, LAB, specimen
 
 from calibrate.discrepancy.library.design import Design
-from calibrate.discrepancy.library.emulator import COMPONENTS, Kernel
+from calibrate.discrepancy.library.emulator import COMPONENTS
+from calibrate.discrepancy.library.kernel import Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
 from calibrate.discrepancy.library.simulate import RunPoints
 from calibrate.discrepancy.library.store import save
@@ -59,7 +60,8 @@ def runs(design: Design) -> list[Run]:
 @cache
 def library() -> RunLibrary:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
-    kernels = (Kernel.start(made.base.shape[1], made.strengths.shape[1]),) * COMPONENTS
+    start = Kernel.start(made.base.shape[1], made.strengths.shape[1])
+    kernels = (start._replace(local=np.full(made.strengths.shape[1], -6.0)),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 

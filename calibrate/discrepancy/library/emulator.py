@@ -3,172 +3,33 @@
     asinh(feature/scale) = mean + sum_c loading_c y_c             c: components, by `leading`
     y_c(x, s) = f_c(x, s) + packing + soil block + rest
 
-    cov f = 1 + sum_i a_i^2 x_i x_i' + sum_k s_k s_k' (b_k^2 + c_k^2 x.x'/p) + d_k^2 s_k^2 s_k'^2
-          + q^2 exp(-|x - x'|^2_l / 2 - |s - s'|^2_m / 2)
-          + sum_k e_k^2 s_k s_k' exp(-|x - x'|^2_n / 2)
-
-x are base coordinates over their spread, s strengths over their limits.  The last term is how
-soils bend what effects do, over lengths n of its own.  The inverse hyperbolic sine makes factors of
-force and stiffness add up and scatter alike for weak and strong soils (Johnson 1949, SU).  What a
-packing does to all its rows has a variance of its own, so that slopes rest on differences within
-packings (blocks); so has what it does to all rows of one soil (soil blocks within it, whose rows
-differ in effects and pace alone): the less is left, the better an effect is estimated.  Some soils
-scatter more than others, and coarse beds more than fine ones: all three deviations go with
-exp(g.x).  Residuals are given for x = 0.
-
-Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
-derivatives are those of the kernel, in closed form.
+x are base coordinates over their spread, s strengths over their limits.  The inverse hyperbolic
+sine makes factors of force and stiffness add up and scatter alike for weak and strong soils
+(Johnson 1949, SU).  Residuals are given for x = 0.  `kernel` has the covariances and their
+hyperparameters.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import minimize
 
 from calibrate.core.progress import Silent
-from calibrate.discrepancy.library.design import SETTINGS
+from calibrate.discrepancy.library.kernel import (
+    Blocks,
+    Kernel,
+    covariance,
+    fit_kernel,
+    scatter_of_rows,
+)
 from calibrate.simulation import side_by_side
 
 COMPONENTS = 14
 LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
 MOST_ROWS = 1100  # from which hyperparameters are estimated
-ITERATIONS = 60
-PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
-SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
-JITTER = 1e-6
-PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
-COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (benchmarks/resolution.py)
-
-
-class Kernel(NamedTuple):
-    """Logarithms of the hyperparameters; shapes (p,), (p,), (k,), (), (k,) four times, (p,), then
-    scalars, then (p,): scattering, the slopes g of the logarithm of deviations with base
-    coordinates."""
-
-    linear: Any
-    length: Any
-    reach: Any
-    curved: Any
-    effect: Any
-    interaction: Any
-    bent: Any
-    local: Any
-    local_length: Any
-    packing: Any
-    soil_block: Any
-    rest: Any
-    scattering: Any
-
-    @property
-    def scatter(self) -> float:
-        """Variance of one specimen about the process, at x = 0."""
-        return float(np.exp(2 * self.packing) + np.exp(2 * self.soil_block) + np.exp(2 * self.rest))
-
-    @staticmethod
-    def start(p: int, k: int) -> "Kernel":
-        low = np.log(0.1)
-        return Kernel(
-            np.full(p, np.log(0.3)), np.full(p, np.log(3.0)), np.full(k, np.log(1.5)), np.log(0.5),
-            np.full(k, np.log(0.3)), np.full(k, low), np.full(k, low), np.full(k, np.log(0.2)),
-            np.full(p, np.log(3.0)), np.log(0.3), np.log(0.2), np.log(0.2),
-            np.append(np.zeros(p - 1), COARSE),
-        )  # fmt: skip
-
-    def larger(self, x, xp=np):
-        """Deviations (n,) at scaled points (n, p) over those at 0."""
-        return xp.exp(x @ self.scattering)
-
-
-class Blocks(NamedTuple):
-    """Which rows share a packing, and which also a soil, as ones in matrices (n, n)."""
-
-    packing: np.ndarray
-    soil_block: np.ndarray
-
-    @staticmethod
-    def of(x: np.ndarray, packing: np.ndarray) -> "Blocks":
-        soil = np.unique(np.delete(x, PACE, axis=1), axis=0, return_inverse=True)[1].ravel()
-        same = packing[:, None] == packing
-        one_soil = same & (soil[:, None] == soil)
-        return Blocks(same.astype(float), one_soil.astype(float))
-
-
-def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
-    """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l); xp: numpy or its
-    traceable twin."""
-    effect, mixed, bent, local = (
-        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent, kernel.local)
-    )
-    scaled, scaled2 = (
-        xp.hstack([a / xp.exp(kernel.length), b / xp.exp(kernel.reach)])
-        for a, b in ((x, s), (x2, s2))
-    )
-    straight = 1.0 + (x * xp.exp(2 * kernel.linear)) @ x2.T
-    curved = xp.exp(2 * kernel.curved) * _nearness(scaled, scaled2, xp)
-    together = ((s * mixed) @ s2.T) * (x @ x2.T) / x.shape[1]
-    near = _nearness(x / xp.exp(kernel.local_length), x2 / xp.exp(kernel.local_length), xp)
-    by_soil = together + ((s * local) @ s2.T) * near
-    return straight + curved + (s * effect) @ s2.T + by_soil + (s**2 * bent) @ (s2**2).T
-
-
-def _nearness(a, b, xp):
-    """exp(-|a - b|^2/2) between points (n, d) and (l, d); shape (n, l)."""
-    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
-    return xp.exp(-0.5 * xp.maximum(distance, 0.0))
-
-
-def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
-    return covariance(kernel, x, s, x, s, xp) + _noise(kernel, x, blocks, xp)
-
-
-def _noise(kernel: Kernel, x, blocks: Blocks, xp=np):
-    """Covariance (n, n) of what packings, soils in them and rest add."""
-    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
-    larger = kernel.larger(x, xp)
-    return (larger[:, None] * larger) * (
-        xp.exp(2 * kernel.packing) * blocks.packing
-        + xp.exp(2 * kernel.soil_block) * blocks.soil_block
-        + rest
-    )
-
-
-@jax.jit
-def _loss(kernel: Kernel, start: Kernel, x, s, blocks: Blocks, y):
-    """Minus the log marginal likelihood, with a weak pull to the start."""
-    lower = jnp.linalg.cholesky(_total(kernel, x, s, blocks, jnp))
-    white = jax.scipy.linalg.solve_triangular(lower, y, lower=True)
-    sd = Kernel(*[PULL_SD] * len(kernel))._replace(scattering=SLOPE_SD)
-    pull = sum(jnp.sum(((a - b) / d) ** 2) for a, b, d in zip(kernel, start, sd, strict=True))
-    return 0.5 * white @ white + jnp.log(jnp.diag(lower)).sum() + 0.5 * pull
-
-
-_loss_and_slope = jax.jit(jax.value_and_grad(_loss))
-
-
-def fit_kernel(x, s, packing, y) -> Kernel:
-    """The kernel with the largest marginal likelihood of standardised values y (n,)."""
-    start = Kernel.start(x.shape[1], s.shape[1])
-    flat, unflatten = ravel_pytree(start)
-    blocks = Blocks.of(x, packing)
-
-    def objective(values):
-        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), start, x, s, blocks, y)
-        found = float(value)
-        gradient = np.asarray(ravel_pytree(slope)[0], float)
-        return (found, gradient) if np.isfinite(found) else (1e10, np.zeros(len(values)))
-
-    bounds = [(-6.0, 3.0)] * len(flat)
-    options = {"maxiter": ITERATIONS}
-    done = minimize(objective, np.asarray(flat), jac=True, bounds=bounds, options=options)
-    return Kernel(*[np.asarray(part) for part in unflatten(jnp.asarray(done.x))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,7 +268,7 @@ def _spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
 
 
 def _component(kernel: Kernel, x, s, blocks: Blocks, y, factor) -> Component:
-    scatter = _noise(kernel, x, blocks) * np.sqrt(np.outer(factor, factor))
+    scatter = scatter_of_rows(kernel, x, blocks) * np.sqrt(np.outer(factor, factor))
     lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
     weights = cho_solve((lower, True), y)
     return Component(kernel, weights, lower, scatter @ weights)

@@ -20,9 +20,9 @@ from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.emulator import (
     MOST_ROWS,
     FeatureEmulator,
-    Kernel,
     fit_emulator,
 )
+from calibrate.discrepancy.library.kernel import Kernel
 from calibrate.discrepancy.library.machine import MACHINE, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes

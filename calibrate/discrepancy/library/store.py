@@ -18,7 +18,7 @@ import xarray as xr
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
-from calibrate.discrepancy.library.emulator import Kernel
+from calibrate.discrepancy.library.kernel import Kernel
 from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
