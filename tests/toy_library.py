@@ -15,7 +15,7 @@ from calibrate.discrepancy.library.emulator import COMPONENTS
 from calibrate.discrepancy.library.kernel import Kernel
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
 from calibrate.discrepancy.library.simulate import RunPoints
-from calibrate.discrepancy.library.store import save
+from calibrate.discrepancy.library.store import NOTHING, save
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.simulation import Run
@@ -61,7 +61,7 @@ def runs(design: Design) -> list[Run]:
 def library() -> RunLibrary:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
     start = Kernel.start(made.base.shape[1], made.strengths.shape[1])
-    kernels = (start._replace(local=np.full(made.strengths.shape[1], -6.0)),) * COMPONENTS
+    kernels = (start._replace(local=np.full(made.strengths.shape[1], NOTHING)),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 

@@ -112,9 +112,7 @@ class Processes:
     def __call__(self, at: np.ndarray, strength: np.ndarray):
         """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
         location, p = np.concatenate([at, strength]), self.wide
-        pulled = self.near * location
-        exponent = self.height - 0.5 * (pulled @ location)[:, None] + pulled @ self.points.T
-        curved = np.exp(exponent) * self.weights
+        curved = self._weights_near(location, self.points, self.near, self.height)
         level = curved.sum(axis=1)
         slopes = self.near * (curved @ self.points - level[:, None] * location)
         along = self.along + at @ self.mixed
@@ -124,12 +122,16 @@ class Processes:
         more, steeper, apart = self._by_soil(at, strength)
         return value + more, base + steeper, effects + apart
 
+    def _weights_near(self, at, points, near, height) -> np.ndarray:
+        """Weights (c, n) of the points (n, d), less the farther they lie from one (d,)."""
+        pulled = near * at
+        exponent = height - 0.5 * (pulled @ at)[:, None] + pulled @ points.T
+        return np.exp(exponent) * self.weights
+
     def _by_soil(self, at: np.ndarray, strength: np.ndarray):
         """The same three of the part e."""
         x, s = np.split(self.points, [self.wide], axis=1)
-        pulled = self.local_near * at
-        exponent = self.local_height - 0.5 * (pulled @ at)[:, None] + pulled @ x.T
-        near = np.exp(exponent) * self.weights
+        near = self._weights_near(at, x, self.local_near, self.local_height)
         apart = self.local * (near @ s)
         along = near * ((self.local * strength) @ s.T)
         level = along.sum(axis=1)
