@@ -9,7 +9,7 @@ apart without the mould.  Rates count spheres times steps over all of the time f
 
     python benchmarks/whole_tests.py --rounds 2          some 8 minutes on two idle cores
 
-Writes benchmarks/results/whole_tests.json and .md.
+Writes benchmarks/results/whole_tests.md.
 """
 
 import argparse
@@ -180,7 +180,7 @@ def main() -> None:
             )
             found += [{"round": number, **row} for row in rows]
             origin = reporting.provenance()
-            reporting.write("whole_tests", {**origin, "rows": found}, markdown(found, origin))
+            reporting.write_page("whole_tests", markdown(found, origin))
 
 
 if __name__ == "__main__":

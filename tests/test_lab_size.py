@@ -96,6 +96,20 @@ def test_slopes_in_a_lab_s_own_size_are_derivatives_of_its_values(emulated, lab)
     assert found == pytest.approx(effects[:, 1], rel=1e-3, abs=1e-2)
 
 
+@pytest.mark.parametrize("strength", [0.0, 0.1])
+def test_a_description_of_some_effects_says_the_same_of_them(emulated, lab, strength):
+    d = described(lab, emulated, 0)[1]
+    at, strengths = np.full(len(d.prior_sd), 0.02), np.full(len(d.effects), strength)
+    every = d.at(at, strengths)
+    for wanted in ([], [0], [1, len(d.effects) - 1]):
+        some = d.focused(wanted).at(at, strengths)
+        assert some[0] == pytest.approx(every[0]) and some[1] == pytest.approx(every[1])
+        assert some[2][:, wanted] == pytest.approx(every[2][:, wanted])
+    fewer = d.without_effects([d.effect_names[0]])
+    known = fewer.at(at, strengths[1:])[2]
+    assert fewer.focused([1]).at(at, strengths[1:])[2][:, 1] == pytest.approx(known[:, 1])
+
+
 def test_strengths_are_converted_by_their_units():
     """Twice as wide and high: lengths double, forces are fourfold.  Both platens move as fast as
     the library's, so times double."""

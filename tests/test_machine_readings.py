@@ -211,3 +211,14 @@ def test_a_good_machine_shows_a_soil_and_its_slopes_as_they_are():
     )
     assert shown == pytest.approx(soil(), abs=1e-12) and turned is slopes
     assert (np.abs(by_strength).max(axis=0) > 0).all()
+
+
+@pytest.mark.parametrize("strengths", [errors_of(), errors_of(**STRENGTHS, acquisition_lag=0.04)])
+@pytest.mark.parametrize("asked", [[], [0], [2, 5]])
+def test_slopes_that_are_asked_for_are_the_same_without_the_others(strengths, asked):
+    mask = np.isin(range(len(MACHINE)), asked)
+    given = soil(), np.ones((len(FEATURES), 2)), strengths, USUAL_SHAPE, np.zeros((2, 2))
+    every, some = MACHINE_HERE.read(*given), MACHINE_HERE.read(*given, mask)
+    assert some[0] == pytest.approx(every[0], abs=1e-12)
+    assert some[1] == pytest.approx(every[1], abs=1e-12)
+    assert some[2][:, mask] == pytest.approx(every[2][:, mask], abs=1e-12)

@@ -9,7 +9,7 @@ values and slopes may stand behind it for what is not linear.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -40,6 +40,19 @@ class Emulator(Protocol):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
 
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray: ...
+
+
+@runtime_checkable
+class Focusable(Protocol):
+    """An emulator that can spare itself slopes: `only` of some effects (numbers), those of all
+    others are NaN."""
+
+    def only(self, wanted: Sequence[int]) -> Emulator: ...
+
+
+def focused(emulator: Emulator, wanted: Sequence[int]) -> Emulator:
+    """The emulator with the slopes of some effects alone, if it can spare itself the others."""
+    return emulator.only(wanted) if isinstance(emulator, Focusable) else emulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +125,12 @@ class Linearised:
     def wrong_at(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         """Directions (m, q) in which the values at a point may be wrong."""
         return self.wrong if self.emulator is None else self.emulator.wrong(delta, strengths)
+
+    def focused(self, wanted: Sequence[int]) -> "Linearised":
+        """The same for who needs the slopes of some effects (numbers) alone."""
+        if self.emulator is None:
+            return self
+        return replace(self, emulator=focused(self.emulator, wanted))
 
     def without_effects(self, names: Sequence[str]) -> "Linearised":
         """The same without some candidates."""
@@ -186,6 +205,9 @@ class _Fewer:
         values, base, effects = self.emulator(delta, self._every(strengths))
         return values, base, effects[:, self.keep]
 
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, [self.keep[k] for k in wanted]))
+
     def wrong(self, delta, strengths):
         return self.emulator.wrong(delta, self._every(strengths))
 
@@ -205,6 +227,9 @@ class _Rows:
     def __call__(self, delta, strengths):
         values, base, effects = self.emulator(delta, strengths)
         return values[self.index], base[self.index], effects[self.index]
+
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, wanted))
 
     def wrong(self, delta, strengths):
         return self.emulator.wrong(delta, strengths)[self.index]

@@ -100,15 +100,16 @@ def refit(
         before, point = point.objective, problem.descended(point)
         if before - point.objective < DONE:
             break
-    return point
+    return problem.with_all_slopes(point)
 
 
 def weighed(
     description: Linearised, measured: np.ndarray, covariance: np.ndarray, fit: Refit
 ) -> Refit:
     """The fit where it is, its objective that of another covariance (m, m)."""
+    found = fit.values, fit.base_slopes, fit.effect_slopes
     problem = _Problem(description, measured, covariance, fit.chosen)
-    return problem.at(fit.delta, fit.strengths)
+    return problem.judged(fit.delta, fit.strengths, *found)
 
 
 def best_strengths(gram: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
@@ -139,10 +140,23 @@ class _Problem:
     def inverse(self) -> np.ndarray:
         return np.linalg.inv(self.covariance)
 
+    @cached_property
+    def focused(self) -> Linearised:
+        """The description with the slopes of the chosen effects alone."""
+        return self.description.focused(self.chosen)
+
     def at(self, delta: np.ndarray, strengths: np.ndarray) -> Refit:
-        """The point at a shift and strengths."""
+        """The point at a shift and strengths, with the slopes of the chosen effects."""
+        return self.judged(delta, strengths, *self.focused.at(delta, strengths))
+
+    def with_all_slopes(self, point: Refit) -> Refit:
+        """The same point with the slopes of all effects."""
+        found = self.description.at(point.delta, point.strengths)
+        return self.judged(point.delta, point.strengths, *found)
+
+    def judged(self, delta, strengths, values, base, effects) -> Refit:
+        """A point with its objective, given values (m,) and slopes (m, p), (m, k) there."""
         d, on = self.description, list(self.chosen)
-        values, base, effects = d.at(delta, strengths)
         residual = self.measured - values
         objective = (
             residual @ self.inverse @ residual

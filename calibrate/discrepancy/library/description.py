@@ -9,6 +9,7 @@ emulator warps features: large forces scatter in proportion.  Features and stren
 lab's own size (`lab_size`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,17 +163,21 @@ class LocalMachine:
     machine: Machine
     typical: np.ndarray
 
-    def read(self, strengths, shape, of_library: int, values, base, effects):
-        """Features (m,) of a specimen of a shape (2,) and their slopes as the machine reads them;
-        the shape is among the first `of_library` base coordinates."""
-        slopes = np.hstack([base, effects])
+    def read(self, strengths, shape, of_library: int, values, base, effects, wanted=None):
+        """Features (m,) of a specimen of a shape (2,) and their slopes as the machine reads them,
+        those of the `wanted` effects (numbers) alone, of all if there is no such list; the shape is
+        among the first `of_library` base coordinates."""
+        some = slice(None) if wanted is None else list(wanted)
+        slopes, own = np.hstack([base, effects[:, some]]), self.typical[:, some]
         along = np.zeros((slopes.shape[1], len(shape)))
         along[np.arange(of_library)[SHAPE_COLUMNS], range(len(shape))] = 1.0
         shown, turned, more = self.machine.read(
-            values, slopes, self.typical @ strengths, shape, along
+            values, slopes, self.typical @ strengths, shape, along, np.asarray(own.any(axis=1))
         )
-        base, effects = np.split(turned, [base.shape[1]], axis=1)
-        return shown, base, effects + more @ self.typical
+        every = np.full(effects.shape, np.nan)
+        base, every[:, some] = np.split(turned, [base.shape[1]], axis=1)
+        every[:, some] += more @ own
+        return shown, base, every
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +195,7 @@ class LocalEmulator:
     units: np.ndarray
     machine: LocalMachine | None
     discrepancy: ModelDiscrepancy | None = None
+    wanted: Sequence[int] | None = None  #: effects whose slopes are needed; None: all
 
     def __call__(self, delta, strengths):
         x, s = self._scaled(delta, strengths)
@@ -199,10 +205,13 @@ class LocalEmulator:
             found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
         if self.machine:
             shape = (self.offset + delta[: len(self.offset)])[SHAPE_COLUMNS]
-            found = self.machine.read(strengths, shape, len(self.offset), *found)
+            found = self.machine.read(strengths, shape, len(self.offset), *found, self.wanted)
         values, base, effects = found
         rows = self.units[:, None]
         return self.units * values, rows * base, rows * effects
+
+    def only(self, wanted):
+        return replace(self, wanted=tuple(wanted))
 
     def wrong(self, delta, strengths):
         """Directions (m, c) in which the emulator may be wrong at a point."""

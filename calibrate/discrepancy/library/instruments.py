@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from calibrate.discrepancy.comparison.linear import Emulator, Linearised
+from calibrate.discrepancy.comparison.linear import Emulator, Linearised, focused
 from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.library.machine import LAG
@@ -243,6 +243,9 @@ class RecordedEmulator:
         steep = effects + self.read.slopes(strengths)
         return values + self.read.shift(strengths), base, steep
 
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, wanted))
+
     def wrong(self, delta, strengths):
         either = self.read.half_difference(strengths)
         return np.column_stack([self.emulator.wrong(delta, strengths), either])
@@ -263,6 +266,9 @@ class ExtendedEmulator:
             np.concatenate([base, more]),
             np.concatenate([effects, self.rows]),
         )
+
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, wanted))
 
     def wrong(self, delta, strengths):
         inner = self.emulator.wrong(delta, strengths)
@@ -288,6 +294,9 @@ class TaredEmulator:
         effects = effects.copy()
         effects[self.rows, self.offset] = 0.0
         return values, base, effects
+
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, wanted))
 
     def wrong(self, delta, strengths):
         found = self.emulator.wrong(delta, strengths)

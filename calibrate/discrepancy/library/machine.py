@@ -70,21 +70,26 @@ class Machine:
 
     def read(
         self, values: np.ndarray, slopes: np.ndarray, strengths: np.ndarray, shape: np.ndarray,
-        along: np.ndarray,
+        along: np.ndarray, asked: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """Features (m,) and slopes (m, q) of these as they are read with errors of strengths (e,),
-        and the shift's slopes (m, e) with these; along (q, 2): slopes of the shape (2,)."""
+        and the shift's slopes (m, e) with these, of those that are `asked` for (a mask, (e,));
+        along (q, 2): slopes of the shape (2,)."""
         e, m = len(strengths), len(values)
+        some = np.arange(e) if asked is None else np.flatnonzero(asked)
         carried = slopes.T if strengths.any() else slopes.T[:0]
-        q = len(carried)
-        every = values + 1j * TINY * np.vstack([carried, np.zeros((e + 1, m))])
-        shapes = shape + 1j * TINY * np.vstack([along[:q], np.zeros((e + 1, 2))])
-        steps = 1j * TINY * np.vstack([np.zeros((q, e)), np.eye(e), np.zeros((1, e))])
+        by_strength = np.zeros((m, e))
+        if not len(carried) and not len(some):
+            return values, slopes, by_strength
+        q, more = len(carried), len(some) + 1
+        every = values + 1j * TINY * np.vstack([carried, np.zeros((more, m))])
+        shapes = shape + 1j * TINY * np.vstack([along[:q], np.zeros((more, 2))])
+        steps = 1j * TINY * np.vstack([np.zeros((q, e)), np.eye(e)[some], np.zeros((1, e))])
         late = self._lag_from_none(strengths)
         steps[-1, late] = SMALL
         moved = self.shift(every, strengths + steps, shapes)
         shift, turned = np.real(moved[-2]), np.imag(moved[:-1]).T / TINY
-        by_strength = turned[:, q:]
+        by_strength[:, some] = turned[:, q:]
         by_strength[:, late] = (np.real(moved[-1]) - shift)[:, None] / SMALL
         return values + shift, slopes + turned[:, :q] if q else slopes, by_strength
 
