@@ -9,9 +9,9 @@ sine makes factors of force and stiffness add up and scatter alike for weak and 
 hyperparameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -30,6 +30,7 @@ COMPONENTS = 14
 LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
 MOST_ROWS = 1100  # from which hyperparameters are estimated
+POINTS_KEPT = 256  # at which variances are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +212,20 @@ class FeatureEmulator:
 
     def variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variances (c,) of the standardised components' errors at a point."""
-        return np.array([_variance(c, self.x, self.s, x, s) for c in self.components])
+        return self._variances(x.tobytes(), s.tobytes())
+
+    @cached_property
+    def _variances(self) -> Callable[[bytes, bytes], np.ndarray]:
+        """The same, kept for the last points: a diagnosis asks for each some six times."""
+
+        @lru_cache(POINTS_KEPT)
+        def at(x: bytes, s: bytes) -> np.ndarray:
+            point = np.frombuffer(x), np.frombuffer(s)
+            found = np.array([_variance(c, self.x, self.s, *point) for c in self.components])
+            found.flags.writeable = False
+            return found
+
+        return at
 
     def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Standardised components (c,) at a point."""
