@@ -38,9 +38,10 @@ def write(out: Path, diagnosis: Diagnosis, origin: dict, path: Path | None) -> D
     if path is not None:
         write_json(path, plain_data)
     found = record(DiagnosisRecord, plain_data)
-    for name, picture in _pictures(found).items():
+    pictures = _pictures(found)
+    for name, picture in pictures.items():
         write_text(out / "figures" / f"{name}.svg", picture.svg)
-    write_text(out / PAGE, of(found).html)
+    write_text(out / PAGE, _page(found, pictures).html)
     return found
 
 
@@ -51,7 +52,10 @@ def page(path: Path) -> Page:
 
 def of(found: DiagnosisRecord) -> Page:
     """The report of a diagnosis that has been read."""
-    pictures = _pictures(found)
+    return _page(found, _pictures(found))
+
+
+def _page(found: DiagnosisRecord, pictures: dict[str, Picture]) -> Page:
     shown = {
         "sentence": sentence(found),
         "first": [pictures[name] for name in pictures if name.startswith("where")],
