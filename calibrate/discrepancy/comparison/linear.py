@@ -44,8 +44,8 @@ class Emulator(Protocol):
 
 @runtime_checkable
 class Focusable(Protocol):
-    """An emulator that can spare itself slopes: `only` of some effects (numbers), those of all
-    others are NaN."""
+    """An emulator that can spare itself slopes: `only` those of some effects (numbers) count then,
+    others may be NaN."""
 
     def only(self, wanted: Sequence[int]) -> Emulator: ...
 
