@@ -128,6 +128,13 @@ def test_an_odd_specimen_is_named(done):
     assert said.count("Specimen") == 1
 
 
+def test_a_soil_beyond_the_library_is_named(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    far = found.model_copy(update={"beyond_library": ["surface_energy"]})
+    assert "beyond those of the library (surface energy)" in caution(far)
+    assert "beyond those" not in caution(found.model_copy(update={"beyond_library": []}))
+
+
 def test_figures_are_drawings_with_units(done):
     drawn = {path.stem for path in (done / "figures").glob("*.svg")}
     assert {"where_confined", "where_unconfined", "probability", "effects", "next_test"} == drawn

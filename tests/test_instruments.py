@@ -1,4 +1,4 @@
-"""What recording does to curves that are read late: the filter, and the shift between lags."""
+"""What recording does to curves: read late (the filter, the shift between lags), by load steps."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.comparison.recording import Channel, recording
+from calibrate.discrepancy.comparison.recording import Channel, LoadSteps, recording
 from calibrate.discrepancy.library.instruments import (
     LAGS,
     RecordedEmulator,
@@ -14,9 +14,11 @@ from calibrate.discrepancy.library.instruments import (
     TaredEmulator,
     lagged,
 )
-from calibrate.discrepancy.library.measurements import Measurements
+from calibrate.discrepancy.library.measurements import Measurements, read_measurements
+from calibrate.discrepancy.library.run_library import Cylinder
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.diagnosis.base import UsualSizes
-from calibrate.labtests.diagnosis.curves import declare
+from calibrate.labtests.diagnosis.curves import declare, feature_values
 
 FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
 
@@ -138,3 +140,61 @@ def test_features_of_tared_curves_do_not_see_the_offset():
 def test_tests_are_tared_where_a_force_before_contact_is_known(before, tests):
     nothing: Any = None
     assert Measurements(nothing, nothing, before, {}, (), {}).tared == tests
+
+
+def of_loading(force_high: float) -> list:
+    features = declare(UsualSizes(force_high, 4.0, 250.0))
+    return [f for f in features if f.kind == "loading"]
+
+
+def test_load_steps_are_read_straight_between_loads():
+    """A root curve at five loads: what is read between them is off by the chord's distance."""
+    force = np.linspace(0, 400, 4001)
+    loads = np.array([25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
+    curves, steps = {"confined": (np.sqrt(force), force)}, LoadSteps(loads, 1e-9)
+    x, read = steps.record(*curves["confined"], np.random.default_rng(0))
+    assert read.tolist() == loads[:-1].tolist()
+    assert x == pytest.approx(np.sqrt(loads[:-1]), abs=1e-6)
+    features = of_loading(400.0)
+    shift = recording(features, curves, {"confined": steps}, np.random.default_rng(0))[0]
+    for feature, found in zip(features, shift, strict=True):
+        if feature.abscissa >= loads[0]:
+            chord = np.interp(feature.abscissa, loads, np.sqrt(loads))
+            assert found == pytest.approx(chord - np.sqrt(feature.abscissa), abs=1e-3)
+
+
+def test_a_curve_that_is_pressed_further_is_read_up_to_the_largest_force():
+    features = declare(UsualSizes(400.0, 4.0, 250.0))
+    up, down = np.linspace(0, 1200, 3001), np.linspace(1200, 0, 500)
+    force = np.append(up, down[1:])
+    x = np.append(np.sqrt(up), np.sqrt(1200) - (1200 - down[1:]) / 800)
+    to = int(np.searchsorted(up, 400.0)) + 1
+    further = feature_values(features, {"confined": (x, force)})
+    only_up = feature_values(features, {"confined": (x[:to], force[:to])})
+    for feature, one, other in zip(features, further, only_up, strict=True):
+        if feature.kind == "loading":
+            assert one == pytest.approx(other, abs=1e-9)
+        else:
+            assert np.isnan(one)
+
+
+def test_load_steps_and_strengths_of_a_real_soil_are_measured_features():
+    """Displacement from half to the largest load, and the strengths' mean and scatter, as the
+    files give them."""
+    lab = load_lab(bundled_lab("trumao_curves"))
+    found = read_measurements(lab, Cylinder.of(lab).features())
+    measured = found.measured
+    names = [f.name for f in measured.features]
+    assert names[-1] == "crushing_force_n"
+    assert {f.kind for f in measured.features[:-1]} == {"loading"}
+    assert min(f.abscissa for f in measured.features[:-1]) > 49.0  # 25 kPa, the first load
+    assert isinstance(found.channels["confined"], LoadSteps)
+    at = names.index("displacement at 777.546 N, loading")
+    curves = [c for c in lab.curves if c.test == "confined"]
+    ways = [np.interp([392.7, 777.546], c.force_n[:7], c.displacement_mm[:7]) for c in curves]
+    assert measured.specimens[:3, at] == pytest.approx([b - a for a, b in ways], rel=1e-3)
+    strengths, target = measured.specimens[3:, -1], lab.targets["crushing_force_n"]
+    assert len(strengths) == target.repeats and not np.isfinite(measured.specimens[:3, -1]).any()
+    assert strengths.mean() == pytest.approx(target.mean)
+    assert strengths.std(ddof=1) == pytest.approx(target.scatter)
+    assert measured.shared[at, -1] == 0 and measured.counts[at] == 3

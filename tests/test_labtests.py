@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from calibrate.core.errors import InputError
 from calibrate.inference.problem import pose
-from calibrate.io.lab import Lab, load_lab
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.labtests.features import path_features, turning_rows
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import StepTable, program
@@ -272,6 +272,13 @@ def test_what_a_library_does_not_hold_is_named_with_file_and_test(folder, name):
     assert (caught.value.file, caught.value.field) == (str(folder / "lab.toml"), field)
     assert words in str(caught.value) and "begins with these two" in caught.value.repair
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_an_oedometer_is_told_how_to_be_compared():
+    with pytest.raises(InputError, match="oedometer") as caught:
+        load_lab(bundled_lab("trumao_oedometer")).pair()
+    assert "trumao_curves" in caught.value.repair
+    assert load_lab(bundled_lab("trumao_curves")).pair().compression.force_high == 785.4
 
 
 PIECES = st.one_of(

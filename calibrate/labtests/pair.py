@@ -35,7 +35,8 @@ def pair_of(tests: Sequence[AbstractLabTest]) -> Pair:
         misfit = _misfit(test, place)
         if misfit:
             problem = f"a library of runs holds {HELD}, but {misfit}"
-            raise BadValue(problem, REPAIR, f"tests[{place}]")
+            steps = test.shape == "steps" and place == 0
+            raise BadValue(problem, OF_STEPS if steps else REPAIR, f"tests[{place}]")
     if len(tests) < len(KINDS):
         problem = f"a library of runs holds {HELD}, but no test here is {KINDS[len(tests)]}"
         raise BadValue(problem, REPAIR, "tests")
@@ -44,6 +45,11 @@ def pair_of(tests: Sequence[AbstractLabTest]) -> Pair:
 
 HELD = f"{KINDS[0]} and then {KINDS[1]} compression of one specimen"
 REPAIR = "give a lab file that begins with these two; others may come after them"
+
+OF_STEPS = (
+    'give its curves to a test of type = "confined" whose force_high is a load of 50 to 500 kPa '
+    "times the area, and then an unconfined test; the soil trumao_curves does so"
+)
 
 
 def _misfit(test: AbstractLabTest, place: int) -> str:

@@ -14,6 +14,7 @@ from pydantic import model_validator as check
 from calibrate.discrepancy.comparison.compare import label
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
+from calibrate.discrepancy.library.design import FURTHEST, SETTINGS
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.base import Curve, Number, Origin, Record, Test
@@ -199,6 +200,7 @@ class DiagnosisRecord(Origin):
     best: list[str]
     explanations: list[ExplanationRow]
     base_parameters: list[ParameterShift]
+    beyond_library: list[str] = Field(default_factory=list)
     amplitudes: dict[Test, Number]
     settings: DiagnosisSettings
 
@@ -232,6 +234,11 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         "base_parameters": [
             {"name": name, "moved": float(by), "prior_sd": float(sd)}
             for name, by, sd in zip(d.base_names, moved, d.prior_sd, strict=True)
+        ],
+        "beyond_library": [
+            name
+            for name, by in zip(d.base_names, moved, strict=True)
+            if name not in SETTINGS and abs(by) > FURTHEST
         ],
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},

@@ -235,7 +235,8 @@ def _undetectable(found: DiagnosisRecord) -> str:
 
 
 def caution(found: DiagnosisRecord) -> str:
-    """What weakens the answer: few repeats, odd ones, an effect that calibration mimics."""
+    """What weakens the answer: few repeats, odd ones, a soil beyond the library, an effect that
+    calibration mimics."""
     few = [label_of(test) for test in TESTS
            if 0 < found.settings.repeats.get(test, 0) < FEW and not found.targets_only]  # fmt: skip
     absent = [label_of(test) for test in TESTS
@@ -250,6 +251,10 @@ def caution(found: DiagnosisRecord) -> str:
         parts.append(
             f"Not used, without curves or not in the library: {', '.join(found.unused_tests)}."
         )
+    if found.beyond_library:
+        names = ", ".join(name.replace("_", " ") for name in found.beyond_library)
+        parts.append(f"The soil that fits best lies beyond those of the library ({names}): part of "
+                     "the gap may be an error of the library there.")  # fmt: skip
     absorbed = {n for group in members(found.which.verdict) for n in group}
     absorbed &= set(found.which.absorbed_by_calibration)
     if absorbed:

@@ -44,6 +44,7 @@ class Row:
     realised: float | None
     realised_error: float | None = None
     too_vague: bool = False  # an effect was named, but the data could not show any shrinkage
+    spheres: int | None = None  # in a specimen, where the label says it
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ def row(verdict: dict, label: dict, realised: Realised | None = None) -> Row:
         realised=None if realised is None else realised.value,
         realised_error=None if realised is None else realised.error,
         too_vague=claimed is not None and not reportable,
+        spheres=label.get("spheres"),
     )
 
 

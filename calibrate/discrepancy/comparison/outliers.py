@@ -14,7 +14,7 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.labtests.diagnosis.base import BEFORE
+from calibrate.labtests.diagnosis.base import BEFORE, TARGET
 from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
 FREEDOM = 4.0  # nu
@@ -31,9 +31,10 @@ def scatter_of(d: Linearised) -> np.ndarray:
 
 def robust(measured: Measured, scatter: np.ndarray) -> Measured:
     """The sample with a weight for each specimen, the smaller one of its tests, by a covariance
-    (m, m) of one; forces before contact do not speak, as they are taken off."""
+    (m, m) of one; forces before contact do not speak, as they are taken off, nor do targets, whose
+    single values are not known."""
     rows, found = measured.specimens, np.ones(len(measured.specimens))
-    curves = np.array([feature.kind != BEFORE for feature in measured.features])
+    curves = np.array([feature.kind not in (BEFORE, TARGET) for feature in measured.features])
     for test in TESTS:
         mine = np.flatnonzero(curves & (tests_of(measured.features) == test))
         through = np.isfinite(rows[:, mine]).any(axis=1) if len(mine) else np.zeros(len(rows), bool)

@@ -7,6 +7,7 @@ they read at a moment, others the mean since the last reading, and few say which
 difference, which all specimens of a laboratory share, is one more thing that is not known.
 """
 
+import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,15 +15,32 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.noise import best_shape
 from calibrate.labtests.diagnosis.base import Curves, Feature
+from calibrate.labtests.diagnosis.branches import rising
 from calibrate.labtests.diagnosis.curves import feature_values, recorded_feature_values
 
 REPEATS = 100
+REACHED = 0.01  # share of a load by which a curve may end before it
+
+
+class AbstractChannel(abc.ABC):
+    """How one test is recorded: travel between readings (mm), noise of force (N) and of
+    displacement (mm)."""
+
+    spacing: float
+    force_sd: float
+    displacement_sd: float
+
+    @abc.abstractmethod
+    def record(
+        self, displacement: np.ndarray, force: np.ndarray, rng: np.random.Generator,
+        averaging: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """A recording of a curve; averaging: of the mean force between readings."""
 
 
 @dataclass(frozen=True)
-class Channel:
-    """How one test is recorded: travel between samples (mm), noise of force (N) and of
-    displacement (mm)."""
+class Channel(AbstractChannel):
+    """Readings at equal intervals of travel."""
 
     spacing: float
     force_sd: float
@@ -46,6 +64,27 @@ class Channel:
         return x, read + self.force_sd * rng.standard_normal(len(at))
 
 
+@dataclass(frozen=True, eq=False)
+class LoadSteps(AbstractChannel):
+    """One reading at each of rising loads (k,), N, as of an oedometer: what lies between is read
+    straight, in measured and simulated curves alike."""
+
+    loads: np.ndarray
+    displacement_sd: float
+    spacing = 0.0
+    force_sd = 0.0
+
+    def record(
+        self, displacement: np.ndarray, force: np.ndarray, rng: np.random.Generator,
+        averaging: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        top = int(np.argmax(force)) + 1
+        travel, level = rising(displacement[:top], force[:top])
+        loads = self.loads[self.loads <= (1 + REACHED) * level[-1]]
+        x = np.interp(loads, level, travel)
+        return x + self.displacement_sd * rng.standard_normal(len(x)), loads
+
+
 def interval_means(
     path: np.ndarray, force: np.ndarray, begin: np.ndarray, end: np.ndarray
 ) -> np.ndarray:
@@ -58,7 +97,7 @@ def interval_means(
 def recording(
     features: Sequence[Feature],
     curves: Curves,
-    channels: Mapping[str, Channel],
+    channels: Mapping[str, AbstractChannel],
     rng: np.random.Generator,
     repeats: int = REPEATS,
     air: Mapping[str, float] | None = None,
@@ -79,7 +118,7 @@ def recording(
 def recording_shift(
     features: Sequence[Feature],
     curves: Curves,
-    channels: Mapping[str, Channel],
+    channels: Mapping[str, AbstractChannel],
     rng: np.random.Generator,
     repeats: int = REPEATS,
     air: Mapping[str, float] | None = None,

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.comparison.recording import Channel
+from calibrate.discrepancy.comparison.recording import AbstractChannel, Channel, LoadSteps
 from calibrate.discrepancy.comparison.repeats import (
     Measured,
     from_targets,
@@ -25,6 +26,7 @@ from calibrate.labtests.diagnosis.curves import (
     declare_targets,
     recorded_feature_values,
 )
+from calibrate.labtests.measured import Target
 
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
@@ -33,14 +35,14 @@ TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What a lab measured: specimens, which of the library's features they have, their means;
-    `before` are means before contact (s, 2), NaN where there are none; channels and speeds (mm/s)
-    by test."""
+    """What a lab measured: which of the library's features it has, of each specimen and their
+    means; `before` are means before contact (s, 2), NaN where there are none; channels and speeds
+    (mm/s) by test; curves of the specimens that have any."""
 
     measured: Measured
     chosen: np.ndarray
     before: np.ndarray
-    channels: dict[str, Channel]
+    channels: dict[str, AbstractChannel]
     specimens: tuple[Curves, ...]
     speeds: dict[str, float]
 
@@ -65,7 +67,8 @@ def specimens_of(lab: Lab) -> list[Curves]:
 
 
 def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
-    """A library's features of a lab: of its curves if there are any, else of its targets."""
+    """A library's features of a lab: of its curves if there are any, and the targets of tests that
+    it has no curve of."""
     specimens = specimens_of(lab)
     if not specimens:
         return _targets(lab, every)
@@ -81,11 +84,51 @@ def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
                          "give whole curves: loading to the largest force and back, crushing "
                          "past the peak")  # fmt: skip
     vectors = values[:, [on_curves.index(feature) for feature in known]]
-    chosen = np.array([every.index(feature) for feature in known])
-    channels = {test: _channel(test, specimens) for test in TESTS}
+    numbers, others = _beside_curves(lab, specimens)
+    features, vectors = (*known, *numbers), _below(vectors, others)
+    before = np.vstack([before, np.full((len(others), len(TESTS)), np.nan)])
+    names = [f.name for f in every]
+    chosen = np.array([names.index(feature.name) for feature in features])
+    channels = {test: _channel(test, lab, specimens) for test in TESTS}
     speeds = {test: 1e3 * rate for test, rate in lab.pair().rates.items()}
-    measured = from_vectors(known, vectors)
+    measured = from_vectors(features, vectors)
     return Measurements(measured, chosen, before, channels, tuple(specimens), speeds)
+
+
+def _beside_curves(lab: Lab, specimens: Sequence[Curves]) -> tuple[tuple[Feature, ...], np.ndarray]:
+    """The targets (k,) of tests without curves, and specimens of their own (s, k) that have the
+    stated mean and scatter: normal order statistics, as single values are not kept."""
+    names = [
+        target for test, target in zip(TESTS, TARGETS, strict=True)
+        if target in lab.targets and not any(test in curves for curves in specimens)
+    ]  # fmt: skip
+    rows = [_like(lab.targets[name]) for name in names]
+    return declare_targets(names), _block_diagonal(rows)
+
+
+def _like(target: Target) -> np.ndarray:
+    """As many values (n, 1) as there were repeats, with their mean and their scatter."""
+    count = max(target.repeats, 1)
+    score = norm.ppf((np.arange(count) + 0.5) / count)
+    spread = score.std(ddof=1) if count > 1 else 1.0
+    return (target.mean + target.scatter * score / spread)[:, None]
+
+
+def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    """Blocks (n, m) along the diagonal, NaN beside them."""
+    found = np.zeros((0, 0))
+    for block in blocks:
+        found = _below(found, block)
+    return found
+
+
+def _below(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Specimens (s, m) and others (r, k) with other features: (s + r, m + k), NaN where a specimen
+    lacks one."""
+    (s, m), (r, k) = above.shape, below.shape
+    found = np.full((s + r, m + k), np.nan)
+    found[:s, :m], found[s:, m:] = above, below
+    return found
 
 
 def _before(specimens: Sequence[Curves]) -> np.ndarray:
@@ -112,11 +155,14 @@ def _targets(lab: Lab, every: Sequence[Feature]) -> Measurements:
     return Measurements(from_targets(features, values), chosen, np.empty((0, 2)), {}, (), {})
 
 
-def _channel(test: str, specimens: Sequence[Curves]) -> Channel:
-    """How a test was recorded: travel between readings, and the noise of force."""
+def _channel(test: str, lab: Lab, specimens: Sequence[Curves]) -> AbstractChannel:
+    """How a test was recorded: at load steps, or travel between readings and the noise of force."""
     curves = [curves[test] for curves in specimens if test in curves]
     if not curves:
         return Channel(0.05, LEAST_FORCE_SD, DISPLACEMENT_SD)
+    if all(curve.points for curve in lab.curves if curve.test == test):
+        displacement, force = curves[0]
+        return LoadSteps(force[: int(np.argmax(displacement)) + 1], DISPLACEMENT_SD)
     spacing = np.median([np.median(np.abs(np.diff(x))) for x, _ in curves])
     noise = force_noise([force for _, force in curves])
     return Channel(max(float(spacing), 1e-3), max(noise, LEAST_FORCE_SD), DISPLACEMENT_SD)

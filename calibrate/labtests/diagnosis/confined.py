@@ -36,8 +36,9 @@ ON_UNLOADING = {
     "unloading": (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05),
 }
 NEAR_TOP = 0.99  # share of the largest force beyond which travel at the top counts
-LATE_START = 0.08  # share of the largest force; a loading that begins above it is read from there
+LATE_START = 0.03  # share of the largest force; a loading that begins above it is read from there
 BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
+GOES_ON = 1.25  # times the largest force: a curve pressed further has no unloading to compare
 SEGMENTS = {  # in words
     "toe": "first touch of the confined test",
     "loading": "lower half of loading in the confined test",
@@ -91,7 +92,8 @@ class ConfinedFeatures(AbstractTestFeatures):
         self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
     ) -> Values:
         scale, turn = features[0].scale, int(np.argmax(displacement))
-        returns = turn < len(displacement) - 1
+        goes_on = force.max() > GOES_ON * scale
+        returns = turn < len(displacement) - 1 and not goes_on
         rise = rising(displacement[: turn + 1], force[: turn + 1])
         starts_late = rise[1][0] > LATE_START * scale  # a few points that begin under load
         zero = displacement_at(rise, REFERENCE * scale)
@@ -106,7 +108,8 @@ class ConfinedFeatures(AbstractTestFeatures):
             if feature.kind in branch:
                 curve, strict = branch[feature.kind]
                 value = displacement_at(curve, feature.abscissa, strict=bool(strict)) - zero
-                values[feature.kind, feature.abscissa] = value
+                beside = goes_on and feature.kind == "unloading"
+                values[feature.kind, feature.abscissa] = np.nan if beside else value
         return values
 
     def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
