@@ -122,12 +122,14 @@ def of_further() -> Iterator[Row]:
 
 
 def sealed(name: str) -> list[dict]:
-    """The cases of a sealed set that was judged, as those of open_cases.py."""
+    """The cases of a sealed set that was judged, as those of open_cases.py, which says how visible
+    an effect is where the labels do not."""
     found = result(name)
+    told = {(c["set"], c["case"]): c["snr"] for c in result("open_cases").get("cases", [])}
     return [
         {**row, "hidden": [one["name"] for one in found["hidden"][row["case"]]],
          "right": row["verdict"] == row["truth"], "p_gap": row["p_before"],
-         "stratum": stratum_of(row["kind"], row["snr"])}
+         "stratum": stratum_of(row["kind"], told.get((name, row["case"]), row["snr"]))}
         for row in found.get("rows", [])
     ]  # fmt: skip
 

@@ -115,7 +115,7 @@ def main() -> None:
     given = parser.parse_args()
     runtime.configure()
     open_cases.unpack()
-    snr, progress = open_cases.snr_by_case(only_made=True), for_terminal()
+    snr, progress = open_cases.snr_of_work(only_made=True), for_terminal()
     cases = chosen_cases(open_cases.WORK, snr, given.most, given.others)
     progress.start("asking for further tests", len(cases))
     rows = []

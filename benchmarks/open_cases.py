@@ -7,12 +7,13 @@ Two hundred cases of four specimens of 1100 spheres of this simulator: 60 hide n
 effect, 15 two, 25 one that the library lacks.  Beds come from few packings, other ones than those
 of the library and of any sealed set.  Cases are open: they serve development, and the bundled
 probability calibration is learned from them; so shares are told by cross-validation, each case with
-what the other folds' cases gave.  A sealed set of other specimens that has been opened joins them.
+what the other folds' cases gave.  Sealed sets that have been judged and opened join them.
 How visible an effect is, two specimens tell that are simulated without it, as for a sealed set.
 
-results/open_cases.tar.xz holds what has been made so far: 78 of the 200, and the opened set.  A
-folder keeps these, and the evidences of one state of library and diagnosis, so that a stopped run
-goes on; --made stops at what is there.  `diagnosis.py` makes the page.
+results/open_cases.tar.xz holds what has been made so far, 78 of the 200, and the opened set of
+other specimens; results/withheld_own.tar.xz the opened set of usual ones.  A folder keeps these,
+and the evidences of one state of library and diagnosis, so that a stopped run goes on; --made stops
+at what is there.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -52,13 +53,14 @@ from calibrate.simulation.keys import source_hash
 from calibrate.validation import run, trial
 from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
 from calibrate.validation.laboratory import Laboratory
-from calibrate.validation.plan import COUNTS, Beds, WithheldCase
+from calibrate.validation.plan import COUNTS, Beds, WithheldCase, without_nan
 
 SEED = 4242
 BEDS = Beds(first_seed=2_900_000, spheres=(1100,), pool=8, packings=8)  # of no library, no seal
 SET = "open, 1100 spheres"
-WORK, OPENED = reporting.CACHE / "open_cases", reporting.CACHE / "withheld_shapes"
-ARCHIVE = reporting.RESULTS / "open_cases.tar.xz"
+WORK = reporting.CACHE / "open_cases"
+OPENED = ("withheld_shapes", "withheld_own")  # sealed sets that were judged
+ARCHIVES = ("open_cases.tar.xz", "withheld_own.tar.xz")
 
 
 @cache
@@ -80,11 +82,12 @@ def judged_by() -> str:
 
 
 def unpack() -> None:
-    """The cases made so far, where there are none."""
-    if not WORK.exists():
-        reporting.CACHE.mkdir(parents=True, exist_ok=True)
-        with tarfile.open(ARCHIVE) as archive:
-            archive.extractall(reporting.CACHE, filter="data")
+    """The cases made so far, and those of opened sets, where there are none."""
+    reporting.CACHE.mkdir(parents=True, exist_ok=True)
+    for name in ARCHIVES:
+        if not (reporting.CACHE / name.split(".")[0]).exists():
+            with tarfile.open(reporting.RESULTS / name) as archive:
+                archive.extractall(reporting.CACHE, filter="data")
 
 
 def kept_at(case: Path) -> Path:
@@ -118,23 +121,23 @@ def judged(cases: Sequence[Path]) -> list[Path]:
     return [case for case in cases if kept_at(case).exists()]
 
 
-def changes_of(true: WithheldCase, only_made: bool) -> np.ndarray:
-    """What a case's effects do to its features (n, m), by simulations with and without them on two
-    of its packings, kept; none where they are not made."""
-    path = WORK / "changes" / f"{true.name}.json"
+def changes_of(folder: Path, true: WithheldCase, only_made: bool) -> np.ndarray:
+    """What the effects of a folder's case do to its features (n, m), by simulations with and
+    without them on two of its packings, kept; none where they are not made."""
+    path = folder / "changes" / f"{true.name}.json"
     if not path.exists() and true.hidden and not only_made:
-        found = Laboratory(WORK / "simulated", CENTRE).changes(true, range(FEWEST_CHANGES))
+        found = Laboratory(folder / "simulated", CENTRE).changes(true, range(FEWEST_CHANGES))
         path.parent.mkdir(exist_ok=True)
-        write_json(path, {"changes": found.round(6).tolist()})
+        write_json(path, {"changes": without_nan(found.round(6))})
     kept = json.loads(path.read_text())["changes"] if path.exists() else []
-    return np.array(kept)
+    return np.array(kept, float)
 
 
 def of_work(only_made: bool) -> list[dict]:
     """The open cases, made if they are not yet, as lines of the table of evidences."""
     if not only_made:
         run.generate(WORK, emulated(), COUNTS, SEED, for_terminal(), beds=BEDS, with_changes=False)
-    seen = snr_by_case(only_made)
+    seen = snr_of_work(only_made)
     return [
         {
             "set": SET, "case": case.name, "kind": true.kind, "snr": seen[case.name],
@@ -146,30 +149,41 @@ def of_work(only_made: bool) -> list[dict]:
     ]  # fmt: skip
 
 
-def snr_by_case(only_made: bool) -> dict[str, float]:
-    """Signal-to-noise of all open cases by simulations without the effect, as far as these are
+def snr_of_work(only_made: bool) -> dict[str, float]:
+    """Of the open cases that are made."""
+    return snr_by_case(WORK, [case.name for case in run.case_folders(WORK)], only_made)
+
+
+def snr_by_case(folder: Path, names: Sequence[str], only_made: bool) -> dict[str, float]:
+    """Signal-to-noise of a folder's cases by simulations without the effect, as far as these are
     made."""
-    every = [run.planned_case(WORK, case.name) for case in run.case_folders(WORK)]
+    every = [run.planned_case(folder, name) for name in names]
     changes = side_by_side(
-        lambda i: changes_of(every[i], only_made), len(every), for_terminal(), "without effects"
-    )
+        lambda i: changes_of(folder, every[i], only_made), len(every), for_terminal(),
+        "without effects",
+    )  # fmt: skip
     labels = {c.name: c.label(made) for c, made in zip(every, changes, strict=True)}
     seen = with_visibility(labels, emulated(), None)
     return {name: label["snr"] for name, label in seen.items()}
 
 
-def of_opened(folder: Path) -> list[dict]:
-    """The cases of a sealed set that has been opened and scored, as lines of the same table."""
-    scored = json.loads((folder / "withheld.json").read_text(encoding="utf-8"))
+def of_opened(name: str, only_made: bool) -> list[dict]:
+    """The cases of a sealed set that has been opened and scored, as lines of the same table.  Where
+    its labels do not tell how visible an effect is, because some feature is missing, the others
+    tell it now."""
+    scored = json.loads(reporting.file_of(name).read_text(encoding="utf-8"))
     known = {row["case"]: row for row in scored["rows"]}
+    untold = [case for case, row in known.items() if row["kind"] == "outside" and not row["snr"]]
+    for case, snr in snr_by_case(reporting.CACHE / name, untold, only_made).items():
+        known[case]["snr"] = snr
     return [
         {
-            "set": folder.name, "case": case.name, "kind": known[case.name]["kind"],
+            "set": name, "case": case.name, "kind": known[case.name]["kind"],
             "snr": known[case.name]["snr"],
             "hidden": [one["name"] for one in scored["hidden"][case.name]],
             **json.loads(kept_at(case).read_text()),
         }
-        for case in judged(run.case_folders(folder))
+        for case in judged(run.case_folders(reporting.CACHE / name))
     ]  # fmt: skip
 
 
@@ -196,7 +210,8 @@ def main() -> None:
     chosen = parser.parse_args()
     runtime.configure()
     unpack()
-    rows = [*of_work(chosen.made), *of_opened(OPENED)]
+    opened = [row for name in OPENED for row in of_opened(name, chosen.made)]
+    rows = [*of_work(chosen.made), *opened]
     some = [evidences.known(row) for row in rows]
     if chosen.learn:
         evidences.keep(rows)

@@ -361,6 +361,24 @@ def test_changes_are_those_of_the_same_packings_with_and_without(tmp_path, monke
     assert not changes[:, confined].any()
 
 
+def test_a_feature_that_one_simulation_lacks_hides_no_other():
+    """As large a change of the other features is as visible as where that feature never was."""
+    emulated = EmulatedLibrary.of(toy_library.library())
+    change = 40.0 * np.ones(len(FEATURES) - 2)
+    lacking = change.copy()
+    lacking[[0, 5]] = np.nan
+    rows = [[None if x != x else x for x in row] for row in (change, lacking)]
+    air = [{"name": "trapped_air", "strength": 0.5}]
+    label = {"kind": "outside", "hidden": air, "soil": toy_library.CENTRE, "planned_snr": 0.0}
+    found = with_visibility({"a": {**label, "changes": rows}}, emulated, None)["a"]["snr"]
+    seen = np.isfinite(lacking)
+    visible = Visibility(emulated, toy_library.CENTRE, seen=seen)
+    assert found == pytest.approx(visible.realised(np.array([change[seen]] * 2)))
+    assert found > 0.5
+    none = with_visibility({"a": {**label, "changes": []}}, emulated, None)["a"]["snr"]
+    assert none == 0.0
+
+
 def test_a_label_with_changes_tells_how_visible_its_effect_was():
     emulated, strengths = EmulatedLibrary.of(toy_library.library()), {"load_cell_gain": 0.1}
     visible = Visibility(emulated, toy_library.CENTRE)

@@ -78,9 +78,9 @@ def with_visibility(
 
 @dataclass(frozen=True, eq=False)
 class EffectChange:
-    """The change by a label's effects: simulated with and without (n, m), and as the library of
-    runs predicts it (m,) if it holds them all; planned: signal-to-noise, none in labels of another
-    code."""
+    """The change by a label's effects, of the features that all its simulations have: simulated
+    with and without (n, m), and as the library of runs predicts it (m,) if it holds them all;
+    planned: signal-to-noise, none in labels of another code."""
 
     effects: str
     visible: Visibility
@@ -100,11 +100,12 @@ class EffectChange:
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
         soil = {n: soil[n] for n in design.soil_names}
         size = SpecimenSize(**label["size"]) if "size" in label else USUAL
-        visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy, size)
+        changes, seen = _on_shared_features(np.array(label.get("changes", []), float))
+        visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy, size, seen)
         in_library = bool(strengths) and set(strengths) <= set(design.effect_names)
         return EffectChange(
             PAIR if len(strengths) > 1 else "".join(strengths), visible,
-            np.array(label.get("changes", [])), visible.change(strengths) if in_library else None,
+            changes, visible.change(strengths) if in_library else None,
             label.get("planned_snr"),
         )  # fmt: skip
 
@@ -129,6 +130,15 @@ class EffectChange:
         if self.planned is not None:
             return self.planned
         return 0.0 if self.predicted is None else self.visible.left(self.predicted)
+
+
+def _on_shared_features(changes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Changes (n, m) of the features that all of them have, and which of the m these are (None:
+    there are no changes)."""
+    seen = np.isfinite(changes).all(axis=0)
+    if not changes.size or not seen.any():
+        return np.zeros((0, 0)), None
+    return changes[:, seen], seen
 
 
 def errors_of(changes_by_case: Sequence[EffectChange]) -> dict[str, float]:

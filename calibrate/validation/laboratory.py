@@ -125,7 +125,7 @@ class Laboratory:
 
     def changes(self, case: WithheldCase, numbers: range = range(SPECIMENS)) -> np.ndarray:
         """What the hidden effects do to the features of the curves (n, m), on each of these of the
-        case's packings where both simulations have all of them."""
+        case's packings that both simulations stand on; NaN where one of both lacks a feature."""
         features = Cylinder.of(case.size.lab()).features()[: -len(TARGETS)]
         found = []
         for number in numbers:
@@ -133,8 +133,7 @@ class Laboratory:
             if None not in runs:
                 with_, without = (feature_values(features, curves_of(run)) for run in runs if run)
                 found.append(with_ - without)
-        changes = np.array(found).reshape(-1, len(features))
-        return changes[np.isfinite(changes).all(axis=1)]
+        return np.array(found).reshape(-1, len(features))
 
     def _specimen(self, case: WithheldCase, number: int) -> tuple[Run | None, float]:
         """The run of one specimen and its relative density error."""

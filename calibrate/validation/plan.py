@@ -126,8 +126,13 @@ class WithheldCase:
             **expected_snr,
             "case": self.name,
             "planned_snr": planned,
-            "changes": changes.tolist(),
+            "changes": without_nan(changes),
         }
+
+
+def without_nan(values: np.ndarray) -> list:
+    """Values (n, m) as lists, None for NaN, which JSON lacks."""
+    return np.where(np.isfinite(values), values, None).tolist()
 
 
 class Planner:
@@ -243,14 +248,17 @@ def relative_error(
 
 
 class Visibility:
-    """Projected signal-to-noise of effects at one soil, for a number of full specimens."""
+    """Projected signal-to-noise of effects at one soil, for a number of full specimens; `seen`:
+    which of the curves' features (m,) these have, all where it is not given."""
 
     def __init__(
         self, emulated: EmulatedLibrary, soil: dict[str, float], specimens: int = SPECIMENS,
         discrepancy: ModelDiscrepancy | None = None, size: SpecimenSize = USUAL,
+        seen: np.ndarray | None = None,
     ):  # fmt: skip
         emulated = emulated.for_lab(size.lab())
         every = np.arange(len(emulated.library.features) - 2)  # curves; targets follow from them
+        every = every if seen is None else every[seen]
         soil_prior = soil_prior_of(emulated.library, soil, PACE, shape=emulated.size.shape)
         design = emulated.library.design
         values = emulated.at(soil_prior)(

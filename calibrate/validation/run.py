@@ -37,6 +37,7 @@ from calibrate.validation.plan import (
     Planner,
     SpecimenSize,
     WithheldCase,
+    without_nan,
 )
 from calibrate.validation.scores import Realised, Row, claims_shrinkage, row, scored
 from calibrate.validation.trial import (
@@ -148,8 +149,8 @@ def _changes(out: Path, laboratory: Laboratory, case: WithheldCase, packings: ra
         return np.zeros((0, 0))
     kept = out / "sealed" / f"{case.name}.changes"
     if not kept.exists():
-        write_text(kept, json.dumps(laboratory.changes(case, packings).tolist()))
-    return np.array(json.loads(kept.read_text()))
+        write_text(kept, json.dumps(without_nan(laboratory.changes(case, packings))))
+    return np.array(json.loads(kept.read_text()), float)
 
 
 def case_folders(out: Path) -> list[Path]:
