@@ -135,10 +135,10 @@ class EffectChange:
 def _on_shared_features(changes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Changes (n, m) of the features that all of them have, and which of the m these are (None:
     there are no changes)."""
-    seen = np.isfinite(changes).all(axis=0)
-    if not changes.size or not seen.any():
-        return np.zeros((0, 0)), None
-    return changes[:, seen], seen
+    if not changes.size:
+        return changes, None
+    seen = np.asarray(np.isfinite(changes).all(axis=0))
+    return (changes[:, seen], seen) if seen.any() else (np.zeros((0, 0)), None)
 
 
 def errors_of(changes_by_case: Sequence[EffectChange]) -> dict[str, float]:

@@ -132,7 +132,7 @@ class WithheldCase:
 
 def without_nan(values: np.ndarray) -> list:
     """Values (n, m) as lists, None for NaN, which JSON lacks."""
-    return np.where(np.isfinite(values), values, None).tolist()
+    return [[x if np.isfinite(x) else None for x in row] for row in values.tolist()]
 
 
 class Planner:
