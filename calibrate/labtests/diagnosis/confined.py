@@ -36,8 +36,9 @@ ON_UNLOADING = {
     "unloading": (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05),
 }
 NEAR_TOP = 0.99  # share of the largest force beyond which travel at the top counts
-LATE_START = 0.03  # share of the largest force; a loading that begins above it is read from there
+LATE_START = 0.08  # share of the largest force; a loading that begins above it is read from there
 BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
+FEW = 20  # readings on loading; of fewer, as of load steps, nothing is read below the first
 GOES_ON = 1.25  # times the largest force: a curve pressed further has no unloading to compare
 SEGMENTS = {  # in words
     "toe": "first touch of the confined test",
@@ -95,7 +96,7 @@ class ConfinedFeatures(AbstractTestFeatures):
         goes_on = force.max() > GOES_ON * scale
         returns = turn < len(displacement) - 1 and not goes_on
         rise = rising(displacement[: turn + 1], force[: turn + 1])
-        starts_late = rise[1][0] > LATE_START * scale  # a few points that begin under load
+        starts_late = rise[1][0] > LATE_START * scale or turn < FEW
         zero = displacement_at(rise, REFERENCE * scale)
         near_top = displacement_at(rise, NEAR_TOP * scale)
         values = {
