@@ -135,6 +135,15 @@ def test_a_soil_beyond_the_library_is_named(done):
     assert "beyond those" not in caution(found.model_copy(update={"beyond_library": []}))
 
 
+def test_repeats_that_scatter_more_than_assumed_are_named(done):
+    found = read(done / "result.json", DiagnosisRecord)
+    assert set(found.scatter_over_assumed) <= {"confined", "unconfined"}
+    assert all(0.2 < ratio < 3 for ratio in found.scatter_over_assumed.values())
+    wide = found.model_copy(update={"scatter_over_assumed": {"confined": 2.04, "unconfined": 1.2}})
+    assert "Repeats of the confined test scatter 2 times as much" in caution(wide)
+    assert "crushing test scatter" not in caution(wide)
+
+
 def test_figures_are_drawings_with_units(done):
     drawn = {path.stem for path in (done / "figures").glob("*.svg")}
     assert {"where_confined", "where_unconfined", "probability", "effects", "next_test"} == drawn

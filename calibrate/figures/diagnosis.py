@@ -25,6 +25,8 @@ GREY = "0.62"
 BASE = {"color": DARK, "ls": "--", "marker": "s", "mfc": "white", "ms": 4.5, "lw": 1.3}
 BEST = {"color": MIDDLE, "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.3}
 TICKS = (5.0, 20.0, 100.0, 1e3, 1e4)  # of compressed scales
+FURTHER = 1.5  # times the largest force that is compared; a record beyond it is cut
+CALLED = {"200-400 N": "upper half"}  # on specimens of any size
 LOCATIONS = 8  # of a further test that are drawn
 STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
 Words = Callable[[str], str]
@@ -36,7 +38,7 @@ def where_figure(found: DiagnosisRecord, test: Test, words: Words) -> Figure:
     words turns the name of an explanation into plain words.
     """
     rows = [row for row in found.features if row.test == test]
-    if found.targets_only:
+    if rows and all(row.kind == "target" for row in rows):
         figure, axis = plt.subplots(figsize=BARS, layout="constrained")
         _targets(axis, rows)
     else:
@@ -80,6 +82,9 @@ def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) ->
     if ends:
         room = 0.06 * (max(ends) - min(ends))
         axis.set_xlim(min(ends) - room, max(ends) + room)
+        highest = max(f for row in ("measured", "base") for f in _locations(rows, row)[1])
+        if axis.get_ylim()[1] > FURTHER * highest:  # a record that was pressed further
+            axis.set_ylim(top=1.06 * highest)
 
 
 def _locations(rows: Sequence[FeatureRow], column: str) -> tuple[list[float], list[float]]:
@@ -158,7 +163,8 @@ def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) ->
             )
         axis.axvline(end - 0.5, color="0.8", lw=0.6)
     axis.set_xticks([(s + e - 1) / 2 for s, e in zip(starts, ends, strict=True)])
-    axis.set_xticklabels([names[s] for s in starts], rotation=30, ha="right", fontsize=8)
+    shown = [CALLED.get(names[s], names[s]) for s in starts]
+    axis.set_xticklabels(shown, rotation=30, ha="right", fontsize=8)
     axis.tick_params(axis="x", length=0)
     for text, start in zip(axis.get_xticklabels(), starts, strict=True):
         text.set_fontweight("bold" if names[start] in flagged else "normal")

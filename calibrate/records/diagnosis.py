@@ -15,11 +15,12 @@ from calibrate.discrepancy.comparison.compare import label
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.discrepancy.library.design import FURTHEST, SETTINGS
-from calibrate.labtests.diagnosis.base import Curves
-from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
+from calibrate.labtests.diagnosis.base import BEFORE, TARGET, Curves
+from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS, tests_of
 from calibrate.records.base import Curve, Number, Origin, Record, Test
 
 MOST_POINTS = 300  # of a curve that is kept to be drawn
+FEWEST = 3  # repeats from which their scatter is told
 Status = Literal["found", "trivial", "absent", "inconclusive"]
 
 
@@ -201,6 +202,7 @@ class DiagnosisRecord(Origin):
     explanations: list[ExplanationRow]
     base_parameters: list[ParameterShift]
     beyond_library: list[str] = Field(default_factory=list)
+    scatter_over_assumed: dict[Test, Number] = Field(default_factory=dict)
     amplitudes: dict[Test, Number]
     settings: DiagnosisSettings
 
@@ -240,9 +242,25 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
             for name, by in zip(d.base_names, moved, strict=True)
             if name not in SETTINGS and abs(by) > FURTHEST
         ],
+        "scatter_over_assumed": _scatter_over_assumed(diagnosis),
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},
     }
+
+
+def _scatter_over_assumed(diagnosis: Diagnosis) -> dict[str, float]:
+    """Deviation of the repeats of each test over that of the noise, their median over features of
+    curves; of tests with enough repeats."""
+    measured, noise = diagnosis.measured, diagnosis.comparison.noise
+    assumed, found = np.sqrt(np.diag(noise.specimen)), {}
+    curves = np.array([f.kind not in (BEFORE, TARGET) for f in measured.features])
+    for test in TESTS:
+        mine = curves & (tests_of(measured.features) == test)
+        rows = measured.specimens[:, mine]
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if mine.any() and len(rows) >= FEWEST:
+            found[test] = float(np.median(rows.std(axis=0, ddof=1) / assumed[mine]))
+    return found
 
 
 def _repeats(diagnosis: Diagnosis) -> dict[str, int]:

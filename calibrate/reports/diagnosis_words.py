@@ -17,6 +17,7 @@ from calibrate.reports.html import number
 
 SURE, LIKELY = 0.8, 0.5
 ODD = 0.6  # weight of a specimen below which the reader is told
+MORE_SCATTER = 1.7  # times the assumed one; by chance in 4 % of tests of four specimens
 FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
 
 
@@ -235,8 +236,8 @@ def _undetectable(found: DiagnosisRecord) -> str:
 
 
 def caution(found: DiagnosisRecord) -> str:
-    """What weakens the answer: few repeats, odd ones, a soil beyond the library, an effect that
-    calibration mimics."""
+    """What weakens the answer: few repeats, odd ones, more scatter than assumed, a soil beyond the
+    library, an effect that calibration mimics."""
     few = [label_of(test) for test in TESTS
            if 0 < found.settings.repeats.get(test, 0) < FEW and not found.targets_only]  # fmt: skip
     absent = [label_of(test) for test in TESTS
@@ -251,6 +252,12 @@ def caution(found: DiagnosisRecord) -> str:
         parts.append(
             f"Not used, without curves or not in the library: {', '.join(found.unused_tests)}."
         )
+    parts += [
+        f"Repeats of the {label_of(test)} scatter {number(ratio, 2)} times as much as the "
+        "diagnosis assumes: take its probabilities for too sure."
+        for test, ratio in found.scatter_over_assumed.items()
+        if ratio > MORE_SCATTER
+    ]
     if found.beyond_library:
         names = ", ".join(name.replace("_", " ") for name in found.beyond_library)
         parts.append(f"The soil that fits best lies beyond those of the library ({names}): part of "
