@@ -41,6 +41,7 @@ from calibrate.discrepancy.library.description import (
     describe,
     soil_prior_for,
 )
+from calibrate.discrepancy.library.design import FURTHEST
 from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.instruments import with_forces_before_contact, with_instruments
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
@@ -79,6 +80,7 @@ class Diagnosis:
     proposals: list[Proposal]
     learned: Learned | None = None
     unused: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
 
     def as_json(self) -> dict:
         """The contract's keys."""
@@ -171,5 +173,15 @@ def diagnosed(
     proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
     return Diagnosis(
         lab, found, measured, prepared, localisation, comparison, reduction, proposals, learned,
-        tuple(unused),
+        tuple(unused), beyond_library(lab, emulated, comparison.base.delta),
     )  # fmt: skip
+
+
+def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
+    """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie farther from
+    the library's centre than its runs."""
+    library = emulated.library
+    names, sd = library.design.soil_names, [*library.design.soil_sd.values()]
+    soil = slice(len(names))  # base coordinates begin with the soil's
+    away = (soil_prior_for(lab, library).offset[soil] + delta[soil]) / sd
+    return tuple(n for n, by in zip(names, away, strict=True) if abs(by) > FURTHEST)

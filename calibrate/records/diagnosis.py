@@ -14,7 +14,6 @@ from pydantic import model_validator as check
 from calibrate.discrepancy.comparison.compare import label
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.discrepancy.library.design import FURTHEST, SETTINGS
 from calibrate.labtests.diagnosis.base import BEFORE, TARGET, Curves
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS, tests_of
 from calibrate.records.base import Curve, Number, Origin, Record, Test
@@ -237,11 +236,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
             {"name": name, "moved": float(by), "prior_sd": float(sd)}
             for name, by, sd in zip(d.base_names, moved, d.prior_sd, strict=True)
         ],
-        "beyond_library": [
-            name
-            for name, by in zip(d.base_names, moved, strict=True)
-            if name not in SETTINGS and abs(by) > FURTHEST
-        ],
+        "beyond_library": list(diagnosis.beyond),
         "scatter_over_assumed": _scatter_over_assumed(diagnosis),
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},

@@ -17,7 +17,7 @@ from calibrate.reports.html import number
 
 SURE, LIKELY = 0.8, 0.5
 ODD = 0.6  # weight of a specimen below which the reader is told
-MORE_SCATTER = 1.7  # times the assumed one; by chance in 4 % of tests of four specimens
+MORE_SCATTER = 1.7  # times the assumed one; normal scatter of four exceeds it in 3 % of tests
 FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
 
 

@@ -84,9 +84,12 @@ def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
                          "give whole curves: loading to the largest force and back, crushing "
                          "past the peak")  # fmt: skip
     vectors = values[:, [on_curves.index(feature) for feature in known]]
-    numbers, others = _beside_curves(lab, specimens)
-    features, vectors = (*known, *numbers), _below(vectors, others)
-    before = np.vstack([before, np.full((len(others), len(TESTS)), np.nan)])
+    numbers = _beside_curves(lab, specimens)
+    for name in numbers:
+        vectors = _below(vectors, _like(lab.targets[name]))
+    features = (*known, *declare_targets(numbers))
+    lacking = np.full((len(vectors) - len(before), len(TESTS)), np.nan)
+    before = np.vstack([before, lacking])
     names = [f.name for f in every]
     chosen = np.array([names.index(feature.name) for feature in features])
     channels = {test: _channel(test, lab, specimens) for test in TESTS}
@@ -95,31 +98,21 @@ def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
     return Measurements(measured, chosen, before, channels, tuple(specimens), speeds)
 
 
-def _beside_curves(lab: Lab, specimens: Sequence[Curves]) -> tuple[tuple[Feature, ...], np.ndarray]:
-    """The targets (k,) of tests without curves, and specimens of their own (s, k) that have the
-    stated mean and scatter: normal order statistics, as single values are not kept."""
-    names = [
+def _beside_curves(lab: Lab, specimens: Sequence[Curves]) -> list[str]:
+    """The targets of tests without curves."""
+    return [
         target for test, target in zip(TESTS, TARGETS, strict=True)
         if target in lab.targets and not any(test in curves for curves in specimens)
     ]  # fmt: skip
-    rows = [_like(lab.targets[name]) for name in names]
-    return declare_targets(names), _block_diagonal(rows)
 
 
 def _like(target: Target) -> np.ndarray:
-    """As many values (n, 1) as there were repeats, with their mean and their scatter."""
+    """As many values (n, 1) as there were repeats, with their mean and their scatter: normal order
+    statistics, as single values are not kept."""
     count = max(target.repeats, 1)
     score = norm.ppf((np.arange(count) + 0.5) / count)
     spread = score.std(ddof=1) if count > 1 else 1.0
     return (target.mean + target.scatter * score / spread)[:, None]
-
-
-def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Blocks (n, m) along the diagonal, NaN beside them."""
-    found = np.zeros((0, 0))
-    for block in blocks:
-        found = _below(found, block)
-    return found
 
 
 def _below(above: np.ndarray, below: np.ndarray) -> np.ndarray:
