@@ -13,7 +13,7 @@ import argparse
 import json
 import secrets
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,13 +21,10 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[2] / "tests"))
 from support.reality.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
-from support.reality.instrument import TARGET_FORCE
 from support.reality.labfiles import Specimen, measured, write_case
 from support.reality.specimen import Run, run
 
 from calibrate.validation.seal import write_seal
-
-DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)
 
 
 def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
@@ -48,18 +45,6 @@ def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
     return new
 
 
-def depth_mm(run: Run) -> float:
-    """Displacement between half the target force and the target, first passages, mm."""
-    way, force = run.curves["confined"][: run.curves["confined"][:, 0].argmax() + 1].T
-    low, high = np.interp(DEPTH_FORCES, np.maximum.accumulate(force), way)
-    return 1e3 * float(high - low)
-
-
-def crushing_n(run: Run) -> float:
-    """Largest force of the second test, smoothed over 81 savings, N."""
-    return float(np.convolve(run.curves["unconfined"][:, 1], np.full(81, 1 / 81), "valid").max())
-
-
 def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:
     """The runs of one attempt, or None as soon as it is not acceptable."""
     runs: list[Run] = []
@@ -67,7 +52,7 @@ def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:
         runs.append(specimen_run(case, attempt, number, work))
         if not runs[-1].stands:
             return None
-    good = accepted([depth_mm(r) for r in runs], [crushing_n(r) for r in runs])
+    good = accepted([r.depth_mm() for r in runs], [r.crushing_n() for r in runs])
     return runs if good else None
 
 
@@ -110,7 +95,7 @@ def main() -> None:
     thirds = THIRDS[-1:] if options.strong else THIRDS
     planned = plan(options.cases, seed, options.nothing_hidden, thirds)
     (options.work / "plan.json").write_text(json.dumps([asdict(c) for c in planned], indent=1))
-    with ProcessPoolExecutor(options.jobs) as pool:
+    with ThreadPoolExecutor(options.jobs) as pool:
         results = [pool.submit(make_case, c, options.work, options.out) for c in planned]
         for case, result in zip(planned, results, strict=True):
             label = result.result()

@@ -3,7 +3,7 @@
 Every case has the same files, columns, numbers of rows and digits, whatever it hides.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +22,16 @@ from support.reality.soil import PRIOR, TENSILE_EXPONENT, Soil
 from support.reality.specimen import LOADING, Run
 
 ZERO = 0.5e-3  # m; the displacement's zero is anywhere within
-BUNDLED_ROLLING = 0.1  # rolling friction of the bundled soil
+CONVENTIONS = 'conventions = "liggghts"\n'  # of friction and rolling, which every user knows
 GIVEN = ("wall_friction", "platen_friction")  # what the laboratory believes of its apparatus
 GAP = (0.3e-3, 1.0e-3)  # m, the platen's way before it touches
 
 # As the project's own withheld cases, but for the title and a height that is measured.
-LAB = TOML.replace("withheld {name}", "soil {name}").replace("{height:g}", "{height:.1f}")
+LAB = (
+    TOML.replace("withheld {name}", "soil {name}")
+    .replace("{height:g}", "{height:.1f}")
+    .replace("[particles]\n", "[particles]\n" + CONVENTIONS)
+)
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,8 @@ def measured(run: Run, instrument: Instrument, random: np.random.Generator) -> S
     """The specimen as weighed, measured and recorded; `random` makes noise and zeros."""
     records = []
     for curve, speed in (
-        (run.curves["confined"], CONFINED_SPEED),
-        (run.curves["unconfined"], UNCONFINED_SPEED),
+        (run.confined, CONFINED_SPEED),
+        (run.unconfined, UNCONFINED_SPEED),
     ):
         way, force = approach(curve[:, 0], curve[:, 1], random.uniform(*GAP))
         zero = random.uniform(-ZERO, ZERO)
@@ -94,11 +98,6 @@ def _lab_text(name: str, specimens: list[Specimen]) -> str:
 
 
 def _parameters() -> str:
-    """Where a fit may start, the same in every case.
-
-    Centres of the prior; but the codes' laws differ, so no scatter is claimed, and rolling
-    friction, which means another thing in the other code, is that of the bundled soil.
-    """
-    soil = replace(Soil(), rolling_friction=BUNDLED_ROLLING)
-    rows = [f"{name} = {getattr(soil, name):g}" for name in (*PRIOR, *GIVEN)]
+    """Where a fit may start, the same in every case: centres of the prior, no scatter claimed."""
+    rows = [f"{name} = {getattr(Soil(), name):g}" for name in (*PRIOR, *GIVEN)]
     return "\n".join([*rows, f"tensile_exponent = {TENSILE_EXPONENT:g}"]) + "\n"

@@ -50,6 +50,7 @@ CHUNK, EVERY = 60, 15  # time steps between looks at the machine, and between sa
 DEEPEST = 0.02  # m; a specimen that has not reached the target force by then is given up
 LEVELLING_FORCE = 10.0  # N, of the platen that levels the settled bed
 FILLING_FRICTION = 0.3  # of the spheres while they settle, on average
+DEPTH_FORCES = (0.5 * TARGET_FORCE, 0.99 * TARGET_FORCE)  # N, between which a depth is taken
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,16 @@ class Run:
     confined: np.ndarray  # (points, 2)
     unconfined: np.ndarray  # (points, 2)
     facts: dict[str, float]
+
+    def depth_mm(self) -> float:
+        """Displacement between half the target force and the target, first passages, mm."""
+        way, force = self.confined[: self.confined[:, 0].argmax() + 1].T
+        low, high = np.interp(DEPTH_FORCES, np.maximum.accumulate(force), way)
+        return 1e3 * float(high - low)
+
+    def crushing_n(self) -> float:
+        """Largest force of the second test, smoothed over 81 savings, N."""
+        return float(np.convolve(self.unconfined[:, 1], np.full(81, 1 / 81), "valid").max())
 
 
 def run(soil: Soil, physics: Physics, instrument: Instrument, seed: int, folder: Path) -> Run:
