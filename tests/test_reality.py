@@ -18,7 +18,7 @@ from support.reality.cases import plan
 from support.reality.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
 from support.reality.physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force
 from support.reality.soil import MEAN_DIAMETER, PLATEN, TYPES, Soil, draw_soil
-from support.reality.specimen import run
+from support.reality.specimen import Run, run
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import load_lab
@@ -60,7 +60,8 @@ def test_every_case_reads_as_a_lab_file(cases):
 
 def test_a_case_is_written_as_the_committed_ones_were(tmp_path, cases):
     """Name, densities and height are the specimens' own; all else stands in every lab file; the
-    committed ones do not yet say how fast they were really pressed."""
+    committed ones do not yet say how fast they were really pressed, nor whose conventions the soil
+    follows, in which rolling friction means another thing."""
     row = np.zeros(instrument.READINGS)
     record = instrument.Record(row, row, row)
     specimens = [labfiles.Specimen(300.0, height, record, record) for height in (90.0, 91.0, 92.0)]
@@ -74,7 +75,28 @@ def test_a_case_is_written_as_the_committed_ones_were(tmp_path, cases):
     committed["specimen"].pop("height")
     assert cylinder == committed.pop("specimen")
     assert written["confined"].pop("pressed_at") == "100 mm/s"
+    assert written["particles"].pop("conventions") == "liggghts"
+    assert written["parameters"].pop("rolling_friction") == Soil().rolling_friction
+    committed["parameters"].pop("rolling_friction")
     assert written == committed
+
+
+def test_runs_of_three_specimens_become_a_case(tmp_path):
+    """Straight curves: 400 N at 8 mm are 1 mm for each 50 N; crushing ends at 200 N."""
+    way = np.linspace(0, 8e-3, 2001)
+    up, down = np.column_stack([way, 5e4 * way]), np.column_stack([way, 5e4 * way])[::-1]
+    crushing = np.column_stack([way, 200 * np.minimum(way / 4e-3, 1)])
+    one = Run(True, 0.09, 0.18, np.concatenate([up, down]), crushing, {})
+    assert one.depth_mm() == pytest.approx(1e3 * (396 - 200) / 5e4, rel=1e-6)
+    assert one.crushing_n() == pytest.approx(200, rel=1e-9)
+    random = np.random.default_rng(0)
+    specimens = [labfiles.measured(one, instrument.Instrument(), random) for _ in range(3)]
+    labfiles.write_case("0a1b2c3d", specimens, tmp_path)
+    lab = load_lab(tmp_path / "lab.toml")
+    assert lab.particles.conventions == "liggghts"
+    largest = {c.test: c.force_n.max() for c in lab.curves}
+    assert largest["confined"] == pytest.approx(400, abs=15)
+    assert largest["unconfined"] == pytest.approx(200, abs=3)
 
 
 def test_all_cases_look_alike_from_outside(cases):

@@ -6,14 +6,18 @@ spheres, and can be stopped and resumed; what is there already is not simulated 
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from calibrate.io.lab import Lab
 
 from calibrate.commands.options import renamed
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
 REFINED = "packings x 5 simulations of the effects that are hardest to predict; 0: none"
+CONVENTIONS = "Simulate soils that follow these, and keep them beside the library of --onto."
 SHAPED = "packings x 6 simulations of specimens of other heights and largest stresses; 0: none"
 
 
@@ -41,6 +45,9 @@ def library_command(
     centred: Annotated[
         bool, typer.Option("--centred/--bundled-centre", help="Centre on the lab's own soil.")
     ] = False,
+    conventions: Annotated[
+        str | None, typer.Option("--conventions", metavar="NAME", help=CONVENTIONS)
+    ] = None,
 ) -> None:
     """Simulate soils and effects around one kind of lab; keep their features in one file."""
     from calibrate.core.files import make_folder
@@ -67,6 +74,8 @@ def library_command(
 
     measured = load_lab(bundled_lab() if lab is None else lab)
     measured.pair()  # refuses other tests than those of a library
+    if conventions is not None:
+        return _beside(onto, conventions, measured)
     make_folder(out.parent)
     smaller = None if onto is None else store.load(onto)
     design = Design(packings=packings, spheres=spheres, shaped=shaped, refined=refined)
@@ -95,3 +104,24 @@ def library_command(
     progress.say(f"{len(library.values)} simulations have all features; fitting")
     store.save(library.fitted(), out)
     print(f"library of {len(library.values)} runs in {out}")
+
+
+def _beside(onto: Path | None, conventions: str, lab: "Lab") -> None:
+    """Rows that follow other conventions, into a file beside a library's."""
+    from calibrate.core.errors import COMMAND_LINE, InputError
+    from calibrate.core.progress import for_terminal
+    from calibrate.discrepancy.library import other_law, store
+    from calibrate.discrepancy.library.run_library import check_cylinder
+
+    if onto is None:
+        problem = "there is no library to lay them beside"
+        raise InputError(COMMAND_LINE, "--conventions", problem, "give its file with --onto")
+    other_law.check(conventions, COMMAND_LINE, "--conventions")
+    library = store.load(onto)
+    check_cylinder(library, lab, str(onto))
+    path, progress = store.of_law(onto, conventions), for_terminal()
+    runs = path.parent / f"{path.stem}_runs"
+    rows = other_law.simulate(conventions, library.design, lab, runs, progress)
+    progress.say(f"{len(rows.values)} simulations have all features; fitting")
+    store.save_law(other_law.fitted(rows, library), path)
+    print(f"{len(rows.values)} runs that follow '{conventions}' in {path}")

@@ -180,7 +180,7 @@ def diagnosed(
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
     """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie farther from
     the library's centre than its runs."""
-    library = emulated.library
+    library = emulated.for_lab(lab).library
     names, sd = library.design.soil_names, [*library.design.soil_sd.values()]
     soil = slice(len(names))  # base coordinates begin with the soil's
     away = (soil_prior_for(lab, library).offset[soil] + delta[soil]) / sd

@@ -34,6 +34,7 @@ from calibrate.discrepancy.library.design import (
 )
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
+from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from jdem.effects.composite import EFFECTS
 
@@ -71,15 +72,16 @@ def with_infill_runs(
     discrepancy: ModelDiscrepancy | None = None, say: Say = lambda text: None,
 ) -> EmulatedLibrary:  # fmt: skip
     """The library with runs about this lab's leading explanations."""
+    emulated = emulated.for_lab(lab)
     effects = switched_off({name: EFFECTS[name] for name in emulated.library.design.effect_names})
     simulator = Simulator(simulated_lab(lab, emulated.library), plan.folder, effects)
-    per_round = plan.packings // ROUNDS
+    held, per_round = tuple(HELD.get(lab.particles.conventions, ())), plan.packings // ROUNDS
     extended = emulated
     for number in range(ROUNDS):
         say(f"leading explanations, round {number + 1} of {ROUNDS}")
         locations = leading_locations(lab, extended, seed, discrepancy)
         packings = range(number * per_round, (number + 1) * per_round)
-        points = scattered_about(locations, emulated.library, packings, seed)
+        points = scattered_about(locations, emulated.library, packings, seed, held)
         runs = run_points(emulated.library.design, points, simulator, plan.progress, plan.workers)
         of_packing = points.seeds - FIRST_SEED - number * per_round
         rows = Rows.of(emulated.library.cylinder, points.base, points.strengths, of_packing, runs)
@@ -91,7 +93,7 @@ def simulated_lab(lab: Lab, library: RunLibrary) -> Lab:
     """A lab whose cylinder is the library's: the bundled one, or the one at hand."""
     for candidate in (load_lab(bundled_lab()), lab):
         if Cylinder.of(candidate) == library.cylinder:
-            return candidate
+            return candidate.following(lab.particles.conventions)
     problem = "the library was made for a cylinder that neither this lab nor the bundled one has"
     raise InputError(
         lab.file, "specimen", problem, "leave --simulate out, or give the bundled library"
@@ -131,15 +133,18 @@ def location_of(fit: Refit, soil_prior: SoilPrior, library: RunLibrary) -> Infil
 
 
 def scattered_about(
-    locations: Sequence[InfillLocation], library: RunLibrary, packings: range, seed: int
-) -> RunPoints:
-    """Every location on every packing, packing by packing; soils and strengths scatter a little."""
+    locations: Sequence[InfillLocation], library: RunLibrary, packings: range, seed: int,
+    held: Sequence[str] = (),
+) -> RunPoints:  # fmt: skip
+    """Every location on every packing, packing by packing; soils and strengths scatter a little,
+    but for soil parameters that are `held`."""
     design = library.design
     wide, count = len(design.soil_names), len(packings) * len(locations)
     base = np.array([location.base for _ in packings for location in locations])
     strengths = np.array([location.strengths for _ in packings for location in locations])
     random = np.random.default_rng([seed, packings.start])
     normal = np.clip(random.standard_normal((count, wide + strengths.shape[1])), -2, 2)
+    normal[:, [i for i, name in enumerate(design.soil_names) if name in held]] = 0.0
     base[:, :wide] += SOIL_SPREAD * normal[:, :wide] * np.array(list(design.soil_sd.values()))
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
     factor = np.repeat([SIZES[j % len(SIZES)] for j in packings], len(locations))

@@ -93,13 +93,16 @@ class EffectChange:
         label: dict, emulated: EmulatedLibrary, discrepancy: ModelDiscrepancy | None
     ) -> "EffectChange":
         strengths, own = {h["name"]: h["strength"] for h in label["hidden"]}, "changes" in label
+        size = SpecimenSize(**label["size"]) if "size" in label else USUAL
+        if "conventions" in label:
+            emulated = emulated.for_lab(size.lab().following(label["conventions"]))
         design, soil = emulated.library.design, label.get("soil", {})
-        if not own:  # another code's: its rolling friction is another law's
-            alike = [n for n in design.soil_names if n in soil and n != "rolling_friction"]
+        if not own:  # another code's: without conventions, its rolling friction is another law's
+            other = () if "conventions" in label else ("rolling_friction",)
+            alike = [n for n in design.soil_names if n in soil and n not in other]
             soil = {**design.centre, **{n: soil[n] for n in alike}}
             strengths = {n: s for n, s in strengths.items() if n in design.effect_names}
         soil = {n: soil[n] for n in design.soil_names}
-        size = SpecimenSize(**label["size"]) if "size" in label else USUAL
         changes, seen = _on_shared_features(np.array(label.get("changes", []), float))
         visible = Visibility(emulated, soil, SPECIMENS if own else THEIRS, discrepancy, size, seen)
         in_library = bool(strengths) and set(strengths) <= set(design.effect_names)

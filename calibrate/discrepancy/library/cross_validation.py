@@ -27,7 +27,7 @@ direction is follows from the same likelihood with heavy tails, z ~ t(1 + (size 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +90,14 @@ class EmulatorErrors:
         return EmulatorErrors(
             ones, ones, 0 * ones, Split(), np.zeros((features, 0)), np.zeros(0, int)
         )
+
+    def longer(self, further: int) -> "EmulatorErrors":
+        """With this many components more, which were among what none holds."""
+        scatter, misfit = (np.append(part, np.full(further, of)) for part, of in (
+            (self.scatter, self.dropped.scatter), (self.misfit, self.dropped.misfit),
+        ))  # fmt: skip
+        widening = np.append(self.widening, np.ones(further))
+        return replace(self, widening=widening, scatter=scatter, misfit=misfit)
 
     def of_values(self, emulator: FeatureEmulator, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Directions (m, r) of errors of warped values at a scaled point, one deviation each."""
@@ -312,6 +320,18 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
     bounds = [(0.0, FURTHEST), (low, FURTHEST), (low, FURTHEST)][: 2 + repeated]
     start = np.log([1.0, 0.5, 0.5]) if repeated else np.zeros(2)
     return _factors_of(minimize(loss, start, bounds=bounds).x, repeated)
+
+
+def likeliest_widening(errors: np.ndarray, stated: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """w (c,) alone from errors (n, c), stated variances of values and those of specimens."""
+
+    def loss(ln_w: float, c: int) -> float:
+        variance = np.exp(ln_w) * stated[:, c] + scatter[:, c]
+        away = (HEAVY + 1) * np.log1p(errors[:, c] ** 2 / (HEAVY * variance))
+        return float((np.log(variance) + away).sum() + (ln_w / PULL_SD) ** 2)
+
+    found = [fminbound(loss, 0.0, FURTHEST, args=(c,)) for c in range(errors.shape[1])]
+    return np.exp(np.array(found))
 
 
 def _factors_of(ln_factors: np.ndarray, repeated: bool) -> tuple[float, float, float]:

@@ -10,13 +10,14 @@ lab's own size (`lab_size`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
+from calibrate.discrepancy.library import other_law
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
 from calibrate.discrepancy.library.design import (
     SETTINGS,
@@ -29,9 +30,11 @@ from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize
 from calibrate.discrepancy.library.machine import Machine
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
+from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
 from jdem.effects.composite import EFFECTS
+from jdem.materials.conventions import DEFAULT
 
 # A soil has no roundings and finer grains; another simulator's bed may have roundings.  The pace is
 # known; its deviation is for what real grains lose otherwise than in dashpots.
@@ -43,6 +46,7 @@ SETTING_PRIOR_SD = {
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
+HELD_SD = 1e-3  # of ln p of what conventions hold
 CERTAIN = 10**9  # packings; the emulator states its errors itself
 
 
@@ -72,14 +76,29 @@ class EmulatedLibrary:
     library: RunLibrary
     emulator: FeatureEmulator
     size: LabSize
+    _under: dict[str, "EmulatedLibrary"] = field(default_factory=dict)
 
     @staticmethod
     def of(library: RunLibrary) -> "EmulatedLibrary":
         return EmulatedLibrary(library, library.emulator(), LabSize.of_library(library))
 
     def for_lab(self, lab: Lab) -> "EmulatedLibrary":
-        """The same in a lab's own size; `InputError` where its shape is too far from the runs."""
-        return replace(self, size=LabSize.of(lab, self.library))
+        """The same in a lab's own size and conventions; `InputError` where its shape is too far
+        from the runs, or none follow its conventions."""
+        return replace(self._following(lab), size=LabSize.of(lab, self.library))
+
+    def _following(self, lab: Lab) -> "EmulatedLibrary":
+        """That of the lab's conventions, made once."""
+        wanted = lab.particles.conventions
+        if wanted == DEFAULT or self.library.law is not None:
+            return self
+        if wanted not in self.library.other_laws:
+            problem = f"no run of the library follows the conventions '{wanted}'"
+            repair = f"simulate some: calibrate library --onto FILE --conventions {wanted}"
+            raise InputError(lab.file, "particles.conventions", problem, repair)
+        if wanted not in self._under:
+            self._under[wanted] = EmulatedLibrary.of(other_law.following(self.library, wanted))
+        return self._under[wanted]
 
     @property
     def units(self) -> np.ndarray:
@@ -117,7 +136,7 @@ class EmulatedLibrary:
         noise[len(own.values) :] = of_rows / emulator_errors.widening
         fitted = fit_emulator(
             *library.scaled(), library.packing, library.of_soils, library.scale(),
-            library.kernels, emulator.basis, noise,
+            library.kernels, emulator.basis, noise, always=library.always,
         )  # fmt: skip
         return replace(self, library=library, emulator=fitted)
 
@@ -262,7 +281,8 @@ def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
     stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
     values = {name: float(getattr(soil, name)) for name in names}
     pace = _pace(lab)
-    of_soil = {n: s for n, s in stated.items() if n in names}
+    held = dict.fromkeys(HELD.get(lab.particles.conventions, ()), HELD_SD)
+    of_soil = {n: s for n, s in {**stated, **held}.items() if n in names}
     return soil_prior_of(library, values, pace, of_soil, LabSize.of(lab, library).shape)
 
 

@@ -30,6 +30,9 @@ What the emulator misses most is sampled again: on further packings, `refined`, 
 soil, the first has no effect at work and the others one each, at strengths that leave much of the
 curve to the soil: those of REFINED, from packing AGAIN on those of REFINED_AGAIN.
 
+What other conventions of the contact law change is learned from soils under these (`other_law`),
+without effects, a few on each of further packings, of which every third is slow.
+
 Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
 effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
 misses, as a row has a soil and nearly a packing of its own; repeats can.
@@ -66,6 +69,7 @@ AGAIN = 32  # packing from which others take turns: what was missed most then
 REFINED_AGAIN = ("cementation", "cementation", "capillary_tension", "specimen_density")
 REFINED_SHARE = (0.08, 0.65)  # of their limits
 REFINED_SIZES = (1.0, 0.5, 1.0, 1.0)  # spheres over the design's, in turn
+OTHER_LAW_SIZES = (1.0, 0.5, 1.0, 1.0)  # spheres of packings under other conventions, in turn
 SETTINGS = ("smoothing", "porosity", "pace", "slenderness", "stress", "sphere_size")
 SETTING_SPREAD = (0.5, 0.02, 0.5, 0.4, 0.7, 0.3)
 SHAPE = ("slenderness", "stress")  # settings that a specimen and its test state
@@ -217,6 +221,20 @@ class Design:
         }
         base = np.column_stack([self._soil(unit[:, :soils]), *(settings[n] for n in SETTINGS)])
         return base, self._strengths(unit[:, soils + 2 :]), FIRST_SHAPED + packing
+
+    def plain_rows(self, packings: int, each: int) -> tuple[np.ndarray, np.ndarray]:
+        """Base coordinates (n, p) and packings (n,) of soils without effects, `each` a packing."""
+        packing = np.repeat(np.arange(packings), each)
+        unit = _sobol(len(self.soil_names), len(packing), self.seed + 4)
+        size = [self.sphere_size(self.plain_spheres(int(j))) for j in packing]
+        pace = np.where(packing % 3 == 2, SPEEDS[1] / SPEEDS[0], 1.0)
+        porosity = np.array(POROSITIES)[packing // 3 % len(POROSITIES)]
+        least = np.full(len(packing), SMOOTHING[0])
+        return self._of_one_shape(self._soil(unit), least, porosity, pace, size), packing
+
+    def plain_spheres(self, packing: int) -> int:
+        """Number of spheres of a packing of soils without effects."""
+        return round(self.spheres * OTHER_LAW_SIZES[packing % len(OTHER_LAW_SIZES)])
 
     def refined_rows(self, first: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of effects that are

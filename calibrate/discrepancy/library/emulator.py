@@ -50,8 +50,16 @@ class Basis:
 
     def components(self, warped: np.ndarray) -> np.ndarray:
         """Standardised components (c,) or (n, c) of warped features (m,) or (n, m)."""
-        standard = np.linalg.solve(self.root, (warped - self.mean).T).T
-        return standard @ self.axes.T / self.deviation
+        return self.standard(warped) @ self.axes.T / self.deviation
+
+    def standard(self, warped: np.ndarray) -> np.ndarray:
+        """Warped features (m,) or (n, m) in units of scatter, of which axes are directions."""
+        return np.linalg.solve(self.root, (warped - self.mean).T).T
+
+    def longer(self, axes: np.ndarray, deviation: np.ndarray) -> "Basis":
+        """With further axes (e, m), orthogonal to its own, and deviations (e,) along these."""
+        every = np.vstack([self.axes, axes]), np.append(self.deviation, deviation)
+        return Basis(self.mean, self.root, *every)
 
 
 def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPONENTS) -> Basis:
@@ -145,6 +153,8 @@ class FeatureEmulator:
 
     x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
     residuals (n, m) are what is left of the warped simulated features, as large as at x = 0.
+    `always` are strengths of the last columns of s, which nobody asks for: s of a point is without
+    them.
     """
 
     x: np.ndarray
@@ -153,11 +163,12 @@ class FeatureEmulator:
     basis: Basis
     components: tuple[Component, ...]
     residuals: np.ndarray
+    always: tuple[float, ...] = ()
 
     def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
-        values, base, effects = self._processes(x, s)
-        carried = self.basis.carried
+        values, base, effects = self._processes(x, self._every(s))
+        carried, effects = self.basis.carried, effects[:, : len(s)]
         lift, steep = self._back(self.basis.mean + carried @ values)
         return lift, steep[:, None] * (carried @ base), steep[:, None] * (carried @ effects)
 
@@ -220,7 +231,7 @@ class FeatureEmulator:
 
         @lru_cache(POINTS_KEPT)
         def at(x: bytes, s: bytes) -> np.ndarray:
-            point = np.frombuffer(x), np.frombuffer(s)
+            point = np.frombuffer(x), self._every(np.frombuffer(s))
             found = np.array([_variance(c, self.x, self.s, *point) for c in self.components])
             found.flags.writeable = False
             return found
@@ -229,21 +240,24 @@ class FeatureEmulator:
 
     def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Standardised components (c,) at a point."""
-        return self._processes(x, s)[0]
+        return self._processes(x, self._every(s))[0]
+
+    def _every(self, s: np.ndarray) -> np.ndarray:
+        return np.append(s, self.always)
 
 
 def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
     kernels: Sequence[Kernel] | None = None, basis: Basis | None = None,
-    noise: np.ndarray | None = None, most_rows: int = MOST_ROWS,
+    noise: np.ndarray | None = None, most_rows: int = MOST_ROWS, always: tuple[float, ...] = (),
 ) -> FeatureEmulator:  # fmt: skip
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
     components already known are kept, others estimated from about `most_rows`.  noise (n, c):
-    factors on the variance that rows scatter with in each component."""
+    factors on the variance that rows scatter with in each component; `always` as its own."""
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
-    few, blocks = _spread(packing, most_rows), Blocks.of(x, packing)
+    few, blocks = spread(packing, most_rows), Blocks.of(x, packing)
     kernels = kernels or [fit_kernel(x[few], s[few], packing[few], y[few]) for y in scores.T]
 
     def component(c: int) -> Component:
@@ -254,7 +268,7 @@ def fit_emulator(
     left = np.array([_as_large_as_stated(c.kernel, c.left, x) for c in parts])
     dropped = _at_centre(warped - basis.mean - scores @ basis.carried.T, x)
     residuals = dropped + left.T @ basis.carried.T
-    return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals)
+    return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals, always)
 
 
 def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -275,7 +289,7 @@ def _at_centre(dropped: np.ndarray, x: np.ndarray) -> np.ndarray:
     return dropped / np.exp(x @ slopes)[:, None]
 
 
-def _spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
+def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
     """Mask of at most about `most_rows` rows: whole packings, evenly from first to last."""
     every = np.unique(packing)
     share = min(most_rows / len(packing), 1.0)

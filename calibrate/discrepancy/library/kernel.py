@@ -11,6 +11,10 @@ slopes rest on differences within packings (blocks); so has what it does to all 
 an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
 all three deviations go with exp(g.x).
 
+Rows that follow other conventions of the contact law (`other_law`) have one column of strengths
+more, 1 for them and 0 for all others: what conventions change is a function of the soil, as what an
+effect changes is.  Its hyperparameters are found with all others held (`Column`).
+
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5);
 derivatives are those of the kernel, in closed form.
 """
@@ -29,6 +33,7 @@ ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
 SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
 JITTER = 1e-6
+NOTHING = -6.0  # logarithm of a deviation that counts for nothing
 PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
 COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (benchmarks/resolution.py)
 
@@ -70,6 +75,23 @@ class Kernel(NamedTuple):
     def larger(self, x, xp=np):
         """Deviations (n,) at scaled points (n, p) over those at 0."""
         return xp.exp(x @ self.scattering)
+
+
+class Column(NamedTuple):
+    """Logarithms of the hyperparameters of one more column of strengths, each 0 or 1."""
+
+    reach: Any
+    effect: Any
+    interaction: Any
+    local: Any
+
+    def joined(self, kernel: Kernel, xp=np) -> Kernel:
+        """The kernel with this column behind its own.  Squares of strengths are these strengths."""
+        behind = {**self._asdict(), "bent": NOTHING}
+        return kernel._replace(**{n: xp.append(getattr(kernel, n), v) for n, v in behind.items()})
+
+
+COLUMN = Column(np.log(1.5), np.log(0.5), np.log(0.3), np.log(0.3))  # where its fit starts
 
 
 class Blocks(NamedTuple):
@@ -154,3 +176,28 @@ def fit_kernel(x, s, packing, y) -> Kernel:
     options = {"maxiter": ITERATIONS}
     done = minimize(objective, np.asarray(flat), jac=True, bounds=bounds, options=options)
     return Kernel(*[np.asarray(part) for part in unflatten(jnp.asarray(done.x))])
+
+
+@jax.jit
+def _loss_of_column(values, kernel: Kernel, x, s, blocks: Blocks, y):
+    column, start = Column(*values), Column(*COLUMN)
+    at, about = (one.joined(kernel, jnp) for one in (column, start))
+    return _loss(at, about, x, s, blocks, y)
+
+
+_column_and_slope = jax.jit(jax.value_and_grad(_loss_of_column))
+
+
+def fit_column(kernel: Kernel, x, s, packing, y) -> Column:
+    """The column with the largest marginal likelihood of standardised values y (n,), the kernel of
+    all others held; s (n, k + 1) with the column behind the others."""
+    blocks = Blocks.of(x, packing)
+
+    def objective(values):
+        value, slope = _column_and_slope(jnp.asarray(values), kernel, x, s, blocks, y)
+        good = np.isfinite(float(value))
+        return (float(value), np.asarray(slope, float)) if good else (1e10, 0.0 * values)
+
+    bounds = [(NOTHING, 3.0)] * len(COLUMN)
+    done = minimize(objective, np.array(COLUMN), jac=True, bounds=bounds, method="L-BFGS-B")
+    return Column(*done.x.tolist())

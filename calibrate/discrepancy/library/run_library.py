@@ -4,8 +4,8 @@ A row is one simulated specimen.  What the errors of its machine add to it is ke
 the emulator interpolates features without them (`machine`).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from calibrate.discrepancy.library.cross_validation import (
 from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.emulator import (
     MOST_ROWS,
+    Basis,
     FeatureEmulator,
     fit_emulator,
 )
-from calibrate.discrepancy.library.kernel import Kernel
+from calibrate.discrepancy.library.kernel import Column, Kernel
 from calibrate.discrepancy.library.machine import MACHINE, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
@@ -90,8 +91,28 @@ class Rows:
         """The rows of runs (None: not simulated) on specimens shaped as their base coordinates say,
         without failed and incomplete ones."""
         values = features_of(cylinder, base[:, SHAPE_COLUMNS], runs)
-        good = np.isfinite(values).all(axis=1)
-        return Rows(base[good], strengths[good], packing[good], values[good])
+        good = np.asarray(np.isfinite(values).all(axis=1))
+        return Rows(base, strengths, packing, values).some(good)
+
+    def some(self, kept: np.ndarray) -> "Rows":
+        """Those of a mask (n,)."""
+        parts = (self.base, self.strengths, self.packing, self.values)
+        return Rows(*(part[kept] for part in parts))
+
+
+@dataclass(frozen=True, eq=False)
+class OtherLaw:
+    """Rows without effects that follow other conventions than a library of runs, and how they
+    differ: along axes (e, m) that none of the library's components holds, with deviations (e,) and
+    kernels of their own, and by a column of the kernel for each component, these last.  widening:
+    factors (c + e,) on the variances of values that the emulator states under the conventions."""
+
+    rows: Rows
+    axes: np.ndarray
+    deviation: np.ndarray
+    kernels: tuple[Kernel, ...]
+    columns: tuple[Column, ...]
+    widening: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +121,9 @@ class RunLibrary:
     all features (n, m), a reference specimen's curves, the platen's speeds (mm/s) in both tests,
     and repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
     errors, and what the machine adds to the rows, machine_shift (n, m), by its errors that are told
-    in closed form.  Rows of other shapes are on specimens of the cylinder's diameter."""
+    in closed form.  Rows of other shapes are on specimens of the cylinder's diameter.  Beside the
+    rows lie, by name, those of other conventions; once they are joined, `law` (n,) is 1 for these
+    and 0 for the library's own, and `basis` holds the components of both."""
 
     design: Design
     cylinder: Cylinder
@@ -117,6 +140,9 @@ class RunLibrary:
     speed: float = 8.0
     crushing_speed: float = 0.01
     repeats: Rows | None = None
+    other_laws: Mapping[str, OtherLaw] = field(default_factory=dict)
+    law: np.ndarray | None = None
+    basis: Basis | None = None
 
     @property
     def speeds(self) -> dict[str, float]:
@@ -129,8 +155,15 @@ class RunLibrary:
         return self.cylinder.features()
 
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points as the emulator takes them: over their spread, over limits."""
-        return self.base / self.design.spread(), self.strengths / limits(self.design)
+        """Points as the emulator takes them: over their spread, over limits; with the conventions
+        that rows follow behind their strengths, where they differ."""
+        x, s = self.base / self.design.spread(), self.strengths / limits(self.design)
+        return x, s if self.law is None else np.column_stack([s, self.law])
+
+    @property
+    def always(self) -> tuple[float, ...]:
+        """The strengths (`FeatureEmulator.always`) of whoever asks: of joined conventions."""
+        return () if self.law is None else (1.0,)
 
     @property
     def of_soils(self) -> np.ndarray:
@@ -152,8 +185,9 @@ class RunLibrary:
         known are estimated from about `most_rows`."""
         points, kernels = self.scaled(), self.kernels or None
         return fit_emulator(
-            *points, self.packing, self.of_soils, self.scale(), kernels, most_rows=most_rows
-        )
+            *points, self.packing, self.of_soils, self.scale(), kernels, self.basis,
+            most_rows=most_rows, always=self.always,
+        )  # fmt: skip
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
@@ -190,6 +224,7 @@ class RunLibrary:
         return replace(
             self,
             machine_shift=None,
+            law=None if self.law is None else np.append(self.law, np.ones(len(rows.base))),
             base=np.vstack([self.base, rows.base]),
             strengths=np.vstack([self.strengths, rows.strengths]),
             packing=np.concatenate([self.packing, packing]),
@@ -205,6 +240,7 @@ class RunLibrary:
         on = np.flatnonzero(strengths.any(axis=1))
         shifts = np.zeros_like(self.values)
         if len(on):
+            s = s[:, : self.strengths.shape[1]]
             without = np.array([emulator(x[row], s[row])[0] for row in on])
             shape = self.base[on][:, SHAPE_COLUMNS]
             shifts[on] = self.machine().shift(without, strengths[on], shape)
@@ -327,6 +363,13 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
     if design.packings < own.packings:
         problem = f"it has {own.packings} packings, and --packings asks for fewer"
         raise InputError(file, "packings", problem, "ask for as many or more")
+
+
+def check_cylinder(library: RunLibrary, lab: Lab, file: str) -> None:
+    """Refuses to lay runs of another cylinder beside a library."""
+    if Cylinder.of(lab) != library.cylinder:
+        problem = "this library was made for another cylinder, or for other forces, than this lab's"
+        raise InputError(file, "cylinder", problem, "give the lab file that it was made for")
 
 
 def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:

@@ -8,6 +8,7 @@ emulator's errors.
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
@@ -18,16 +19,16 @@ import xarray as xr
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
-from calibrate.discrepancy.library.kernel import Kernel
+from calibrate.discrepancy.library.kernel import NOTHING, Column, Kernel
 from calibrate.discrepancy.library.machine import LAG
-from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
+from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
+from jdem.materials.conventions import CONVENTIONS
 
 NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
 ONLY_LAG = json.dumps([LAG])  # what earlier files tell of a machine in closed form
-NOTHING = -6.0  # logarithm of a kernel's deviation that a file does not have
 
 
 def save(library: RunLibrary, path: Path) -> None:
@@ -40,10 +41,7 @@ def save(library: RunLibrary, path: Path) -> None:
     }
     for test, curve in library.reference.items():
         data[f"reference_{test}"] = ((f"{test}_point", "column"), np.array(curve).T)
-    for field in Kernel._fields if library.kernels else ():
-        rows = np.array([np.atleast_1d(getattr(k, field)) for k in library.kernels])
-        name = STORED.get(field, field)
-        data[f"kernel_{name}"] = (("component", f"kernel_{name}_n"), rows)
+    data.update(_kernel_variables(library.kernels, "component"))
     if library.machine_shift is not None:
         data["late"] = (("row", "feature"), library.machine_shift.astype(np.float32))
     if library.emulator_errors is not None:
@@ -71,12 +69,62 @@ def save(library: RunLibrary, path: Path) -> None:
         "told": json.dumps(library.told),
         **{k: json.dumps(v) for k, v in about.items()},
     }
+    _write(xr.Dataset(data, coords=names, attrs=attributes), path)
+
+
+def _write(dataset: xr.Dataset, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
-    dataset = xr.Dataset(data, coords=names, attrs=attributes)
-    packed = {name: {"zlib": True, "complevel": 6} for name in data}
+    packed = {name: {"zlib": True, "complevel": 6} for name in dataset.data_vars}
     dataset.to_netcdf(part, engine=NETCDF, encoding=packed)
     part.replace(path)
+
+
+def _kernel_variables(kernels: Sequence[Kernel], dimension: str) -> dict:
+    """The variables of a file that hold kernels; none where there are none."""
+    found = {}
+    for field in Kernel._fields if kernels else ():
+        rows = np.array([np.atleast_1d(getattr(k, field)) for k in kernels])
+        name = STORED.get(field, field)
+        found[f"kernel_{name}"] = ((dimension, f"kernel_{name}_n"), rows)
+    return found
+
+
+def of_law(library: Path, conventions: str) -> Path:
+    """The file beside a library's whose rows follow other conventions."""
+    return library.with_suffix(f".{conventions}{library.suffix}")
+
+
+def save_law(other: OtherLaw, path: Path) -> None:
+    """Writes rows that follow other conventions, whole or not at all."""
+    data = {
+        "base": (("row", "coordinate"), other.rows.base.astype(np.float32)),
+        "packing": (("row",), other.rows.packing.astype(np.int32)),
+        "values": (("row", "feature"), other.rows.values.astype(np.float32)),
+        "axes": (("axis", "feature"), other.axes),
+        "deviation": (("axis",), other.deviation),
+        "columns": (("component", "hyperparameter"), np.array(other.columns)),
+        "widening": (("component",), other.widening),
+        **_kernel_variables(other.kernels, "axis"),
+    }
+    _write(xr.Dataset(data, coords={"hyperparameter": list(Column._fields)}), path)
+
+
+def _other_laws(path: Path, library: RunLibrary) -> dict[str, OtherLaw]:
+    """What lies beside a library's file, by conventions."""
+    files = {name: of_law(path, name) for name in CONVENTIONS}
+    return {name: _read_law(file, library) for name, file in files.items() if file.exists()}
+
+
+def _read_law(path: Path, library: RunLibrary) -> OtherLaw:
+    with xr.open_dataset(path, engine=NETCDF) as stored:
+        base = stored["base"].values.astype(float)
+        none = np.zeros((len(base), len(library.design.limits)))
+        values = stored["values"].values.astype(float)
+        rows = Rows(base, none, stored["packing"].values, values)
+        columns = tuple(Column(*row) for row in stored["columns"].values.tolist())
+        along = stored["axes"].values, stored["deviation"].values
+        return OtherLaw(rows, *along, _kernels(stored), columns, stored["widening"].values)
 
 
 def bundled_library() -> Path:
@@ -92,7 +140,8 @@ def load(path: Path) -> RunLibrary:
             if lacking:
                 problem = f"an earlier version made it: its runs do not state {', '.join(lacking)}"
                 raise InputError(str(path), "coordinate", problem, "make it anew")
-            return _read(_with_shape(stored.load()))
+            library = _read(_with_shape(stored.load()))
+        return replace(library, other_laws=_other_laws(path, library))
     except (OSError, KeyError, ValueError, TypeError) as error:
         problem = f"this is no library of runs ({type(error).__name__})"
         raise InputError(

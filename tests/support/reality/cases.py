@@ -62,7 +62,7 @@ class Case:
         effects = [{**asdict(h), "unit": units[h.name]} for h in self.hidden]
         return {
             "case": self.name, "kind": self.kind, "effects": effects, "soil": asdict(soil),
-            "seed": self.seed, "attempt": attempt, "nonce": self.nonce,
+            "conventions": "liggghts", "seed": self.seed, "attempt": attempt, "nonce": self.nonce,
         }  # fmt: skip
 
 
