@@ -2,9 +2,10 @@
 
     python benchmarks/diagnosis.py        three minutes
 
-Reads the results of open_cases.py, further_tests.py, codes.py and of `calibrate withheld`, with and
-without --shapes, and times both commands on a case of open_cases.py.  What is asked was written
-down before any of these cases was made.  Writes benchmarks/results/diagnosis.md.
+Reads the results of open_cases.py, further_tests.py, reality/references.py, codes.py and of
+`calibrate withheld`, with and without --shapes, and times both commands on a case of open_cases.py.
+What is asked was written down before any of these cases was made.  Writes
+benchmarks/results/diagnosis.md.
 """
 
 import json
@@ -29,8 +30,10 @@ from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.validation import run
 from calibrate.validation.scores import CLOSE, share
 from jdem.effects.composite import EFFECTS
+from jdem.materials.conventions import DEFAULT
 
 SURE = 0.8
+OTHER_LAW = "liggghts"
 CLAY, OF_CLAY = "trumao_curves", "trumao_2021"
 NOT_TOLD = ("single below 2", "outside below 2")  # too little to see
 Row = tuple[str, str, str, str, str]
@@ -157,6 +160,15 @@ def of_sealed() -> Iterator[Row]:
     yield from of_cases(sealed("withheld_shapes"), "sealed, other specimens")
 
 
+def of_references() -> Iterator[Row]:
+    """Another code's specimens with nothing hidden."""
+    found = result("references").get("cases", [])
+    for way in dict.fromkeys(row["way"] for row in found):
+        named = [row["verdict"] != NONE for row in found if row["way"] == way]
+        words = f"LIGGGHTS, 1000 spheres; {way}"
+        yield line("nothing hidden: something named", "at most 10 %", named, words)
+
+
 def of_codes() -> Iterator[Row]:
     every = result("codes").get("carried", [])
     for soil in dict.fromkeys(each["soil"] for each in every):
@@ -172,13 +184,19 @@ def of_codes() -> Iterator[Row]:
 
 def of_real_soil() -> Iterator[Row]:
     """What is said of a natural clay, from all that was measured, and from parts of it."""
-    for words, text in parts_of(bundled_lab(CLAY).read_text(encoding="utf-8")).items():
+    parts = parts_of(bundled_lab(CLAY).read_text(encoding="utf-8"))
+    asked = [*((words, text, DEFAULT) for words, text in parts.items())]
+    asked += [(f"{words}; {OTHER_LAW}'s friction and rolling", text, OTHER_LAW)
+              for words, text in parts.items()]  # fmt: skip
+    for words, text, conventions in asked:
         with tempfile.TemporaryDirectory() as folder:
             here = Path(folder)
             shutil.copytree(bundled_lab(CLAY).parent / OF_CLAY, here / OF_CLAY)
             (here / "lab.toml").write_text(text, encoding="utf-8")
-            found = diagnosed(load_lab(here / "lab.toml"), open_cases.emulated()).comparison
-        answer = f"{found.verdict}, stated with {found.stated:.2f}"
+            lab = load_lab(here / "lab.toml").following(conventions)
+            found = diagnosed(lab, open_cases.emulated()).comparison
+        misfit = f"misfit {found.base.objective:.0f} for {len(found.base.values)} features"
+        answer = f"{found.verdict}, stated with {found.stated:.2f}; {misfit}"
         yield f"a natural clay, oedometer {words}", "", answer, "", "cause not known"
 
 
@@ -233,7 +251,7 @@ def asked_for() -> list[tuple[str, ...]]:
 
 def main() -> None:
     parts: tuple[Callable[[], Iterator[Row]], ...] = (
-        of_sealed, of_open, of_further, of_codes, of_real_soil, of_time
+        of_sealed, of_open, of_further, of_references, of_codes, of_real_soil, of_time
     )  # fmt: skip
     rows = [row for part in parts for row in part()]
     text = "\n".join([

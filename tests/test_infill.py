@@ -77,6 +77,12 @@ def test_soils_scatter_about_their_location():
     assert np.abs(shifts.mean(axis=0)).max() < 0.1
 
 
+def test_what_conventions_hold_does_not_scatter():
+    points = scattered_about(places(), LIBRARY, range(8), 0, held=("surface_energy",))
+    column = DESIGN.soil_names.index("surface_energy")
+    assert len(set(points.base[::2, column])) == 1 < len(set(points.base[::2, 1 - column]))
+
+
 def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
     _, d, measured = described(lab, emulated, 0)
     which = compare(prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 60), measured)

@@ -49,6 +49,20 @@ def test_scatter_alone_needs_no_direction():
     assert np.abs(error).max() < 4 * np.sqrt(NOISE.max() / REFERENCES)
 
 
+def test_references_may_lack_some_features():
+    """Every fourth one lacks its last two; the others tell these."""
+    found = [
+        BaseFitResidual(
+            one.measured[:-2], one.working[:-2], one.slopes[:-2], PRIOR, NOISE[:-2, :-2]
+        )
+        if number % 4 == 0
+        else one
+        for number, one in enumerate(references(0.0))
+    ]
+    error = off_the_base(of_references(found, FEATURES).mean) - off_the_base(SHIFT)
+    assert np.abs(error).max() < 4 * np.sqrt(NOISE.max() / (0.75 * REFERENCES))
+
+
 def test_a_direction_that_repeats_itself_is_found():
     found = of_references(references(1.0), FEATURES)
     assert found.directions.shape[1] == 1

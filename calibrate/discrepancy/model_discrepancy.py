@@ -26,10 +26,13 @@ from calibrate.discrepancy.comparison.reduction import hat_of
 from calibrate.discrepancy.diagnosis import described
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.io.lab import Lab
+from calibrate.labtests.diagnosis.curves import declare_targets
 
 DIRECTIONS = 8  # at most; as many as cross-validation supports
 FOLDS = 5  # of the cross-validation
 FEWEST = 6  # reference cases
+LACKING = 3  # features that one of them may lack, beside the targets
+TARGETS = len(declare_targets())
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +52,8 @@ class BaseFitResidual:
         return np.eye(len(self.measured)) - hat_of(self.slopes, self.prior_sd, self.covariance)
 
     def row(self, m: int) -> np.ndarray:
-        """What is left of all m features, 0 where not measured."""
-        row = np.zeros(m)
+        """What is left of all m features, NaN where not measured."""
+        row = np.full(m, np.nan)
         row[self.measured] = self._keep @ self.working
         return row
 
@@ -76,7 +79,7 @@ class BaseFitResidual:
 def estimate(
     labs: Sequence[Lab], emulated: EmulatedLibrary, seed: int, most: int = DIRECTIONS
 ) -> ModelDiscrepancy:
-    """The model discrepancy from at least `FEWEST` labs with all features of the library."""
+    """The model discrepancy from at least `FEWEST` labs with nearly all features of the library."""
     found = [left for lab in labs if (left := base_fit_residual(lab, emulated, seed)) is not None]
     if len(found) < FEWEST:
         problem = f"only {len(found)} of {len(labs)} have whole curves of both tests"
@@ -93,7 +96,7 @@ def base_fit_residual(lab: Lab, emulated: EmulatedLibrary, seed: int) -> BaseFit
     """
     lab_curves, d, measured = described(lab, emulated, seed, before_contact=False)
     chosen = lab_curves.chosen
-    if len(chosen) < len(emulated.library.features) - 2:  # all but the two targets
+    if len(chosen) < len(emulated.library.features) - TARGETS - LACKING:
         return None
     _, fit = fitted_base(d, measured, packing_covariance(d), 1.0)
     scale = (emulated.emulator.scale * emulated.for_lab(lab).units)[chosen]
@@ -131,11 +134,18 @@ def _predicted(found: Sequence[BaseFitResidual], m: int, directions: int) -> np.
 
 
 def _with_directions(found: Sequence[BaseFitResidual], m: int, directions: int) -> ModelDiscrepancy:
-    rows = np.array([left.row(m) for left in found])
+    rows = _filled(np.array([left.row(m) for left in found]))
     excess = np.cov(rows.T) - np.mean([left.scatter(m) for left in found], axis=0)
     values, axes = np.linalg.eigh(excess)
     kept = np.flatnonzero(values > 0)[::-1][:directions]
     return ModelDiscrepancy(rows.mean(axis=0), axes[:, kept] * np.sqrt(values[kept]))
+
+
+def _filled(rows: np.ndarray) -> np.ndarray:
+    """Rows (n, m) with the mean of the others where one lacks a feature; 0 where all do."""
+    some = np.isfinite(rows)
+    mean = np.where(some, rows, 0.0).sum(axis=0) / np.maximum(some.sum(axis=0), 1)
+    return np.where(some, rows, mean)
 
 
 def save(found: ModelDiscrepancy, path: Path, source: str) -> None:
