@@ -36,7 +36,7 @@ CENTRES: dict[str, dict[str, float]] = {
     "liggghts": {"rolling_friction": 0.3, "tangential_multiplier": 1.0},
     "liggghts_history": {"rolling_friction": 0.3},
 }
-PACKINGS, EACH = 48, 5  # and soils of each
+PACKINGS, EACH = 96, 5  # and soils of each
 FURTHER = 4  # axes beside the library's components
 FIRST = 1000  # number of the first packing
 
