@@ -99,7 +99,7 @@ def base_fit_residual(lab: Lab, emulated: EmulatedLibrary, seed: int) -> BaseFit
     if len(chosen) < len(emulated.library.features) - TARGETS - LACKING:
         return None
     _, fit = fitted_base(d, measured, packing_covariance(d), 1.0)
-    scale = (emulated.emulator.scale * emulated.for_lab(lab).units)[chosen]
+    scale = (emulated.library.scale() * emulated.for_lab(lab).units)[chosen]
     steep = np.hypot(scale, fit.values)[:, None]
     residual = np.arcsinh(measured.mean / scale) - np.arcsinh(fit.values / scale)
     slopes = fit.base_slopes / steep

@@ -74,13 +74,21 @@ class EmulatedLibrary:
     size in which it speaks: its own, or a lab's."""
 
     library: RunLibrary
-    emulator: FeatureEmulator
     size: LabSize
+    _emulators: list[FeatureEmulator] = field(default_factory=list)
     _under: dict[str, "EmulatedLibrary"] = field(default_factory=dict)
 
     @staticmethod
     def of(library: RunLibrary) -> "EmulatedLibrary":
-        return EmulatedLibrary(library, library.emulator(), LabSize.of_library(library))
+        return EmulatedLibrary(library, LabSize.of_library(library))
+
+    @property
+    def emulator(self) -> FeatureEmulator:
+        """That of its rows, made when it is first asked: a lab that follows other conventions never
+        does."""
+        if not self._emulators:
+            self._emulators.append(self.library.emulator())
+        return self._emulators[0]
 
     def for_lab(self, lab: Lab) -> "EmulatedLibrary":
         """The same in a lab's own size and conventions; `InputError` where its shape is too far
@@ -138,7 +146,7 @@ class EmulatedLibrary:
             *library.scaled(), library.packing, library.of_soils, library.scale(),
             library.kernels, emulator.basis, noise, always=library.always,
         )  # fmt: skip
-        return replace(self, library=library, emulator=fitted)
+        return replace(self, library=library, _emulators=[fitted])
 
     def specimens(self, x: np.ndarray) -> np.ndarray:
         """Warped residuals (l, m) of independent specimens, one row without effects of each packing
