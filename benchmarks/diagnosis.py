@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 
 import further_tests
@@ -33,7 +34,7 @@ from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
 
 SURE = 0.8
-OTHER_LAW = "liggghts"
+LAWS = {DEFAULT: "", "liggghts": "; LIGGGHTS' friction and rolling"}
 CLAY, OF_CLAY = "trumao_curves", "trumao_2021"
 NOT_TOLD = ("single below 2", "outside below 2")  # too little to see
 Row = tuple[str, str, str, str, str]
@@ -165,7 +166,7 @@ def of_references() -> Iterator[Row]:
     found = result("references").get("cases", [])
     for way in dict.fromkeys(row["way"] for row in found):
         named = [row["verdict"] != NONE for row in found if row["way"] == way]
-        words = f"LIGGGHTS, 1000 spheres; {way}"
+        words = f"open, LIGGGHTS, 1000 spheres; {way}"
         yield line("nothing hidden: something named", "at most 10 %", named, words)
 
 
@@ -185,10 +186,7 @@ def of_codes() -> Iterator[Row]:
 def of_real_soil() -> Iterator[Row]:
     """What is said of a natural clay, from all that was measured, and from parts of it."""
     parts = parts_of(bundled_lab(CLAY).read_text(encoding="utf-8"))
-    asked = [*((words, text, DEFAULT) for words, text in parts.items())]
-    asked += [(f"{words}; {OTHER_LAW}'s friction and rolling", text, OTHER_LAW)
-              for words, text in parts.items()]  # fmt: skip
-    for words, text, conventions in asked:
+    for (conventions, law), (words, text) in product(LAWS.items(), parts.items()):
         with tempfile.TemporaryDirectory() as folder:
             here = Path(folder)
             shutil.copytree(bundled_lab(CLAY).parent / OF_CLAY, here / OF_CLAY)
@@ -197,7 +195,7 @@ def of_real_soil() -> Iterator[Row]:
             found = diagnosed(lab, open_cases.emulated()).comparison
         misfit = f"misfit {found.base.objective:.0f} for {len(found.base.values)} features"
         answer = f"{found.verdict}, stated with {found.stated:.2f}; {misfit}"
-        yield f"a natural clay, oedometer {words}", "", answer, "", "cause not known"
+        yield f"a natural clay, oedometer {words}{law}", "", answer, "", "cause not known"
 
 
 def parts_of(whole: str) -> dict[str, str]:

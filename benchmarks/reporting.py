@@ -17,6 +17,7 @@ from calibrate.simulation import engine_hash
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
 SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
+OWN = ("convergence", "kills", "recovery", "sizes", "verification")  # only their script goes on
 OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
@@ -44,6 +45,8 @@ def provenance() -> dict:
 
 def file_of(name: str) -> Path:
     """Where a result's JSON is kept."""
+    if name in OWN:
+        return CACHE / f"{name}.json"
     return (OF_NOTEBOOKS if name in SHOWN else RESULTS) / f"{name}.json"
 
 

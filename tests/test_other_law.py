@@ -17,6 +17,7 @@ from calibrate.discrepancy.library.description import HELD_SD, EmulatedLibrary, 
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.validation.labels import EffectChange
 
 LAW = "liggghts"
 PACKINGS = 10
@@ -112,32 +113,44 @@ def test_rows_beside_a_library_survive_its_file(library, tmp_path: Path):
     store.save(toy_library.library(), tmp_path / "toy.nc")
     assert not store.load(tmp_path / "toy.nc").other_laws
     file = store.of_law(tmp_path / "toy.nc", LAW)
-    store.save_law(library.other_laws[LAW], file)
+    store.save_law(library.other_laws[LAW], store.load(tmp_path / "toy.nc"), file)
     assert file.name == "toy.liggghts.nc"
     again, own = store.load(tmp_path / "toy.nc").other_laws[LAW], library.other_laws[LAW]
     np.testing.assert_allclose(again.rows.values, own.rows.values, rtol=1e-6)
     np.testing.assert_allclose(again.columns, own.columns)
     np.testing.assert_allclose(again.widening, own.widening)
+    grown = replace(toy_library.library(), values=1.01 * toy_library.library().values)
+    store.save(grown, tmp_path / "toy.nc")
+    with pytest.raises(InputError, match="beside another library, or an earlier state"):
+        store.load(tmp_path / "toy.nc")
+
+
+def test_a_label_tells_by_which_law_an_effect_is_seen(emulated):
+    """Another code's label, whose soil is the centre's: crushing forces are those of its law."""
+    label = {"hidden": [{"name": "load_cell_gain", "strength": 0.1}], "soil": {}}
+    seen = [
+        EffectChange.of(label | more, emulated, None).visible.description.mean
+        for more in ({}, {"conventions": LAW})
+    ]
+    assert np.max(seen[1] / seen[0]) > 1.2
 
 
 def test_held_parameters_stay_where_conventions_hold_them():
     """The prior of a lab, and the rows that are simulated."""
-    lab, library = load_lab(bundled_lab()).following(LAW), RunLibraryLike()
+    lab = load_lab(bundled_lab()).following(LAW)
     design = replace(Design(), centre=other_law.centre_of(LAW, Design()))
     tensile = design.soil_names.index("tensile_exponent")
     assert design.centre["tensile_exponent"] == 1.0 and design.centre["rolling_friction"] == 0.3
-    prior = soil_prior_for(lab, library.of(design))
+    prior = soil_prior_for(lab, bare_library(design))
     assert prior.offset[tensile] == 0.0 and prior.prior_sd[tensile] == HELD_SD
 
 
-class RunLibraryLike:
-    """A library of the full design, of which only points are read."""
-
-    def of(self, design: Design) -> RunLibrary:
-        lab, wide = load_lab(bundled_lab()), len(design.base_names)
-        none = np.zeros((1, len(design.limits)))
-        rows = np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53))
-        return RunLibrary(design, Cylinder.of(lab), "", *rows, reference={})
+def bare_library(design: Design) -> RunLibrary:
+    """One row of a full design, of which only points are read."""
+    lab, wide = load_lab(bundled_lab()), len(design.base_names)
+    none = np.zeros((1, len(design.limits)))
+    rows = np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53))
+    return RunLibrary(design, Cylinder.of(lab), "", *rows, reference={})
 
 
 def test_rows_are_simulated_under_the_conventions(monkeypatch, tmp_path: Path):

@@ -17,7 +17,10 @@ from calibrate.commands.options import renamed
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
 REFINED = "packings x 5 simulations of the effects that are hardest to predict; 0: none"
-CONVENTIONS = "Simulate soils that follow these, and keep them beside the library of --onto."
+CONVENTIONS = (
+    "Simulate 480 soils that follow these, into a file beside that of --onto; "
+    "only LAB.toml and --onto count then."
+)
 SHAPED = "packings x 6 simulations of specimens of other heights and largest stresses; 0: none"
 
 
@@ -123,5 +126,5 @@ def _beside(onto: Path | None, conventions: str, lab: "Lab") -> None:
     runs = path.parent / f"{path.stem}_runs"
     rows = other_law.simulate(conventions, library.design, lab, runs, progress)
     progress.say(f"{len(rows.values)} simulations have all features; fitting")
-    store.save_law(other_law.fitted(rows, library), path)
+    store.save_law(other_law.fitted(rows, library), library, path)
     print(f"{len(rows.values)} runs that follow '{conventions}' in {path}")

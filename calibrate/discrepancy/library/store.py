@@ -6,6 +6,7 @@ the variance of soil blocks, `widening`, `scatter`, `misfit`, `dropped` and `mis
 emulator's errors.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from calibrate.discrepancy.library.kernel import NOTHING, Column, Kernel
 from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
+from calibrate.simulation import engine_hash
 from jdem.materials.conventions import CONVENTIONS
 
 NETCDF = "h5netcdf"
@@ -95,8 +97,8 @@ def of_law(library: Path, conventions: str) -> Path:
     return library.with_suffix(f".{conventions}{library.suffix}")
 
 
-def save_law(other: OtherLaw, path: Path) -> None:
-    """Writes rows that follow other conventions, whole or not at all."""
+def save_law(other: OtherLaw, library: RunLibrary, path: Path) -> None:
+    """Writes rows that follow other conventions than a library, whole or not at all."""
     data = {
         "base": (("row", "coordinate"), other.rows.base.astype(np.float32)),
         "packing": (("row",), other.rows.packing.astype(np.int32)),
@@ -107,7 +109,18 @@ def save_law(other: OtherLaw, path: Path) -> None:
         "widening": (("component",), other.widening),
         **_kernel_variables(other.kernels, "axis"),
     }
-    _write(xr.Dataset(data, coords={"hyperparameter": list(Column._fields)}), path)
+    attributes = {"engine": engine_hash(), "beside": _fingerprint(library)}
+    names = {"hyperparameter": list(Column._fields)}
+    _write(xr.Dataset(data, coords=names, attrs=attributes), path)
+
+
+def _fingerprint(library: RunLibrary) -> str:
+    """Of rows and kernels, on which columns rest."""
+    parts = [library.values, *(part for kernel in library.kernels for part in kernel)]
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(np.asarray(part, np.float32).tobytes())
+    return digest.hexdigest()
 
 
 def _other_laws(path: Path, library: RunLibrary) -> dict[str, OtherLaw]:
@@ -118,6 +131,14 @@ def _other_laws(path: Path, library: RunLibrary) -> dict[str, OtherLaw]:
 
 def _read_law(path: Path, library: RunLibrary) -> OtherLaw:
     with xr.open_dataset(path, engine=NETCDF) as stored:
+        if stored.attrs.get("beside") != _fingerprint(library):
+            problem = "it was fitted beside another library, or an earlier state of this one"
+            raise InputError(
+                str(path),
+                "beside",
+                problem,
+                "delete it, then make it anew with calibrate library --conventions",
+            )
         base = stored["base"].values.astype(float)
         none = np.zeros((len(base), len(library.design.limits)))
         values = stored["values"].values.astype(float)
