@@ -1,14 +1,18 @@
 """Noise, projection, scores, gate, evidence and classes, where the answer is known.
 
 Closed forms against the formulas in the files; rates by simulation in a made-up world
-(`diagnosis_world`), with bounds from the binomial distribution.
+(`diagnosis_world`), with bounds from the binomial distribution.  Usual answers, against which the
+diagnosis is measured, are given in its words.
 """
+
+from dataclasses import replace
 
 import diagnosis_world as generator
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.classes import classes, separable, separation
 from calibrate.discrepancy.comparison.evidence import (
     SCALES,
@@ -390,3 +394,40 @@ def test_the_generated_world_has_the_covariance_that_the_noise_states():
     expected = np.diag(generated.mean_covariance + KNOWN.base_slopes @ prior @ KNOWN.base_slopes.T)
     ratio = drawn.var(axis=0) / expected
     assert ratio.min() > 0.7 and ratio.max() < 1.35
+
+
+COMPARED = generator.description()
+COMPARED_SAMPLE = generator.case(61, 4.0 * COMPARED.effect_slopes[:, 3])
+
+
+def test_baselines_answer_in_the_same_words():
+    names = {"none", *COMPARED.effect_names}
+    assert baselines.template(COMPARED, COMPARED_SAMPLE, 0.0) in names
+    assert baselines.template(COMPARED, COMPARED_SAMPLE, np.inf) == "none"
+    assert baselines.bic(COMPARED, COMPARED_SAMPLE) in names
+    assert baselines.majority(["a", "b", "b"]) == "b"
+
+
+def test_the_criterion_of_refits_does_not_depend_on_units():
+    by = np.where(np.arange(len(COMPARED.mean)) % 7 == 0, 1e3, 1.0)
+    other = replace(
+        COMPARED, mean=COMPARED.mean * by, base_slopes=COMPARED.base_slopes * by[:, None],
+        effect_slopes=COMPARED.effect_slopes * by[:, None],
+        packing_residuals=COMPARED.packing_residuals * by,
+    )  # fmt: skip
+    same = from_vectors(COMPARED.features, COMPARED_SAMPLE.specimens * by)
+    ours, theirs = (
+        [baselines._criterion(d, s, key) for key in ((), (0,), (3,))]
+        for d, s in ((COMPARED, COMPARED_SAMPLE), (other, same))
+    )
+    assert np.diff(theirs) == pytest.approx(np.diff(ours), abs=1e-3)
+
+
+def test_the_classifier_learns_what_is_separable():
+    rng = np.random.default_rng(9)
+    inputs = np.concatenate([rng.normal(c, 1.0, (60, 3)) for c in (-3.0, 0.0, 3.0)])
+    labels = [name for name in "abc" for _ in range(60)]
+    trained = baselines.train(inputs, labels)
+    right = [trained.best(row) == name for row, name in zip(inputs, labels, strict=True)]
+    assert np.mean(right) > 0.9
+    assert trained.probability(inputs[0]).sum() == pytest.approx(1.0)

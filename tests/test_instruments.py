@@ -13,6 +13,7 @@ from calibrate.discrepancy.library.instruments import (
     RecordingShift,
     TaredEmulator,
     lagged,
+    steering,
 )
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
@@ -87,13 +88,25 @@ def test_an_emulator_as_recorded_adds_shift_slope_and_half_difference():
             return np.zeros((3, 0))
 
     rows = np.arange(3.0 * len(LAGS)).reshape(len(LAGS), 3)
-    read = RecordedEmulator(Still(), RecordingShift(0, rows, rows))
+    turn = np.array([[0.0], [0.5], [0.0]])
+    read = RecordedEmulator(Still(), RecordingShift(0, rows, rows), turn)
     at = np.array([LAGS[1], 0.0])
     values, _, effects = read(np.zeros(1), at)
     assert values == pytest.approx(1 + rows[1])
     assert effects[:, 0] == pytest.approx(read.read.slopes(at)[:, 0])
     assert effects[:, 0].all()
-    assert read.wrong(np.zeros(1), at)[:, 0] == pytest.approx(rows[1])
+    wrong = read.wrong(np.zeros(1), at)
+    assert wrong[:, 0] == pytest.approx(rows[1]) and (wrong[:, 1:] == turn).all()
+
+
+def test_how_a_machine_turns_may_be_another_way():
+    """1 N of 400, 0.02 mm; nothing else."""
+    features = Cylinder(0.05, 0.1, 200.0, 400.0).features()
+    found = steering(features)
+    kinds = [f.kind for f in features]
+    assert found.sum(axis=0) == pytest.approx([1.0, 0.02])
+    for column, kind in enumerate(("largest force", "travel at the top")):
+        assert np.flatnonzero(found[:, column]).tolist() == [kinds.index(kind)]
 
 
 def test_an_effectless_library_has_one_shift():

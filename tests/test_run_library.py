@@ -51,8 +51,8 @@ from calibrate.discrepancy.library.emulator import (
     leading,
 )
 from calibrate.discrepancy.library.kernel import PACE, Blocks
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, lacks_refined
-from calibrate.discrepancy.library.simulate import run_refined
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
 from calibrate.io.lab import bundled_lab, load_lab
 
 jax.config.update("jax_enable_x64", True)
@@ -662,17 +662,17 @@ def test_a_library_grows_to_the_one_that_a_larger_design_gives():
 
 def test_a_library_grows_only_by_more_of_the_same():
     smaller = toy_library.library()
-    run_library.check_extends(replace(smaller.design, packings=20), LAB, smaller, "library.nc")
+    simulate.check_extends(replace(smaller.design, packings=20), LAB, smaller, "library.nc")
     with pytest.raises(InputError, match="14 packings already"):
-        run_library.check_extends(smaller.design, LAB, smaller, "library.nc")
+        simulate.check_extends(smaller.design, LAB, smaller, "library.nc")
     other = replace(smaller.design, packings=20, spheres=200)
     with pytest.raises(InputError, match="another centre, cylinder or number of spheres"):
-        run_library.check_extends(other, LAB, smaller, "library.nc")
+        simulate.check_extends(other, LAB, smaller, "library.nc")
     fixed = replace(smaller, design=replace(smaller.design, refined=2))
     fewer = replace(fixed.design, packings=20, refined=1)
     with pytest.raises(InputError, match="2 packings of --refined, and fewer"):
-        run_library.check_extends(fewer, LAB, fixed, "library.nc")
-    run_library.check_extends(replace(fixed.design, refined=4), LAB, fixed, "library.nc")
+        simulate.check_extends(fewer, LAB, fixed, "library.nc")
+    simulate.check_extends(replace(fixed.design, refined=4), LAB, fixed, "library.nc")
 
 
 @pytest.mark.parametrize("field", ["rate", "pressed_at"])

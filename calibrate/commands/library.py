@@ -57,15 +57,12 @@ def library_command(
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import store
     from calibrate.discrepancy.library.design import Design
-    from calibrate.discrepancy.library.run_library import (
-        check_extends,
-        collect,
-        lacks_refined,
-        lacks_shapes,
-        repeats_of,
-    )
+    from calibrate.discrepancy.library.run_library import collect, repeats_of
     from calibrate.discrepancy.library.simulate import (
         Simulator,
+        check_extends,
+        lacks_refined,
+        lacks_shapes,
         reference_run,
         run_design,
         run_refined,
@@ -114,7 +111,7 @@ def _beside(onto: Path | None, conventions: str, lab: "Lab") -> None:
     from calibrate.core.errors import COMMAND_LINE, InputError
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import other_law, store
-    from calibrate.discrepancy.library.run_library import check_cylinder
+    from calibrate.discrepancy.library.simulate import check_cylinder
 
     if onto is None:
         problem = "there is no library to lay them beside"

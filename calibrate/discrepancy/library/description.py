@@ -28,7 +28,7 @@ from calibrate.discrepancy.library.design import (
 )
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize
-from calibrate.discrepancy.library.machine import Machine
+from calibrate.discrepancy.library.machine import LocalMachine
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
@@ -168,10 +168,10 @@ class EmulatedLibrary:
         design = self.library.design
         return LocalEmulator(
             self.emulator, soil_prior.offset, design.spread(), design.typical() / limits(design),
-            self.emulator_errors, self.units, self._machine(),
+            self.emulator_errors, self.units, self._machine(), self.library.squared,
         )  # fmt: skip
 
-    def _machine(self) -> "LocalMachine | None":
+    def _machine(self) -> LocalMachine | None:
         """The machine of a lab of this size; None where rows do not tell soil and machine apart."""
         library = self.library
         if library.machine_shift is None:
@@ -181,30 +181,6 @@ class EmulatedLibrary:
         told = (np.array(machine.told)[:, None] == names) * design.typical()
         closing = machine.closing_force / self.size.force
         return LocalMachine(replace(machine, closing_force=closing), told)
-
-
-@dataclass(frozen=True, eq=False)
-class LocalMachine:
-    """A machine at the library's size, and its errors (e, k), SI, per typical strength."""
-
-    machine: Machine
-    typical: np.ndarray
-
-    def read(self, strengths, shape, of_library: int, values, base, effects, wanted=None):
-        """Features (m,) of a specimen of a shape (2,) and their slopes as the machine reads them,
-        those of the `wanted` effects (numbers) alone, of all if there is no such list; the shape is
-        among the first `of_library` base coordinates."""
-        some = slice(None) if wanted is None else list(wanted)
-        slopes, own = np.hstack([base, effects[:, some]]), self.typical[:, some]
-        along = np.zeros((slopes.shape[1], len(shape)))
-        along[np.arange(of_library)[SHAPE_COLUMNS], range(len(shape))] = 1.0
-        shown, turned, more = self.machine.read(
-            values, slopes, self.typical @ strengths, shape, along, np.asarray(own.any(axis=1))
-        )
-        every = np.full(effects.shape, np.nan)
-        base, every[:, some] = np.split(turned, [base.shape[1]], axis=1)
-        every[:, some] += more @ own
-        return shown, base, every
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +197,16 @@ class LocalEmulator:
     emulator_errors: EmulatorErrors
     units: np.ndarray
     machine: LocalMachine | None
+    squared: np.ndarray
     discrepancy: ModelDiscrepancy | None = None
     wanted: Sequence[int] | None = None  #: effects whose slopes are needed; None: all
 
     def __call__(self, delta, strengths):
         x, s = self._scaled(delta, strengths)
         values, base, effects = self.emulator(x, s)
-        found = values, base / self.scale, effects * self.strength
+        own = strengths * self.strength
+        steep = np.where(self.squared, 2 * np.abs(own), 1.0) * self.strength
+        found = values, base / self.scale, effects * steep
         if self.discrepancy is not None:
             found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
         if self.machine:
@@ -247,7 +226,11 @@ class LocalEmulator:
         return (self.units * self.emulator.steepness(x, s))[:, None] * roots
 
     def _scaled(self, delta, strengths):
-        return (self.offset + delta[: len(self.offset)]) / self.scale, strengths * self.strength
+        """Where the emulator is asked, scaled: at the stress that the machine reaches."""
+        base = self.offset + delta[: len(self.offset)]
+        base = self.machine.pressed(base, strengths) if self.machine else base
+        own = strengths * self.strength
+        return base / self.scale, np.where(self.squared, own * np.abs(own), own)
 
     def _shifted(self, wrong: ModelDiscrepancy, share, values, base, effects):
         """The same with the discrepancy added to the warped features."""

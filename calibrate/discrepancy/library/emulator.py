@@ -258,7 +258,10 @@ def fit_emulator(
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
     few, blocks = spread(packing, most_rows), Blocks.of(x, packing)
-    kernels = kernels or [fit_kernel(x[few], s[few], packing[few], y[few]) for y in scores.T]
+    kernels = kernels or side_by_side(
+        lambda c: fit_kernel(x[few], s[few], packing[few], scores[few, c]),
+        scores.shape[1], Silent(), "", compiles=True,
+    )  # fmt: skip
 
     def component(c: int) -> Component:
         factor = np.ones(len(x)) if noise is None else noise[:, c]

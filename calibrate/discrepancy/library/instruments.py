@@ -5,6 +5,10 @@ reading lags, the turn of a curve is round already,
 and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
 between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
 
+How a machine is steered where it turns is its own, and the simulated one is only an example: how
+far it goes beyond the force that it is asked for, and how it slows down, tell nothing of a soil
+(`steering`).
+
 Where the force before contact was recorded, it is taken off (`recorded_feature_values`), so that
 an untared load cell moves those features alone in which the machine turned by its reading.
 """
@@ -32,6 +36,7 @@ from calibrate.labtests.diagnosis.curves import (
 )
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
+STEERING = {"largest force": 0.0025, "travel at the top": 0.02}  # of the largest force; mm
 STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
 OFFSET = "load_cell_offset"
 Interpolator = Callable[..., np.ndarray]
@@ -60,13 +65,25 @@ def with_instruments(
         for lags in (LAGS if lag is not None else ())
     ]  # fmt: skip
     read = RecordingShift(lag, *_from_none(shift, either, rows))
+    turn = steering(d.features)
     d = replace(
         d, mean=d.mean + shift, sensor=d.sensor + sensor,
         effect_slopes=d.effect_slopes + read.slopes(np.zeros(len(d.effects))),
-        wrong=np.column_stack([d.wrong, either]),
-        emulator=None if d.emulator is None else RecordedEmulator(d.emulator, read),
+        wrong=np.column_stack([d.wrong, either, turn]),
+        emulator=None if d.emulator is None else RecordedEmulator(d.emulator, read, turn),
     )  # fmt: skip
     return _tared(d, found.tared)
+
+
+def steering(features: Sequence[Feature]) -> np.ndarray:
+    """Directions (m, q) in which features (m,) may be wrong as machines turn in other ways, one
+    standard deviation each: assumptions, as no laboratory states them."""
+    rows = [i for i, f in enumerate(features) if f.kind in STEERING]
+    found = np.zeros((len(features), len(rows)))
+    for column, row in enumerate(rows):
+        feature = features[row]
+        found[row, column] = STEERING[feature.kind] * (feature.scale if feature.unit == "N" else 1)
+    return found
 
 
 def _from_none(shift, either, rows) -> tuple[np.ndarray, np.ndarray]:
@@ -237,6 +254,7 @@ class RecordedEmulator:
 
     emulator: Emulator
     read: RecordingShift
+    turn: np.ndarray  #: `steering`
 
     def __call__(self, delta, strengths):
         values, base, effects = self.emulator(delta, strengths)
@@ -248,7 +266,7 @@ class RecordedEmulator:
 
     def wrong(self, delta, strengths):
         either = self.read.half_difference(strengths)
-        return np.column_stack([self.emulator.wrong(delta, strengths), either])
+        return np.column_stack([self.emulator.wrong(delta, strengths), either, self.turn])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,11 @@
 """How a machine reads the curve of a soil that is pressed in the mould, laid through its features.
 
-The curve is straight between the features; beyond the largest force straight on; unloading from a
-larger force as from the largest one, larger alike in force and displacement.  The machine reverses
-by what it shows, so the force at reversal is another one where the load cell errs.  The test lasts
-seconds, in which a load cell does not drift.
+A platen turns within some way, at nearly the same force: unloading is counted from there.
+The features are those of a soil that was pressed to `over` times the largest force that is asked
+for (`machine`), and are read at the forces that the machine shows.  The curve is straight between
+them; beyond the largest force straight on; unloading from a larger force as from the largest one,
+larger alike in force and displacement.  The test lasts seconds, in which a load cell does not
+drift.
 
     L = v tau       v: the platen's speed, tau the lag (`reading` has the filter)
 
@@ -17,7 +19,13 @@ from functools import cached_property
 
 import numpy as np
 
-from calibrate.discrepancy.library.reading import MachineErrors, between, path_at, reading_at_knots
+from calibrate.discrepancy.library.reading import (
+    MachineErrors,
+    at_least,
+    between,
+    path_at,
+    reading_at_knots,
+)
 from calibrate.labtests.diagnosis.base import REFERENCE, Feature
 
 BEYOND = 2.5  # largest forces up to which a curve goes on
@@ -42,12 +50,17 @@ class MouldReading:
         enough = len(self._up) > LAST and len(self._down) > 1
         return np.concatenate([self._up, self._down])[: None if enough else 0]
 
-    def moved(self, values: np.ndarray, errors: MachineErrors) -> np.ndarray:
+    def moved(
+        self, values: np.ndarray, errors: MachineErrors, over: np.ndarray | float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What errors, in the features' own forces, add to the features `rows` (n, b), given all
-        (n, m) without any; nothing to what is no curve of a soil, as fits may try."""
+        (n, m) without any of a soil that is pressed to `over` (n, 1) times the largest force;
+        nothing to what is no curve of a soil, as fits may try.  And (n, 2) the force at which the
+        machine turns and the largest that its cell reads, over the largest force, less 1."""
         moved = np.zeros((len(values), len(self.rows)), np.result_type(values, errors.compliance))
+        turned = np.zeros_like(moved, shape=(len(values), 2))
         if not len(self.rows):
-            return moved
+            return moved, turned
         way, back = self._curve(values)
         gone = np.real(way[:, -1] - way[:, 0])
         a_curve = (gone > SHORT) & (gone < LONG) & (np.real(back[:, -1]) < LONG)
@@ -61,9 +74,17 @@ class MouldReading:
             if len(some):
                 its = MachineErrors(*(part[some] for part in errors))
                 own = way[some], back[some]
-                read_now, reached = read(*own, its, length[some])
+                shown = (each / np.broadcast_to(over, length.shape)[some] for each in self._shown)
+                read_now, turn, reached = read(*own, its, length[some], *shown)
                 moved[some] = np.where(reached, read_now - self._laid(*own), 0.0)
-        return moved
+                turned[some] = np.where(reached, turn, 0.0)
+        return moved, turned
+
+    def deeper(self, errors: MachineErrors, over: np.ndarray) -> np.ndarray:
+        """What errors add to the depression depth (n, 1): what the machine yields from half the
+        largest force to that."""
+        half, all_of_it = (share * self._top / over for share in (REFERENCE, 1.0))
+        return errors.travel(errors.reading(all_of_it)) - errors.travel(errors.reading(half))
 
     @cached_property
     def _up(self) -> np.ndarray:
@@ -87,9 +108,11 @@ class MouldReading:
         return self.features[self._up[0]].scale
 
     @cached_property
-    def _levels(self) -> np.ndarray:
-        """Forces that are read on loading: the features', that of their zero, the largest."""
-        return np.array([*self._forces[0], REFERENCE * self._top, self._top])
+    def _shown(self) -> tuple[np.ndarray, np.ndarray]:
+        """Forces that are read on loading: the features', that of their zero, the largest; and
+        those on unloading, the features'."""
+        up, down = self._forces
+        return np.array([*up, REFERENCE * self._top, self._top]), down
 
     @cached_property
     def _at_double(self) -> np.ndarray:
@@ -97,22 +120,29 @@ class MouldReading:
         return _between(2 * self._forces[0][0], self._forces[0])
 
     @cached_property
-    def _at_zero(self) -> np.ndarray:
-        """Weights of a curve's points for the displacement from which features count."""
-        return _between(REFERENCE * self._top, self._loaded)
+    def _travel(self) -> list[int]:
+        """The feature, if there is one, that tells how far a platen goes on while it turns."""
+        return [i for i, f in enumerate(self.features) if f.kind == "travel at the top"]
+
+    @cached_property
+    def _zero(self) -> int:
+        """Which of loading's points is that from which displacements count."""
+        return int(np.searchsorted(self._forces[0], REFERENCE * self._top))
 
     def _curve(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacement of loading (n, k) at `_loaded` forces, and the way back (n, j) from the
         largest force to `_released` shares of it."""
         up = self._forces[0]
-        loading = np.maximum.accumulate(values[:, self._up], axis=1)
-        first = 2 * loading[:, 0] - loading @ self._at_double
+        loading = np.insert(values[:, self._up], self._zero, 0.0, axis=1)
+        loading = np.maximum.accumulate(loading, axis=1)
+        first = 2 * loading[:, 0] - np.delete(loading, self._zero, axis=1) @ self._at_double
         slope = (loading[:, -1] - loading[:, -LAST]) / (up[-1] - up[-LAST])
         at_top = loading[:, -1] + slope * (self._top - up[-1])
         end = at_top + slope * (BEYOND - 1) * self._top
         way = np.column_stack([first, loading, at_top, end])
         way = way + APART * np.arange(way.shape[1])
-        falling = np.column_stack([np.zeros(len(values)), at_top[:, None] - values[:, self._down]])
+        turn = loading[:, -1] + values[:, self._travel[0]] if self._travel else at_top
+        falling = np.column_stack([np.zeros(len(values)), turn[:, None] - values[:, self._down]])
         back = np.maximum.accumulate(falling, axis=1)
         share = self._released
         last = (back[:, -1] - back[:, -2]) * share[-2] / (share[-3] - share[-2])
@@ -122,7 +152,8 @@ class MouldReading:
     @cached_property
     def _loaded(self) -> np.ndarray:
         """Forces (k,) of a curve's points on loading, N."""
-        return np.array([0.0, *self._forces[0], self._top, BEYOND * self._top])
+        up = np.insert(self._forces[0], self._zero, REFERENCE * self._top)
+        return np.array([0.0, *up, self._top, BEYOND * self._top])
 
     @cached_property
     def _released(self) -> np.ndarray:
@@ -131,31 +162,34 @@ class MouldReading:
 
     def _laid(self, way: np.ndarray, back: np.ndarray) -> np.ndarray:
         """Both branches' features (n, b) of the curve itself."""
-        zero = way @ self._at_zero
-        returned = way[:, -2:-1] - back[:, 1:-1]
-        return np.column_stack([way[:, 1:-2], returned]) - zero[:, None]
+        pressed, returned = way[:, 1:-2], way[:, -2:-1] - back[:, 1:-1]
+        own = np.delete(pressed, self._zero, axis=1)
+        return np.column_stack([own, returned]) - pressed[:, self._zero, None]
 
     def _prompt(
-        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Both branches' features (n, b) without a lag, and whether (n, 1) the largest force is
-        reached at all."""
-        force = errors.reading(self._levels)
+        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray,
+        up: np.ndarray, down: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Both branches' features (n, b) without a lag, how the machine turns (n, 2), and whether
+        (n, 1) the largest force is reached; up (n, q), down (n, j): forces that are shown."""
+        force = errors.reading(up)
         read = between(force, np.broadcast_to(self._loaded, way.shape), way)
         reached = _possible(force[:, -1:], errors) & (np.real(force[:, -1:]) < BEYOND * self._top)
         over = np.where(reached, force[:, -1:], self._top) / self._top
-        left = errors.reading(self._forces[1])
+        left = errors.reading(down)
         falling = -over * self._top * self._released  # upside down, so that it rises
         home = between(-left, falling, over * back)
-        return self._as_shown(read, force, home, left, errors), reached
+        turn = np.zeros_like(over) * np.zeros(2)
+        return self._as_shown(read, force, home, left, errors), turn, reached
 
     def _late(
-        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, way: np.ndarray, back: np.ndarray, errors: MachineErrors, length: np.ndarray,
+        up: np.ndarray, down: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """The same with lags of `length` (n, 1), mm."""
         force = np.broadcast_to(self._loaded, way.shape)
         reading = reading_at_knots(way, force, length, 0.0)
-        levels, down = errors.reading(self._levels), errors.reading(self._forces[1])
+        levels, left = errors.reading(up), errors.reading(down)
         reached = _possible(levels[:, -1:], errors)
         reached &= np.real(reading[:, -1:]) > np.real(levels[:, -1:])
         read, rise = path_at(levels, way, force, reading, length)
@@ -165,8 +199,20 @@ class MouldReading:
         home = np.column_stack([over * back, over * back[:, -1:] + AFTER * length + APART])
         falling = -reversal * np.append(self._released, 0.0)  # upside down, so that it rises
         reading = reading_at_knots(home, falling, length, -levels[:, -1])
-        returned, rise = path_at(-down, home, falling, reading, length)
-        return self._as_shown(read, pressed, returned, down - length * rise, errors), reached
+        returned, rise = path_at(-left, home, falling, reading, length)
+        turn = np.hstack([over, self._largest(levels[:, -1:], reversal, home, length)]) - 1
+        shown = self._as_shown(read, pressed, returned, left - length * rise, errors)
+        return shown, turn, reached
+
+    def _largest(self, reading, reversal, home, length) -> np.ndarray:
+        """The largest reading (n, 1) over the largest force.  Behind the force, it goes on rising
+        until that has fallen to it: where a force falls by c, from D above its reading,
+
+            R = R_turn + D - L c ln(1 + D/(L c))
+        """
+        falls = reversal * (1 - self._released[1]) / at_least(home[:, 1:2], APART) * length
+        behind = at_least(reversal - reading, 0.0)
+        return (reading + behind - falls * np.log(1 + behind / falls)) / self._top
 
     def _as_shown(self, read, pressed, home, left, errors: MachineErrors) -> np.ndarray:
         """Features (n, b) from where the platen is on loading (n, q) and how far it is back

@@ -44,7 +44,7 @@ class MachineErrors(NamedTuple):
         return self.compliance * force - self.gap * np.expm1(-pressed / self.closing_force)
 
     def reading(self, shown: np.ndarray) -> np.ndarray:
-        """The load cell's own reading (n, k) where the machine shows forces (k,) at once; none
+        """The load cell's own reading (n, k) where the machine shows forces (n, k) at once; none
         where it would have to pull."""
         sensitive = np.where(np.real(self.gain) > -1, 1 + self.gain, 1.0)  # else it reads nothing
         return at_least((shown - self.offset) / sensitive, 0.0)

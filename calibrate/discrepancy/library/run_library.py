@@ -9,28 +9,29 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
     Repeats,
     TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
+from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.emulator import (
     MOST_ROWS,
     Basis,
     FeatureEmulator,
     fit_emulator,
 )
+from calibrate.discrepancy.library.filling import DENSITY, Filling
 from calibrate.discrepancy.library.kernel import Column, Kernel
-from calibrate.discrepancy.library.machine import MACHINE, Machine
+from calibrate.discrepancy.library.machine import MACHINE, TOLD, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
 from calibrate.simulation import Run, engine_hash
 
 ROWS_FOR_MACHINES = 700  # from which the emulator is estimated that says what machines add
+SLENDERNESS, STRESS = (SHAPE_COLUMNS[SHAPE.index(name)] for name in ("slenderness", "stress"))
 # Usual strain and stress (Pa) of the peak, by which crushing features are declared.
 PEAK_STRAIN, PEAK_STRESS = 0.04, 250.0 / (np.pi / 4 * 0.05**2)
 
@@ -136,7 +137,8 @@ class RunLibrary:
     kernels: tuple[Kernel, ...] = ()
     emulator_errors: EmulatorErrors | None = None
     machine_shift: np.ndarray | None = None
-    told: tuple[str, ...] = MACHINE
+    told: tuple[str, ...] = TOLD
+    filling: Filling | None = None
     speed: float = 8.0
     crushing_speed: float = 0.01
     repeats: Rows | None = None
@@ -155,10 +157,19 @@ class RunLibrary:
         return self.cylinder.features()
 
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points as the emulator takes them: over their spread, over limits; with the conventions
-        that rows follow behind their strengths, where they differ."""
+        """Points as the emulator takes them: over their spread, over limits, some of these
+        `squared`; with the conventions that rows follow behind their strengths, where they
+        differ."""
         x, s = self.base / self.design.spread(), self.strengths / limits(self.design)
+        s = np.where(self.squared, s * np.abs(s), s)
         return x, s if self.law is None else np.column_stack([s, self.law])
+
+    @property
+    def squared(self) -> np.ndarray:
+        """The strengths (k,) whose squares the emulator takes, their sign kept: equations tell what
+        goes with the strength itself (`machine.MACHINE`)."""
+        told = self.told if self.machine_shift is not None else ()
+        return np.isin(self.design.effect_names, [name for name in told if name in MACHINE])
 
     @property
     def always(self) -> tuple[float, ...]:
@@ -173,7 +184,10 @@ class RunLibrary:
     def machine(self) -> Machine:
         """What its errors do to the features; those that no row has are not told."""
         known = tuple(name for name in self.told if name in self.design.effect_names)
-        return Machine(self.features, self.speed, self.crushing_speed, known)
+        return Machine(
+            self.features, self.speed, self.crushing_speed, known,
+            filling=self.filling, height=1e3 * self.cylinder.height,
+        )  # fmt: skip
 
     @property
     def _of_machine(self) -> np.ndarray:
@@ -240,10 +254,17 @@ class RunLibrary:
         on = np.flatnonzero(strengths.any(axis=1))
         shifts = np.zeros_like(self.values)
         if len(on):
-            s = s[:, : self.strengths.shape[1]]
-            without = np.array([emulator(x[row], s[row])[0] for row in on])
-            shape = self.base[on][:, SHAPE_COLUMNS]
-            shifts[on] = self.machine().shift(without, strengths[on], shape)
+            s, shape = s[on, : self.strengths.shape[1]], self.base[on][:, SHAPE_COLUMNS]
+            over, x = self.machine().overload(strengths[on], shape), x[on]
+            pressed = x.copy()
+            pressed[:, STRESS] += over / self.design.spread()[STRESS]
+            asked = np.array([emulator(*point)[0] for point in zip(x, s, strict=True)])
+            turned = [emulator(*point) for point in zip(pressed, s, strict=True)]
+            by_stress = np.array([base[:, STRESS] for _, base, _ in turned])
+            by_stress = by_stress / self.design.spread()[STRESS]
+            known = np.array([values for values, *_ in turned])
+            shift = self.machine().shift(known, strengths[on], shape, by_stress)
+            shifts[on] = known + shift - asked
         return shifts
 
     def _with_good_machines(self) -> "RunLibrary":
@@ -270,14 +291,26 @@ class RunLibrary:
     def _with_machine_shift(self) -> "RunLibrary":
         """The rows with what their machines add, not fitted: first by an emulator of the rows
         with good machines, then by one of all rows."""
-        plain = replace(self, machine_shift=None, kernels=(), told=MACHINE)
+        plain = replace(self, machine_shift=None, kernels=(), told=TOLD, filling=None)
         if not self.strengths[:, plain._of_machine].any():
             return plain
         emulator = plain._with_good_machines().emulator(ROWS_FOR_MACHINES)
+        plain = replace(plain, filling=plain._filling(emulator))
         kernels = tuple(c.kernel for c in emulator.components)
         shifted = replace(plain, machine_shift=plain.machine_shifts(emulator), kernels=kernels)
         shift = plain.machine_shifts(shifted.emulator())
         return replace(plain, machine_shift=shift)
+
+    def _filling(self, emulator: FeatureEmulator) -> Filling | None:
+        """What fuller moulds do, by the rows with nothing else at work."""
+        if DENSITY not in self.design.effect_names:
+            return None
+        growth = self.strengths[:, self.design.effect_names.index(DENSITY)]
+        on = (growth > 0) & ((self.strengths != 0).sum(axis=1) == 1)
+        slender, none = np.exp(self.base[on, SLENDERNESS]), np.zeros(len(self.design.limits))
+        before = np.array([emulator(x, none)[0] for x in self.scaled()[0][on]])
+        known = self.values[on], growth[on, None], 1e3 * self.cylinder.height * slender[:, None]
+        return Filling.of(self.features, before, *known)
 
     def _soils_repeated(self) -> Repeats | None:
         """Soils with two specimens or more that have all features; None where there are none."""
@@ -340,43 +373,3 @@ def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
         speed=1e3 * lab.pair().compression.rate, crushing_speed=1e3 * lab.pair().crushing.rate,
     )  # fmt: skip
-
-
-def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> None:
-    """Refuses to grow a library of another plan or cylinder, or by nothing."""
-    own = smaller.design
-    like = replace(design, packings=own.packings, shaped=own.shaped, refined=own.refined)
-    if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
-        problem = "this library was made for another centre, cylinder or number of spheres"
-        raise InputError(file, "design", problem, "give the options that made it, or no --onto")
-    if own.shaped and design.shaped != own.shaped:
-        problem = f"it has {own.shaped} packings of --shaped already, and they do not grow"
-        raise InputError(file, "shaped", problem, f"give --shaped {own.shaped}, or no --onto")
-    if design.refined < own.refined:
-        problem = f"it has {own.refined} packings of --refined, and fewer are asked for"
-        raise InputError(file, "refined", problem, f"give --refined {own.refined} or more")
-    more = design.packings > own.packings
-    lacks = lacks_shapes(design, smaller) or lacks_refined(design, smaller)
-    if not more and not lacks:
-        problem = f"it has {own.packings} packings already"
-        raise InputError(file, "packings", problem, "ask for more with --packings")
-    if design.packings < own.packings:
-        problem = f"it has {own.packings} packings, and --packings asks for fewer"
-        raise InputError(file, "packings", problem, "ask for as many or more")
-
-
-def check_cylinder(library: RunLibrary, lab: Lab, file: str) -> None:
-    """Refuses to lay runs of another cylinder beside a library."""
-    if Cylinder.of(lab) != library.cylinder:
-        problem = "this library was made for another cylinder, or for other forces, than this lab's"
-        raise InputError(file, "cylinder", problem, "give the lab file that it was made for")
-
-
-def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:
-    """Whether a library has no specimens of other shapes, and a design has."""
-    return bool(design.shaped and not smaller.design.shaped)
-
-
-def lacks_refined(design: Design, smaller: RunLibrary) -> bool:
-    """Whether a design samples effects again on more packings than a library has."""
-    return design.refined > smaller.design.refined

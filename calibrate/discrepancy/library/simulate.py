@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from calibrate.core.errors import CalibrationError
+from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.discrepancy.library.design import (
     FIRST_REFINED,
@@ -23,6 +23,7 @@ from calibrate.discrepancy.library.design import (
     SPEEDS,
     Design,
 )
+from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign, Run, not_simulated, side_by_side
@@ -257,3 +258,43 @@ def reference_run(design: Design, simulator: Simulator) -> Run:
     none = [0.0] * len(simulator.effects)
     setting = (SMOOTHING[0], 0.0, SPEEDS[1] / SPEEDS[0])
     return simulator.run(soil, setting, none, design.spheres, 1000 * design.seed + 1)
+
+
+def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> None:
+    """Refuses to grow a library of another plan or cylinder, or by nothing."""
+    own = smaller.design
+    like = replace(design, packings=own.packings, shaped=own.shaped, refined=own.refined)
+    if like != smaller.design or Cylinder.of(lab) != smaller.cylinder:
+        problem = "this library was made for another centre, cylinder or number of spheres"
+        raise InputError(file, "design", problem, "give the options that made it, or no --onto")
+    if own.shaped and design.shaped != own.shaped:
+        problem = f"it has {own.shaped} packings of --shaped already, and they do not grow"
+        raise InputError(file, "shaped", problem, f"give --shaped {own.shaped}, or no --onto")
+    if design.refined < own.refined:
+        problem = f"it has {own.refined} packings of --refined, and fewer are asked for"
+        raise InputError(file, "refined", problem, f"give --refined {own.refined} or more")
+    more = design.packings > own.packings
+    lacks = lacks_shapes(design, smaller) or lacks_refined(design, smaller)
+    if not more and not lacks:
+        problem = f"it has {own.packings} packings already"
+        raise InputError(file, "packings", problem, "ask for more with --packings")
+    if design.packings < own.packings:
+        problem = f"it has {own.packings} packings, and --packings asks for fewer"
+        raise InputError(file, "packings", problem, "ask for as many or more")
+
+
+def check_cylinder(library: RunLibrary, lab: Lab, file: str) -> None:
+    """Refuses to lay runs of another cylinder beside a library."""
+    if Cylinder.of(lab) != library.cylinder:
+        problem = "this library was made for another cylinder, or for other forces, than this lab's"
+        raise InputError(file, "cylinder", problem, "give the lab file that it was made for")
+
+
+def lacks_shapes(design: Design, smaller: RunLibrary) -> bool:
+    """Whether a library has no specimens of other shapes, and a design has."""
+    return bool(design.shaped and not smaller.design.shaped)
+
+
+def lacks_refined(design: Design, smaller: RunLibrary) -> bool:
+    """Whether a design samples effects again on more packings than a library has."""
+    return design.refined > smaller.design.refined

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from importlib import resources
 from pathlib import Path
 
@@ -20,6 +20,7 @@ import xarray as xr
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
+from calibrate.discrepancy.library.filling import Filling
 from calibrate.discrepancy.library.kernel import NOTHING, Column, Kernel
 from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
@@ -30,6 +31,7 @@ from jdem.materials.conventions import CONVENTIONS
 NETCDF = "h5netcdf"
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
+TURN = "by what it shows"  # how the machine of a file presses; earlier files do not say
 ONLY_LAG = json.dumps([LAG])  # what earlier files tell of a machine in closed form
 
 
@@ -69,6 +71,8 @@ def save(library: RunLibrary, path: Path) -> None:
         "speed": library.speed,
         "crushing_speed": library.crushing_speed,
         "told": json.dumps(library.told),
+        "turn": TURN,
+        **({"filling": json.dumps(astuple(library.filling))} if library.filling else {}),
         **{k: json.dumps(v) for k, v in about.items()},
     }
     _write(xr.Dataset(data, coords=names, attrs=attributes), path)
@@ -161,6 +165,9 @@ def load(path: Path) -> RunLibrary:
             if lacking:
                 problem = f"an earlier version made it: its runs do not state {', '.join(lacking)}"
                 raise InputError(str(path), "coordinate", problem, "make it anew")
+            if "late" in stored and stored.attrs.get("turn") != TURN:
+                problem = "an earlier version fitted it, whose machines all pressed alike"
+                raise InputError(str(path), "turn", problem, "make it anew")
             library = _read(_with_shape(stored.load()))
         return replace(library, other_laws=_other_laws(path, library))
     except (OSError, KeyError, ValueError, TypeError) as error:
@@ -207,10 +214,18 @@ def _read(stored: xr.Dataset) -> RunLibrary:
         emulator_errors=_emulator_errors(stored),
         machine_shift=stored["late"].values.astype(float) if "late" in stored else None,
         told=tuple(json.loads(stored.attrs.get("told", ONLY_LAG))),
+        filling=Filling(*json.loads(stored.attrs["filling"]))
+        if "filling" in stored.attrs
+        else None,
         speed=float(stored.attrs.get("speed", RunLibrary.speed)),
         crushing_speed=float(stored.attrs.get("crushing_speed", RunLibrary.crushing_speed)),
         repeats=_repeats(stored, design),
     )
+
+
+def _filling(stored: xr.Dataset) -> Filling | None:
+    known = stored.attrs.get("filling")
+    return None if known is None else Filling(*json.loads(known))
 
 
 def _repeats(stored: xr.Dataset, design: Design) -> Rows | None:
