@@ -4,9 +4,9 @@
                        [--nothing-hidden | --strong]
 
 Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
-repeated, so the command may be stopped and given again.  A case appears in OUT/cases when all its
-specimens stand; then its label joins OUT/sealed and its hash OUT/labels.sha256.  Needs the
-`liggghts` program (Debian package of that name).
+repeated, nor are cases that OUT holds, so the command may be stopped and given again.  A case
+appears in OUT/cases when all its specimens stand; then its label joins OUT/sealed and its hash
+OUT/labels.sha256.  Needs the `liggghts` program (Debian package of that name).
 """
 
 import argparse
@@ -24,7 +24,7 @@ from support.reality.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, p
 from support.reality.labfiles import Specimen, measured, write_case
 from support.reality.specimen import Run, run
 
-from calibrate.validation.seal import write_seal
+from calibrate.validation.seal import open_seal, write_seal
 
 
 def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:
@@ -56,8 +56,16 @@ def attempt_case(case: Case, attempt: int, work: Path) -> list[Run] | None:
     return runs if good else None
 
 
-def make_case(case: Case, work: Path, out: Path) -> dict | None:
-    """Simulate and write one case; its label, or None if no attempt was acceptable."""
+def made_before(out: Path) -> dict[str, dict]:
+    """The labels by case of what a folder holds already."""
+    return open_seal(out) if (out / "sealed").exists() else {}
+
+
+def make_case(case: Case, work: Path, out: Path, made: dict[str, dict]) -> dict | None:
+    """Simulate and write one case, unless it is made; its label, or None if no attempt was
+    acceptable."""
+    if case.name in made:
+        return made[case.name]
     for attempt in range(ATTEMPTS):
         runs = attempt_case(case, attempt, work)
         if runs is not None:
@@ -95,8 +103,9 @@ def main() -> None:
     thirds = THIRDS[-1:] if options.strong else THIRDS
     planned = plan(options.cases, seed, options.nothing_hidden, thirds)
     (options.work / "plan.json").write_text(json.dumps([asdict(c) for c in planned], indent=1))
+    made = made_before(options.out)
     with ThreadPoolExecutor(options.jobs) as pool:
-        results = [pool.submit(make_case, c, options.work, options.out) for c in planned]
+        results = [pool.submit(make_case, c, options.work, options.out, made) for c in planned]
         for case, result in zip(planned, results, strict=True):
             label = result.result()
             print(case.name, "written" if label else "given up", flush=True)
