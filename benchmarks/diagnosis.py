@@ -45,6 +45,7 @@ NOTES = (
     "Open cases served development. Their first answers are told by cross-validation; those after "
     "further tests with probabilities that were learned from them too. Sealed cases were judged "
     "once, by what the diagnosis was then; those of other specimens are among the open ones now. "
+    "Further tests and LIGGGHTS' soils were judged before the library knew how machines press. "
     "Signal-to-noise is what calibration leaves of an effect, over scatter and errors. Stated: the "
     "probability that the diagnosis gives its verdict. By scatter alone: the share of laboratories "
     "without any gap whose curves would miss the model as much."
