@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from calibrate.discrepancy.library.reading import by_force
 from calibrate.labtests.diagnosis.base import Feature
 
 DENSITY = "specimen_density"
@@ -41,7 +42,7 @@ class Filling:
         """What growths (n, 1) add to features (n, m) of a soil in specimens of heights (n, 1), mm;
         complex numbers carry derivatives."""
         moved = np.zeros(values.shape, np.result_type(values, growth, height))
-        up, down = (_rows(features, kind) for kind in ("loading", "unloading"))
+        up, down = (by_force(features, kind) for kind in ("loading", "unloading"))
         if len(up) < 2:
             return moved
         pressed = self.share * np.where(np.real(growth) > 0, growth, 0.0) * height
@@ -59,7 +60,7 @@ class Filling:
     ) -> "Filling | None":  # fmt: skip
         """The one that is likeliest, given features (n, m) of soils and those of the same with
         growths (n, 1); None where these are few."""
-        up = _rows(features, "loading")
+        up = by_force(features, "loading")
         if len(growth) < FEWEST or len(up) < 2:
             return None
 
@@ -81,9 +82,3 @@ def _touch(features: Sequence[Feature], up: np.ndarray, values: np.ndarray) -> n
     low, high = features[first].abscissa, features[second].abscissa
     slope = (values[:, second] - values[:, first]) / (high - low)
     return (values[:, first] - slope * low)[:, None]
-
-
-def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
-    """The features of a kind by rising force."""
-    found = [i for i, feature in enumerate(features) if feature.kind == kind]
-    return np.array(sorted(found, key=lambda i: features[i].abscissa), int)

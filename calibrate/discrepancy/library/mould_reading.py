@@ -23,6 +23,7 @@ from calibrate.discrepancy.library.reading import (
     MachineErrors,
     at_least,
     between,
+    by_force,
     path_at,
     reading_at_knots,
 )
@@ -88,12 +89,12 @@ class MouldReading:
 
     @cached_property
     def _up(self) -> np.ndarray:
-        return _rows(self.features, "loading")
+        return by_force(self.features, "loading")
 
     @cached_property
     def _down(self) -> np.ndarray:
         """By falling force."""
-        return _rows(self.features, "unloading")[::-1]
+        return by_force(self.features, "unloading")[::-1]
 
     @cached_property
     def _forces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -225,12 +226,6 @@ class MouldReading:
 def _possible(reversal: np.ndarray, errors: MachineErrors) -> np.ndarray:
     """Whether (n, 1) a machine presses at all before it turns at a force (n, 1)."""
     return (np.real(reversal) > 0) & (np.real(errors.gain) > -1)
-
-
-def _rows(features: Sequence[Feature], kind: str) -> np.ndarray:
-    """The features of a kind by rising force."""
-    found = [i for i, feature in enumerate(features) if feature.kind == kind]
-    return np.array(sorted(found, key=lambda i: features[i].abscissa), int)
 
 
 def _between(level: float, levels: np.ndarray) -> np.ndarray:

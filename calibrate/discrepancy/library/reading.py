@@ -11,9 +11,12 @@ its beginning,
 Arrays hold one row for each specimen; complex numbers carry derivatives (`machine`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+
+from calibrate.labtests.diagnosis.base import Feature
 
 STEPS, FEWEST_STEPS = 14, 3  # of Newton's method
 ROUND_OFF = 1e-12  # mm; a step below which nothing changes
@@ -63,6 +66,12 @@ def between(levels: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.nda
     row = np.arange(len(at))[:, None]
     (x, x_end), (y, y_end) = ((of[row, at], of[row, at + 1]) for of in (known, values))
     return y + (levels - x) / (x_end - x) * (y_end - y)
+
+
+def by_force(features: Sequence[Feature], kind: str) -> np.ndarray:
+    """The features of a kind by rising force."""
+    found = [i for i, feature in enumerate(features) if feature.kind == kind]
+    return np.array(sorted(found, key=lambda i: features[i].abscissa), int)
 
 
 def filtered(path: np.ndarray, force: np.ndarray, length: float) -> np.ndarray:

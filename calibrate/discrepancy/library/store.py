@@ -214,9 +214,7 @@ def _read(stored: xr.Dataset) -> RunLibrary:
         emulator_errors=_emulator_errors(stored),
         machine_shift=stored["late"].values.astype(float) if "late" in stored else None,
         told=tuple(json.loads(stored.attrs.get("told", ONLY_LAG))),
-        filling=Filling(*json.loads(stored.attrs["filling"]))
-        if "filling" in stored.attrs
-        else None,
+        filling=_filling(stored),
         speed=float(stored.attrs.get("speed", RunLibrary.speed)),
         crushing_speed=float(stored.attrs.get("crushing_speed", RunLibrary.crushing_speed)),
         repeats=_repeats(stored, design),
@@ -224,6 +222,7 @@ def _read(stored: xr.Dataset) -> RunLibrary:
 
 
 def _filling(stored: xr.Dataset) -> Filling | None:
+    """How moulds fill, of a file; None where its rows did not tell."""
     known = stored.attrs.get("filling")
     return None if known is None else Filling(*json.loads(known))
 
