@@ -52,12 +52,19 @@ def weights(rows: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     axes, values = axes[:, ::-1][:, :kept], values[::-1][:kept]
     standard, observed = rows / deviation, np.isfinite(rows)
     freedom, count = observed.mean(axis=1) * len(values), len(rows)
-    middle, found = np.nanmedian(standard, axis=0), np.ones(count)
+    middle = _medians(standard) if observed.all() else np.nanmedian(standard, axis=0)
+    found = np.ones(count)
     for _ in range(ROUNDS):
         away = np.where(observed, standard - middle, 0.0) @ axes
         squared = (away**2 / values).sum(axis=1) * count / (count - 1)
-        wide = max(float(np.median(squared / freedom)), 1.0)
+        wide = max(float(_medians(squared / freedom)), 1.0)
         found = np.minimum((FREEDOM + freedom) / (FREEDOM + squared / wide), 1.0)
         heavy = found[:, None] * observed
         middle = np.where(observed, heavy * standard, 0.0).sum(axis=0) / heavy.sum(axis=0)
     return found
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """Of columns (n, m), or of (n,): NumPy's own take ten times as long for a few numbers."""
+    ordered, count = np.sort(values, axis=0), len(values)
+    return 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])

@@ -202,11 +202,14 @@ class _Problem:
         round_ = _Round.about(self._normal(point), p)
         origin = np.concatenate([point.delta, point.strengths[on]])
         first = round_.into(origin)
+        known = {first.tobytes(): point}
 
         def there(location: np.ndarray) -> Refit:
-            both, strengths = round_.back(location), np.zeros_like(point.strengths)
-            strengths[on] = both[p:]
-            return self.at(both[:p], strengths)
+            if (key := location.tobytes()) not in known:
+                both, strengths = round_.back(location), np.zeros_like(point.strengths)
+                strengths[on] = both[p:]
+                known[key] = self.at(both[:p], strengths)
+            return known[key]
 
         def objective(location: np.ndarray) -> tuple[float, np.ndarray]:
             with np.errstate(over="ignore", invalid="ignore"):

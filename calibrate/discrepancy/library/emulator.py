@@ -22,7 +22,7 @@ from calibrate.discrepancy.library.kernel import (
     Kernel,
     covariance,
     fit_kernel,
-    scatter_of_rows,
+    scatter_of_pairs,
 )
 from calibrate.simulation import side_by_side
 
@@ -301,10 +301,15 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
 
 
 def _component(kernel: Kernel, x, s, blocks: Blocks, y, factor) -> Component:
-    scatter = scatter_of_rows(kernel, x, blocks) * np.sqrt(np.outer(factor, factor))
-    lower = np.linalg.cholesky(covariance(kernel, x, s, x, s) + scatter)
+    row, other = np.nonzero(blocks.packing)  # other pairs have no scatter in common
+    pairs = row, other
+    shared = scatter_of_pairs(kernel, x, blocks, pairs) * np.sqrt(factor[row] * factor[other])
+    total = covariance(kernel, x, s, x, s)
+    total[pairs] += shared
+    lower = np.linalg.cholesky(total)
     weights = cho_solve((lower, True), y)
-    return Component(kernel, weights, lower, scatter @ weights)
+    left = np.bincount(row, shared * weights[other], minlength=len(x))
+    return Component(kernel, weights, lower, left)
 
 
 def _variance(c: Component, x, s, at, strength) -> float:

@@ -111,25 +111,30 @@ class Blocks(NamedTuple):
 def covariance(kernel: Kernel, x, s, x2, s2, xp=np):
     """cov f between points (n, p), (n, k) and (l, p), (l, k); shape (n, l); xp: numpy or its
     traceable twin."""
-    effect, mixed, bent, local = (
-        xp.exp(2 * part) for part in (kernel.effect, kernel.interaction, kernel.bent, kernel.local)
-    )
-    scaled, scaled2 = (
-        xp.hstack([a / xp.exp(kernel.length), b / xp.exp(kernel.reach)])
-        for a, b in ((x, s), (x2, s2))
-    )
-    straight = 1.0 + (x * xp.exp(2 * kernel.linear)) @ x2.T
-    curved = xp.exp(2 * kernel.curved) * _nearness(scaled, scaled2, xp)
-    together = ((s * mixed) @ s2.T) * (x @ x2.T) / x.shape[1]
+    mixed, local = (xp.exp(2 * part) for part in (kernel.interaction, kernel.local))
+
+    def straight(x, s):
+        terms = (x * xp.exp(kernel.linear), s * xp.exp(kernel.effect), s**2 * xp.exp(kernel.bent))
+        return xp.hstack([xp.ones((len(x), 1)), *terms])
+
+    def everywhere(x, s):
+        return xp.hstack([x / xp.exp(kernel.length), s / xp.exp(kernel.reach)])
+
+    found = straight(x, s) @ straight(x2, s2).T
+    found = found + _nearness(everywhere(x, s), everywhere(x2, s2), xp, 2 * kernel.curved)
+    found = found + ((s * mixed / x.shape[1]) @ s2.T) * (x @ x2.T)
     near = _nearness(x / xp.exp(kernel.local_length), x2 / xp.exp(kernel.local_length), xp)
-    by_soil = together + ((s * local) @ s2.T) * near
-    return straight + curved + (s * effect) @ s2.T + by_soil + (s**2 * bent) @ (s2**2).T
+    return found + ((s * local) @ s2.T) * near
 
 
-def _nearness(a, b, xp):
-    """exp(-|a - b|^2/2) between points (n, d) and (l, d); shape (n, l)."""
-    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
-    return xp.exp(-0.5 * xp.maximum(distance, 0.0))
+def _nearness(a, b, xp, height=0.0):
+    """exp(height - |a - b|^2/2) between points (n, d) and (l, d); shape (n, l)."""
+
+    def lifted(a, *more):
+        return xp.hstack([a, *(part * xp.ones((len(a), 1)) for part in more)])
+
+    off, off2 = (0.5 * (part**2).sum(1)[:, None] for part in (a, b))
+    return xp.exp(lifted(a, height - off, 1.0) @ lifted(b, 1.0, -off2).T)
 
 
 def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
@@ -138,13 +143,22 @@ def _total(kernel: Kernel, x, s, blocks: Blocks, xp=np):
 
 def scatter_of_rows(kernel: Kernel, x, blocks: Blocks, xp=np):
     """Covariance (n, n) of what packings, soils in them and rest add."""
-    rest = (xp.exp(2 * kernel.rest) + JITTER) * xp.eye(len(blocks.packing))
     larger = kernel.larger(x, xp)
-    return (larger[:, None] * larger) * (
-        xp.exp(2 * kernel.packing) * blocks.packing
-        + xp.exp(2 * kernel.soil_block) * blocks.soil_block
-        + rest
-    )
+    alike = xp.eye(len(blocks.packing))
+    return larger[:, None] * larger * _scatter(kernel, *blocks, alike, xp)
+
+
+def scatter_of_pairs(kernel: Kernel, x, blocks: Blocks, pairs: tuple[np.ndarray, np.ndarray]):
+    """The same (q,) for pairs of rows (q,), (q,)."""
+    (row, other), larger = pairs, kernel.larger(x)
+    packing, soil_block = (block[pairs] for block in blocks)
+    return larger[row] * larger[other] * _scatter(kernel, packing, soil_block, row == other, np)
+
+
+def _scatter(kernel: Kernel, packing, soil_block, alike, xp):
+    rest = xp.exp(2 * kernel.rest) + JITTER
+    blocks = xp.exp(2 * kernel.packing) * packing + xp.exp(2 * kernel.soil_block) * soil_block
+    return blocks + rest * alike
 
 
 @jax.jit

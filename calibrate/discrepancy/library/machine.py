@@ -164,18 +164,18 @@ class Machine:
         by_strength = np.zeros((m, e))
         if not len(carried) and not len(some):
             return values, slopes, by_strength
-        q, more = len(carried), len(some) + 1
+        late = [i for i in self._lag_from_none(strengths) if i in some]
+        q, own, more = len(carried), len(carried) + len(some), len(some) + len(late)
         every = values + 1j * TINY * np.vstack([carried, np.zeros((more, m))])
         shapes = shape + 1j * TINY * np.vstack([along[:q], np.zeros((more, 2))])
-        steps = 1j * TINY * np.vstack([np.zeros((q, e)), np.eye(e)[some], np.zeros((1, e))])
-        late = self._lag_from_none(strengths)
-        steps[-1, late] = SMALL
+        unit = np.eye(e)
+        steps = np.vstack([np.zeros((q, e)), 1j * TINY * unit[some], SMALL * unit[late]])
         pressed = 1j * np.imag(self.overload(strengths + steps, shapes))[:, None] * by_stress
         slope = np.broadcast_to(by_stress, every.shape)
         moved = self.shift(every + pressed, strengths + steps, shapes, slope)
-        shift, turned = np.real(moved[-2]), np.imag(moved + pressed)[:-1].T / TINY
+        shift, turned = np.real(moved[0]), np.imag(moved + pressed)[:own].T / TINY
         by_strength[:, some] = turned[:, q:]
-        by_strength[:, late] = (np.real(moved[-1]) - shift)[:, None] / SMALL
+        by_strength[:, late] = (np.real(moved[own:]) - shift).T / SMALL
         return values + shift, slopes + turned[:, :q] if q else slopes, by_strength
 
     def _lag_from_none(self, strengths: np.ndarray) -> list[int]:

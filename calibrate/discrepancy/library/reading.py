@@ -18,7 +18,7 @@ import numpy as np
 
 from calibrate.labtests.diagnosis.base import Feature
 
-STEPS, FEWEST_STEPS = 14, 3  # of Newton's method
+STEPS = 13  # of Newton's method, before the last; a reading that only tends to a level needs more
 ROUND_OFF = 1e-12  # mm; a step below which nothing changes
 
 
@@ -123,12 +123,20 @@ def path_at(
     slope = (f_end - f) / (x_end - x)
     behind = length * slope
     bend = r - f + behind
-    far = np.where(np.real(bend) > 0, x_end - x, 0.0)
+    far = np.where(np.real(bend) > 0, np.real(x_end - x), 0.0)
     missing = f - behind - levels
-    for number in range(STEPS):
-        fading = bend * np.exp(-far / length)
-        step = (missing + slope * far + fading) / (slope - fading / length)
+    of_line = missing, slope, bend, length
+    real = tuple(np.real(part) for part in of_line)
+    for _ in range(STEPS):
+        step = _newton_step(far, *real)
         far = far - step
-        if number > FEWEST_STEPS and np.abs(step).max() < ROUND_OFF:
-            break  # what is imaginary has followed in the step before
+        if np.abs(step).max() < ROUND_OFF:
+            break
+    far = far - _newton_step(far, *of_line)  # in which what is imaginary follows
     return x + far, slope - bend * np.exp(-far / length) / length
+
+
+def _newton_step(far, missing, slope, bend, length) -> np.ndarray:
+    """Towards the root of missing + slope far + bend exp(-far/length)."""
+    fading = bend * np.exp(-far / length)
+    return (missing + slope * far + fading) / (slope - fading / length)
