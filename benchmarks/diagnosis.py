@@ -76,11 +76,13 @@ def of_open() -> Iterator[Row]:
     yield from of_cases(result("open_cases").get("cases", []), "open")
 
 
-def of_cases(cases: Sequence[dict], words: str) -> Iterator[Row]:
-    """First answers, before any further test."""
+def of_cases(
+    cases: Sequence[dict], words: str, accused: str = "at most 5 %", strong: str = "at least 90 %"
+) -> Iterator[Row]:
+    """First answers, before any further test; what is asked of sound cases and strong effects."""
     sound = [c["verdict"] != NONE for c in cases if c["stratum"] == NONE]
-    yield line("nothing hidden: something named", "at most 5 %", sound, words)
-    for stratum, asked in (("above 6", "at least 90 %"), ("2 to 6", "at least 60 %")):
+    yield line("nothing hidden: something named", accused, sound, words)
+    for stratum, asked in (("above 6", strong), ("2 to 6", "at least 60 %")):
         single = [c for c in cases if c["stratum"] == f"single {stratum}"]
         yield line(f"one effect {stratum}: named first", asked, [c["right"] for c in single], words)
         for kind in ("machine", "soil and walls"):
@@ -160,6 +162,8 @@ def of_sealed() -> Iterator[Row]:
     words = "claimed reduction of the gap within 10 points of that on fresh specimens"
     yield line(words, "at least 80 %", close, "sealed")
     yield from of_cases(sealed("withheld_shapes"), "sealed, other specimens")
+    others = "sealed, LIGGGHTS, 1000 spheres", "at most 10 %", "at least 80 %"
+    yield from of_cases(sealed("withheld_liggghts"), *others)
 
 
 def of_references() -> Iterator[Row]:

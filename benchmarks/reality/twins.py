@@ -1,0 +1,106 @@
+"""How visible effects from outside the library are in another code's cases, once their seal is open.
+
+    python benchmarks/reality/twins.py --work results/liggghts/sealed_runs --given results/liggghts/sealed
+        --discrepancy results/liggghts/discrepancy.json
+
+The library cannot tell what it lacks.  So the specimens of these cases are simulated again without
+the effect, from the same seeds, and both are recorded with the same noise.  Signal-to-noise is then
+taken as in own cases, with the model discrepancy that judged them, and stands in
+results/withheld_liggghts.json.  A minute a specimen; finished ones lie in DIR.
+"""  # noqa: E501
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1]))
+import open_cases
+import reporting
+from generate import SPECIMENS, specimen_run
+from support.reality.cases import Case, Hidden
+from support.reality.labfiles import measured
+from support.reality.specimen import Run
+
+from calibrate.core import runtime
+from calibrate.discrepancy.model_discrepancy import load
+from calibrate.labtests.diagnosis.base import Feature
+from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, recorded_feature_values
+from calibrate.validation.labels import THEIRS
+from calibrate.validation.plan import USUAL, Visibility
+from calibrate.validation.seal import open_seal
+
+OUTSIDE = "outside"
+
+
+def case_of(label: dict) -> Case:
+    """A case as it was made."""
+    hidden = tuple(Hidden(one["name"], one["strength"]) for one in label["effects"])
+    return Case(label["case"], label["kind"], hidden, label["seed"], label["nonce"])
+
+
+def features_of(run: Run, case: Case, label: dict, features: Sequence[Feature]) -> np.ndarray:
+    """Features (m,) of a specimen, recorded with the noise of its case."""
+    random = np.random.default_rng([case.seed, label["attempt"], 10**6])
+    specimen = measured(run, case.setup(label["attempt"]).instrument, random)
+    records = zip(TESTS, (specimen.confined, specimen.unconfined), strict=True)
+    return recorded_feature_values(features, {t: (r.displacement, r.force) for t, r in records})
+
+
+def changes(label: dict, work: Path, features: Sequence[Feature]) -> np.ndarray:
+    """What a case's effects do to features (n, m) of specimens that stand without them too."""
+    case, attempt = case_of(label), label["attempt"]
+    without = replace(case, hidden=())
+    twins = work / "without"
+    twins.mkdir(exist_ok=True)
+    found = []
+    for number in range(SPECIMENS):
+        twin = specimen_run(without, attempt, number, twins)
+        if twin.stands:
+            both = (specimen_run(case, attempt, number, work), twin)
+            with_, own = (features_of(run, case, label, features) for run in both)
+            found.append(with_ - own)
+    return np.array(found).reshape(-1, len(features))
+
+
+def visibility(label: dict, found: np.ndarray, discrepancy) -> float:
+    """Signal-to-noise of changes (n, m) of a case."""
+    emulated = open_cases.emulated().for_lab(USUAL.lab().following(label["conventions"]))
+    seen = np.asarray(np.isfinite(found).all(axis=0))
+    soil = {n: label["soil"][n] for n in emulated.library.design.soil_names}
+    visible = Visibility(emulated, soil, THEIRS, discrepancy, USUAL, seen)
+    return visible.realised(found[:, seen])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--work", type=Path, required=True, help="where generate.py simulated")
+    parser.add_argument("--given", type=Path, required=True, help="the opened set")
+    parser.add_argument("--discrepancy", type=Path, required=True, help="that judged it")
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    runtime.configure()
+    discrepancy = load(options.discrepancy, open_cases.emulated())
+    result = json.loads(reporting.file_of("withheld_liggghts").read_text(encoding="utf-8"))
+    labels = [one for one in open_seal(options.given).values() if one["kind"] == OUTSIDE]
+    features = open_cases.emulated().size.features[: -len(TARGETS)]
+    with ThreadPoolExecutor(options.jobs) as pool:
+        every = list(pool.map(lambda one: changes(one, options.work, features), labels))
+    told = {
+        label["case"]: visibility(label, found, discrepancy)
+        for label, found in zip(labels, every, strict=True)
+    }
+    for row in result["rows"]:
+        row["snr"] = told.get(row["case"], row["snr"])
+    reporting.write_content("withheld_liggghts", result)
+    for label in labels:
+        print(label["case"], label["effects"], f"{told[label['case']]:.1f}")
+
+
+if __name__ == "__main__":
+    main()
