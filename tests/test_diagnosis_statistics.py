@@ -11,9 +11,17 @@ import diagnosis_world as generator
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from support import evidences
 
 from calibrate.discrepancy.comparison import baselines
-from calibrate.discrepancy.comparison.classes import classes, separable, separation
+from calibrate.discrepancy.comparison.classes import (
+    JOINED,
+    TOGETHER,
+    classes,
+    separable,
+    separation,
+)
+from calibrate.discrepancy.comparison.compare import likeliest_verdict
 from calibrate.discrepancy.comparison.evidence import (
     SCALES,
     Evidence,
@@ -32,9 +40,13 @@ from calibrate.discrepancy.comparison.noise import (
     packing_covariance,
 )
 from calibrate.discrepancy.comparison.probability_calibration import (
+    NAMED_BELOW,
+    NONE,
     EvidenceSummary,
     ProbabilityCalibration,
+    bundled_calibration,
     fit_calibration,
+    hypotheses,
     log_probabilities,
 )
 from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project
@@ -431,3 +443,47 @@ def test_the_classifier_learns_what_is_separable():
     right = [trained.best(row) == name for row, name in zip(inputs, labels, strict=True)]
     assert np.mean(right) > 0.9
     assert trained.probability(inputs[0]).sum() == pytest.approx(1.0)
+
+
+# ---------------------------------------------------------------- probabilities that ship
+
+
+def test_bundled_probabilities_follow_from_the_archived_evidences():
+    found, again = bundled_calibration(), evidences.learn(evidences.cases())
+    names = tuple(again.class_bias)
+    assert found.numbers(names) == pytest.approx(again.numbers(names), abs=1e-3)
+    assert 0 < found.smallest < 0.5
+
+
+def test_probabilities_state_better_than_evidences_as_they_are():
+    """By the logarithmic score of the cases that each fifth left out."""
+    cases = evidences.cases()
+    others = evidences.quality(cases, evidences.by_other_folds(cases))
+    plain = evidences.quality(cases, [ProbabilityCalibration()] * len(cases))
+    assert others["log_score"] > plain["log_score"]
+
+
+def named_right(case: evidences.Known) -> set[tuple[str, ...]]:
+    every = hypotheses(case.summary)
+    return {h for h, right in zip(every, case.right, strict=True) if right}
+
+
+def test_right_explanations_are_those_of_the_right_class():
+    cases = evidences.cases()
+    nothing = next(c for c in cases if c.truth == NONE)
+    assert named_right(nothing) == {(NONE,)}
+    joined = next(c for c in cases if JOINED in c.truth and TOGETHER not in c.truth)
+    members = set(joined.truth.split(JOINED))
+    assert {(name,) for name in members} <= named_right(joined)
+    assert all(set(h) <= members for h in named_right(joined))
+    pair = next(c for c in cases if TOGETHER in c.truth and JOINED not in c.truth)
+    assert [set(h) for h in named_right(pair)] == [set(pair.truth.split(TOGETHER))]
+    for case in (nothing, joined, pair):
+        assert sum(case.said(bundled_calibration()).values()) == pytest.approx(1.0)
+
+
+def test_something_is_named_where_none_is_unlikely_enough():
+    less, more = NAMED_BELOW - 0.01, NAMED_BELOW + 0.01
+    assert likeliest_verdict({NONE: less, "wall_friction": 0.7}) == "wall_friction"
+    assert likeliest_verdict({NONE: more, "wall_friction": 0.7}) == NONE
+    assert likeliest_verdict({NONE: less, "a": 0.2, "b": 0.2, "c": 0.2}) == NONE

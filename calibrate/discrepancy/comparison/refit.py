@@ -146,8 +146,10 @@ class _Problem:
         return self.description.focused(self.chosen)
 
     def at(self, delta: np.ndarray, strengths: np.ndarray) -> Refit:
-        """The point at a shift and strengths, with the slopes of the chosen effects."""
-        return self.judged(delta, strengths, *self.focused.at(delta, strengths))
+        """The point at a shift and strengths, with the slopes of the chosen effects; its objective
+        is not finite where the description is not."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.judged(delta, strengths, *self.focused.at(delta, strengths))
 
     def with_all_slopes(self, point: Refit) -> Refit:
         """The same point with the slopes of all effects."""
@@ -212,8 +214,8 @@ class _Problem:
             return known[key]
 
         def objective(location: np.ndarray) -> tuple[float, np.ndarray]:
+            trial = there(location)
             with np.errstate(over="ignore", invalid="ignore"):
-                trial = there(location)
                 slope = self._slope(trial)
             good = np.isfinite(trial.objective) and np.isfinite(slope).all()
             return (trial.objective, round_.turned(slope)) if good else (ABSURD, 0.0 * location)

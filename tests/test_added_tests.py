@@ -1,22 +1,30 @@
-"""A hold at 400 N: what force is left, with and without a soil that feels the rate."""
+"""Two types of test beyond the pair: the oedometer by load steps, whose published data are read as
+they are and answered by a simulation, and a hold at 400 N: what force is left, with and without a
+soil that feels the rate."""
 
+import csv
 from dataclasses import replace
+from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 import pytest
 
+from calibrate.core.progress import Silent
 from calibrate.inference.problem import pose
-from calibrate.io.lab import load_lab
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
+from calibrate.simulation.specimens import campaign
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.composite import prepare
 
 TINY = Preset("tiny", 48, 0.2, 0.4, 1)
-TEXT = """[soil]
+OEDOMETER = load_lab(bundled_lab("trumao_oedometer"))
+HOLD = """[soil]
 name = "x"
 [specimen]
 diameter = "50 mm"
@@ -33,11 +41,40 @@ force = { column = "N", unit = "N" }
 """
 
 
+def test_measured_settlements_are_those_of_the_published_void_ratios():
+    """Strain (e25 - e)/(1 + e25) of 50 mm, mean of three samples, at every load step."""
+    path = Path(OEDOMETER.file).parent / "trumao_2021" / "oedometer.csv"
+    rows = list(csv.DictReader(path.open()))
+    ratio = np.array([float(row["e"]) for row in rows]).reshape(3, 13)
+    travel = 50.0 * (ratio[:, :1] - ratio) / (1 + ratio[:, :1])
+    problem = pose(OEDOMETER)
+    assert [f.test for f in problem.features] == ["", *["oedometer"] * 12]
+    assert problem.measured[1:] == pytest.approx(travel[:, 1:].mean(axis=0))
+    assert list(problem.repeats) == [0, *[3] * 12]
+
+
+def test_a_simulation_settles_while_loading_and_springs_back(tmp_path):
+    work = campaign(OEDOMETER, TINY, tmp_path, Silent())
+    (run,) = work.runs([base_soil(OEDOMETER)], [0], "oedometer")[0]
+    assert not run.failure
+    assert set(run.curves) == {"oedometer", "preparation", "unconfined"}
+    assert set(run.observables) == {"settlement_mm", "depression_depth_mm", "crushing_force_n"}
+    values = pose(OEDOMETER).simulated([run])[0][1:]
+    loading, unloading = values[:6], values[6:]
+    assert np.all(np.diff(loading) > 0) and np.all(np.diff(unloading) < 0)
+    assert run.observables["settlement_mm"] > loading[-1] > unloading[0]
+    top = np.pi / 4 * 0.05**2 * 1200e3  # N
+    assert run.curves["oedometer"][:, 1].max() == pytest.approx(top, rel=2e-3)
+
+
+# ---------------------------------------------------------------- a hold
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab")
     (folder / "c.csv").write_text("mm,N\n0,0\n1,100\n2,200\n3,300\n4,400\n4,370\n4,350\n")
-    (folder / "lab.toml").write_text(TEXT)
+    (folder / "lab.toml").write_text(HOLD)
     return load_lab(folder / "lab.toml")
 
 
