@@ -45,10 +45,11 @@ NOTES = (
     "Open cases served development. Their first answers are told by cross-validation; those after "
     "further tests with probabilities that were learned from them too. Sealed cases were judged "
     "once, by what the diagnosis was then; those of other specimens are among the open ones now. "
-    "Further tests and LIGGGHTS' soils were judged before the library knew how machines press. "
-    "Signal-to-noise is what calibration leaves of an effect, over scatter and errors. Stated: the "
-    "probability that the diagnosis gives its verdict. By scatter alone: the share of laboratories "
-    "without any gap whose curves would miss the model as much."
+    "Further tests were judged before the library knew how machines press. Signal-to-noise is what "
+    "calibration leaves of an effect, over scatter and errors; in LIGGGHTS what two specimens that "
+    "were simulated without the effect tell, of the machine's errors what equations do. Stated: "
+    "the probability that the diagnosis gives its verdict. By scatter alone: the share of "
+    "laboratories without any gap whose curves would miss the model as much."
 )
 
 
@@ -136,9 +137,14 @@ def sealed(name: str) -> list[dict]:
     return [
         {**row, "hidden": [one["name"] for one in found["hidden"][row["case"]]],
          "right": row["verdict"] == row["truth"], "p_gap": row["p_before"],
-         "stratum": stratum_of(row["kind"], told.get((name, row["case"]), row["snr"]))}
+         "stratum": stratum_of(row["kind"], told.get((name, row["case"]), visible(row)))}
         for row in found.get("rows", [])
     ]  # fmt: skip
+
+
+def visible(row: dict) -> float:
+    """Signal-to-noise, as twins without the effect tell it where there are any."""
+    return row.get("snr_simulated", row["snr"])
 
 
 def stratum_of(kind: str, snr: float) -> str:

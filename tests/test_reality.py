@@ -22,6 +22,7 @@ from support.reality.specimen import Run, run
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import load_lab
+from calibrate.validation.labels import normalised
 from calibrate.validation.seal import digest, open_seal, write_seal
 
 ARCHIVE = Path(__file__).parent / "data" / "liggghts" / "withheld_liggghts_cases.tar.xz"
@@ -134,6 +135,16 @@ def test_metadata_do_not_tell_whether_something_is_hidden(folder, cases):
 
 
 # ---------------------------------------------------------------- the recipe
+
+
+@pytest.mark.parametrize("factor", [3.0, -3.0])
+def test_friction_on_platens_is_told_as_it_is_realised(factor):
+    label = {"kind": "library", "effects": [
+        {"name": "platen_friction", "strength": factor, "unit": "1"}
+    ]}  # fmt: skip
+    (told,) = normalised(label)["hidden"]
+    realised = BY_NAME["platen_friction"].realise(Setup(Soil()), factor).soil.platen_friction
+    assert told["strength"] == pytest.approx(realised - Soil().platen_friction)
 
 
 def test_a_plan_follows_from_its_seed_and_is_mixed_from_the_start():

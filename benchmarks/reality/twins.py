@@ -1,13 +1,15 @@
-"""How visible effects from outside the library are in another code's cases, once their seal is open.
+"""How visible effects are in another code's cases, once their seal is open.
 
-    python benchmarks/reality/twins.py --work results/liggghts/sealed_runs --given results/liggghts/sealed
-        --discrepancy results/liggghts/discrepancy.json
+    python benchmarks/reality/twins.py --work results/liggghts/sealed_runs
+        --given results/liggghts/sealed --discrepancy results/liggghts/discrepancy.json
 
-The library cannot tell what it lacks.  So the specimens of these cases are simulated again without
-the effect, from the same seeds, and both are recorded with the same noise.  Signal-to-noise is then
-taken as in own cases, with the model discrepancy that judged them, and stands in
-results/withheld_liggghts.json.  A minute a specimen; finished ones lie in DIR.
-"""  # noqa: E501
+The library cannot tell what it lacks, nor what another code makes of an effect.  So two specimens
+of each case are simulated again without it, from the same seeds, and both are recorded without
+noise.  Signal-to-noise is what calibration leaves of that change, with the model discrepancy
+that judged the cases; `snr_simulated` in results/withheld_liggghts.json.  What errors of the
+machine do follows from equations: of these the library's word is taken.  A minute a specimen;
+finished ones lie in DIR.
+"""
 
 import argparse
 import json
@@ -22,20 +24,27 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1]))
 import open_cases
 import reporting
-from generate import SPECIMENS, specimen_run
+from generate import specimen_run
 from support.reality.cases import Case, Hidden
 from support.reality.labfiles import measured
 from support.reality.specimen import Run
 
 from calibrate.core import runtime
+from calibrate.discrepancy.library.machine import MACHINE
 from calibrate.discrepancy.model_discrepancy import load
 from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, recorded_feature_values
-from calibrate.validation.labels import THEIRS
+from calibrate.validation.labels import FEWEST_CHANGES, THEIRS, normalised
 from calibrate.validation.plan import USUAL, Visibility
+from calibrate.validation.scores import SCATTER
 from calibrate.validation.seal import open_seal
 
-OUTSIDE = "outside"
+
+def of_the_soil(label: dict) -> bool:
+    """Whether a case hides what moves the mean of its specimens, and not in the machine alone."""
+    ours = normalised(label)
+    names = {one["name"] for one in ours["hidden"]}
+    return ours["kind"] != SCATTER and not names <= set(MACHINE)
 
 
 def case_of(label: dict) -> Case:
@@ -45,21 +54,24 @@ def case_of(label: dict) -> Case:
 
 
 def features_of(run: Run, case: Case, label: dict, features: Sequence[Feature]) -> np.ndarray:
-    """Features (m,) of a specimen, recorded with the noise of its case."""
+    """Features (m,) of a specimen, recorded by its case's machine without noise."""
     random = np.random.default_rng([case.seed, label["attempt"], 10**6])
-    specimen = measured(run, case.setup(label["attempt"]).instrument, random)
+    machine = case.setup(label["attempt"]).instrument
+    quiet = replace(machine, noise_force=0.0, noise_displacement=0.0)
+    specimen = measured(run, quiet, random)
     records = zip(TESTS, (specimen.confined, specimen.unconfined), strict=True)
     return recorded_feature_values(features, {t: (r.displacement, r.force) for t, r in records})
 
 
 def changes(label: dict, work: Path, features: Sequence[Feature]) -> np.ndarray:
-    """What a case's effects do to features (n, m) of specimens that stand without them too."""
+    """What a case's effects do to features (n, m) of as many specimens as own cases have, if they
+    stand without them too."""
     case, attempt = case_of(label), label["attempt"]
     without = replace(case, hidden=())
     twins = work / "without"
     twins.mkdir(exist_ok=True)
     found = []
-    for number in range(SPECIMENS):
+    for number in range(FEWEST_CHANGES):
         twin = specimen_run(without, attempt, number, twins)
         if twin.stands:
             both = (specimen_run(case, attempt, number, work), twin)
@@ -72,7 +84,8 @@ def visibility(label: dict, found: np.ndarray, discrepancy) -> float:
     """Signal-to-noise of changes (n, m) of a case."""
     emulated = open_cases.emulated().for_lab(USUAL.lab().following(label["conventions"]))
     seen = np.asarray(np.isfinite(found).all(axis=0))
-    soil = {n: label["soil"][n] for n in emulated.library.design.soil_names}
+    design = emulated.library.design
+    soil = {n: label["soil"].get(n, design.centre[n]) for n in design.soil_names}
     visible = Visibility(emulated, soil, THEIRS, discrepancy, USUAL, seen)
     return visible.realised(found[:, seen])
 
@@ -87,7 +100,7 @@ def main() -> None:
     runtime.configure()
     discrepancy = load(options.discrepancy, open_cases.emulated())
     result = json.loads(reporting.file_of("withheld_liggghts").read_text(encoding="utf-8"))
-    labels = [one for one in open_seal(options.given).values() if one["kind"] == OUTSIDE]
+    labels = [one for one in open_seal(options.given).values() if of_the_soil(one)]
     features = open_cases.emulated().size.features[: -len(TARGETS)]
     with ThreadPoolExecutor(options.jobs) as pool:
         every = list(pool.map(lambda one: changes(one, options.work, features), labels))
@@ -96,7 +109,7 @@ def main() -> None:
         for label, found in zip(labels, every, strict=True)
     }
     for row in result["rows"]:
-        row["snr"] = told.get(row["case"], row["snr"])
+        row["snr_simulated"] = told.get(row["case"], row["snr"])
     reporting.write_content("withheld_liggghts", result)
     for label in labels:
         print(label["case"], label["effects"], f"{told[label['case']]:.1f}")

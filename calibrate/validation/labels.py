@@ -33,7 +33,7 @@ CONVERSIONS: dict[str, tuple[str, Callable[[float], float]]] = {
     "frame_compliance": ("load_frame_compliance", lambda mm_per_kn: 1e-6 * mm_per_kn),
     "seating": ("seating_gap", lambda mm: 1e-3 * mm),
     "load_cell_drift": ("load_cell_drift", lambda n_per_h: n_per_h / 3600),
-    "platen_friction": ("platen_friction", lambda factor: PLATEN_FRICTION * (factor - 1)),
+    "platen_friction": ("platen_friction", lambda factor: PLATEN_FRICTION * (_times(factor) - 1)),
     "capillary_tension": ("capillary_tension", lambda n_per_m: n_per_m / DIAMETER),
     "cementation": ("cementation", lambda n: n / DIAMETER**2),
     "second_test_strength": ("second_test_factor", math.expm1),
@@ -57,6 +57,11 @@ def _ours(entry: dict) -> dict:
     if "unit" not in entry:  # a label of our own
         return dict(entry)
     return {"name": name, "strength": convert(entry["strength"])}
+
+
+def _times(factor: float) -> float:
+    """What a factor of theirs multiplies by: below 0 it says how many times less."""
+    return factor if factor > 0 else -1 / factor
 
 
 def with_visibility(
