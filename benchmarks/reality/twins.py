@@ -6,7 +6,7 @@
 The library cannot tell what it lacks, nor what another code makes of an effect.  So two specimens
 of each case are simulated again without it, from the same seeds, and both are recorded without
 noise.  Signal-to-noise is what calibration leaves of that change, with the model discrepancy
-that judged the cases; `snr_simulated` in results/withheld_liggghts.json.  What errors of the
+that judged the cases; `snr_simulated` in benchmarks/results/withheld_liggghts.json.  What errors of the
 machine do follows from equations: of these the library's word is taken.  A minute a specimen;
 finished ones lie in DIR.
 """
@@ -69,7 +69,7 @@ def changes(label: dict, work: Path, features: Sequence[Feature]) -> np.ndarray:
     case, attempt = case_of(label), label["attempt"]
     without = replace(case, hidden=())
     twins = work / "without"
-    twins.mkdir(exist_ok=True)
+    twins.mkdir(parents=True, exist_ok=True)
     found = []
     for number in range(FEWEST_CHANGES):
         twin = specimen_run(without, attempt, number, twins)
