@@ -6,9 +6,9 @@
 The library cannot tell what it lacks, nor what another code makes of an effect.  So two specimens
 of each case are simulated again without it, from the same seeds, and both are recorded without
 noise.  Signal-to-noise is what calibration leaves of that change, with the model discrepancy
-that judged the cases; `snr_simulated` in benchmarks/results/withheld_liggghts.json.  What errors of the
-machine do follows from equations: of these the library's word is taken.  A minute a specimen;
-finished ones lie in DIR.
+that judged the cases: `snr_simulated` in benchmarks/results/withheld_liggghts.json.  What errors
+of the machine do follows from equations: of these the library's word is taken.  A minute a
+specimen; finished ones lie in DIR.
 """
 
 import argparse
