@@ -27,10 +27,10 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 THOROUGH = (
     *("notebooks", "overdamped", "lab", "fit", "effects", "cluster", "report", "virtual_power"),
     *("first_order", "tangent_kernel", "engine"),
-    *("laws_contract", "laws", "view", "abuse", "relaxation", "study", "unit_of_force"),
-    *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "oedometer"),
+    *("laws_contract", "laws", "view", "abuse", "study"),
+    *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "added_tests"),
     *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),
-    *("sensitivity", "smooth", "growth", "machine_alone"),
+    *("sensitivity", "smooth", "machine_alone"),
 )
 
 

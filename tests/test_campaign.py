@@ -11,21 +11,27 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
+from test_fit import BASE, tiny_campaign
 from toy_place import formula, soils, toy_campaign
 
-from calibrate.core.errors import CalibrationError
+from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import PlainLines, Silent, duration
+from calibrate.io.soil import with_values
 from calibrate.simulation import NETCDF, compiled, side_by_side, store
+from calibrate.simulation.batches import InBatches, _Queue
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.seal import LENGTH, sealed, unsealed
-from calibrate.simulation.session import Session
+from calibrate.simulation.session import Session, place_of
 from calibrate.simulation.specimens import coarse, simulation_json
 
 SEEDS = (0, 1)
@@ -447,3 +453,54 @@ def test_a_session_in_single_precision_simulates_in_it(tmp_path):
     both = (session, session.in_single_precision())
     campaigns = [each.campaign_of_one(tmp_path, None) for each in both]
     assert [work.lab.numerics.dtype for work in campaigns] == ["float64", "float32"]
+
+
+@pytest.fixture
+def in_threes():
+    """A place that simulates three specimens at once; the default device is as before after it."""
+    yield InBatches(3)
+    jax.config.update("jax_default_device", None)
+
+
+def test_a_batch_simulates_what_single_runs_do(tmp_path, in_threes, monkeypatch):
+    """Two soils on two packings: a batch and another one that is padded.  The machine gives up the
+    first batch, so its specimens are handed in again.  In double precision they differ by rounding,
+    which a bed of 48 spheres hardly lets grow before its peak."""
+    sizes, run_batch = [], in_threes._run
+
+    def run_but_first(queue, batch):
+        sizes.append(len(batch))
+        if len(sizes) == 1:
+            raise MemoryError
+        run_batch(queue, batch)
+
+    monkeypatch.setattr(in_threes, "_run", run_but_first)
+    tested = [with_values(BASE, {"surface_energy": energy}) for energy in (10.0, 14.0)]
+    together = replace(tiny_campaign(tmp_path / "together"), place=in_threes)
+    alone = tiny_campaign(tmp_path / "alone")
+    found, single = (work.runs(tested, SEEDS, "run") for work in (together, alone))
+    assert sum(sizes) == 4 + sizes[0] and max(sizes) == 3
+    for run, one in zip(chain(*found), chain(*single), strict=True):
+        assert run.failure == one.failure == ""
+        assert run.quality["steps"] == one.quality["steps"]
+        depth, same = (r.observables["depression_depth_mm"] for r in (run, one))
+        assert depth == pytest.approx(same, rel=1e-3)
+
+
+def test_specimens_of_a_batch_are_those_with_the_smallest_steps(in_threes):
+    """Of the longest queue whose program is compiled."""
+    compiled, waits = Future(), Future()
+    compiled.set_result(None)
+    steps = (3e-5, 1e-5, 4e-5, 2e-5)
+    with in_threes._changed:
+        for number, program in ((4, compiled), (3, compiled), (4, waits)):
+            queue: Any = [SimpleNamespace(time_step=step) for step in steps[:number]]
+            in_threes._queues[object()] = _Queue(compiled, {3: program}, queue)
+        _, batch = in_threes._next()
+        in_threes._queues.clear()
+    assert [one.time_step for one in batch] == [1e-5, 2e-5, 3e-5]
+
+
+def test_a_batch_is_not_for_a_cluster():
+    with pytest.raises(InputError, match="one specimen at a time"):
+        place_of("tcp://127.0.0.1:8786", 4)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from calibrate.commands.options import (
+    Batch,
     Changes,
     Dask,
     Json,
@@ -42,6 +43,7 @@ def audit_command(
     seed: Seed = 0,
     out: Out = Path("results/audit"),
     dask: Dask = None,
+    batch: Batch = None,
     json: Json = None,
 ) -> None:
     """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
@@ -54,7 +56,7 @@ def audit_command(
     from calibrate.simulation.specimens import soil_json
 
     check_writable(json)
-    session = Session.open(lab, preset, out, dask).resized(spheres)
+    session = Session.open(lab, preset, out, dask, batch=batch).resized(spheres)
     values = parse_changes(changes or [], session.lab.particles.conventions)
     names = parse_strategies(strategy or ["fit"])
     base = with_values(base_soil(session.lab), values)

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibrate.commands.options import DiscrepancyFile, FurtherLabs, LibraryFile, StatisticsSeed
+from calibrate.commands.options import (
+    Batch,
+    DiscrepancyFile,
+    FurtherLabs,
+    LibraryFile,
+    StatisticsSeed,
+)
 
 if TYPE_CHECKING:
     from calibrate.discrepancy.library.run_library import RunLibrary
@@ -30,6 +36,7 @@ def diagnose_command(
             help="Simulate the leading explanations on N more packings; 0: none.",
         ),
     ] = 0,
+    batch: Batch = None,
     further: FurtherLabs = None,
     seed: StatisticsSeed = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path(
@@ -53,7 +60,7 @@ def diagnose_command(
 
     check_writable(json)
     source = library or bundled_library()
-    session = Session.open(lab, "quick", out)
+    session = Session.open(lab, "quick", out, batch=batch)
     session.lab.pair()  # refuses other tests than those of a library
     simulated = load(source)
     say = for_terminal().say
@@ -61,7 +68,7 @@ def diagnose_command(
     emulated = EmulatedLibrary.of(simulated)
     estimated = None if discrepancy is None else load_discrepancy(discrepancy, emulated)
     if simulate:
-        plan = InfillPlan(simulate, out / RUNS, for_terminal())
+        plan = InfillPlan(simulate, out / RUNS, for_terminal(), session.place)
         emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
     labs = [load_lab(path) for path in further or []]
     found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say, further=labs)

@@ -5,6 +5,7 @@ from pathlib import Path
 import typer
 
 from calibrate.commands.options import (
+    Batch,
     Changes,
     Dask,
     Json,
@@ -28,6 +29,7 @@ def doe_command(
     seed: Seed = 0,
     out: Out = Path("results/doe"),
     dask: Dask = None,
+    batch: Batch = None,
     json: Json = None,
 ) -> None:
     """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
@@ -39,7 +41,7 @@ def doe_command(
     from calibrate.simulation.session import Session
 
     check_writable(json)
-    session = Session.open(lab, preset, out, dask).on_soil()
+    session = Session.open(lab, preset, out, dask, batch=batch).on_soil()
     values = parse_changes(changes or [], session.lab.particles.conventions)
     work = session.campaign(out, None)
     done = design(session.lab, session.preset, values, seed, work)

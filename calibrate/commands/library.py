@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     from calibrate.io.lab import Lab
 
-from calibrate.commands.options import renamed
+from calibrate.commands.options import Batch, renamed
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
 REFINED = "packings x 5 simulations of the effects that are hardest to predict; 0: none"
@@ -51,6 +51,7 @@ def library_command(
     conventions: Annotated[
         str | None, typer.Option("--conventions", metavar="NAME", help=CONVENTIONS)
     ] = None,
+    batch: Batch = None,
 ) -> None:
     """Simulate soils and effects around one kind of lab; keep their features in one file."""
     from calibrate.core.files import make_folder
@@ -71,11 +72,12 @@ def library_command(
     )
     from calibrate.io.lab import bundled_lab, load_lab
     from calibrate.io.soil import base_soil
+    from calibrate.simulation.session import place_of
 
     measured = load_lab(bundled_lab() if lab is None else lab)
     measured.pair()  # refuses other tests than those of a library
     if conventions is not None:
-        return _beside(onto, conventions, measured)
+        return _beside(onto, conventions, measured, batch)
     make_folder(out.parent)
     smaller = None if onto is None else store.load(onto)
     design = Design(packings=packings, spheres=spheres, shaped=shaped, refined=refined)
@@ -84,7 +86,8 @@ def library_command(
         centre = {name: float(getattr(soil, name)) for name in design.soil_names}
         design = replace(design, centre=centre)
     progress = for_terminal()
-    simulator = Simulator(measured, out.parent / f"{out.stem}_runs")
+    folder = out.parent / f"{out.stem}_runs"
+    simulator = Simulator(measured, folder, place=place_of(batch=batch))
     if smaller is None:
         plain = replace(design, shaped=0, refined=0)
         runs = run_design(plain, simulator, progress)
@@ -106,12 +109,13 @@ def library_command(
     print(f"library of {len(library.values)} runs in {out}")
 
 
-def _beside(onto: Path | None, conventions: str, lab: "Lab") -> None:
+def _beside(onto: Path | None, conventions: str, lab: "Lab", batch: int | None) -> None:
     """Rows that follow other conventions, into a file beside a library's."""
     from calibrate.core.errors import COMMAND_LINE, InputError
     from calibrate.core.progress import for_terminal
     from calibrate.discrepancy.library import other_law, store
     from calibrate.discrepancy.library.simulate import check_cylinder
+    from calibrate.simulation.session import place_of
 
     if onto is None:
         problem = "there is no library to lay them beside"
@@ -119,9 +123,9 @@ def _beside(onto: Path | None, conventions: str, lab: "Lab") -> None:
     other_law.check(conventions, COMMAND_LINE, "--conventions")
     library = store.load(onto)
     check_cylinder(library, lab, str(onto))
-    path, progress = store.of_law(onto, conventions), for_terminal()
+    path, progress, place = store.of_law(onto, conventions), for_terminal(), place_of(batch=batch)
     runs = path.parent / f"{path.stem}_runs"
-    rows = other_law.simulate(conventions, library.design, lab, runs, progress)
+    rows = other_law.simulate(conventions, library.design, lab, runs, progress, place)
     progress.say(f"{len(rows.values)} simulations have all features; fitting")
     store.save_law(other_law.fitted(rows, library), library, path)
     print(f"{len(rows.values)} runs that follow '{conventions}' in {path}")

@@ -26,6 +26,12 @@ Preparation = Annotated[
 Dask = Annotated[
     str | None, typer.Option("--dask", metavar="ADDRESS", help="Simulate on this Dask cluster.")
 ]
+Batch = Annotated[
+    int | None,
+    typer.Option(
+        "--batch", min=2, metavar="N", help="Simulate N specimens at once on an accelerator."
+    ),
+]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter.")
 ]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calibrate.commands.options import DiscrepancyFile, LibraryFile
+from calibrate.commands.options import Batch, DiscrepancyFile, LibraryFile
 
 
 def register(app: typer.Typer) -> None:
@@ -35,6 +35,7 @@ def withheld_command(
         bool,
         typer.Option("--judge/--make-only", help="Judge now; or make and seal the cases, no more."),
     ] = True,
+    batch: Batch = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the diagnoses.")] = 0,
     out: Annotated[
         Path, typer.Option("--out", help="Folder for results; a second run resumes.")
@@ -52,6 +53,7 @@ def withheld_command(
     from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
     from calibrate.reports import withheld as report
     from calibrate.simulation.origin import made_by
+    from calibrate.simulation.session import place_of
     from calibrate.validation import run
     from calibrate.validation.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
 
@@ -66,7 +68,8 @@ def withheld_command(
     if given is None:
         usual, sizes = (OF_SHAPES, SHAPES) if shapes else (COUNTS, (USUAL,))
         counts = {kind: max(round(share * count), 1) for kind, count in usual.items()}
-        run.generate(out, emulated, counts, None, progress, sizes=sizes)
+        place = place_of(batch=batch)
+        run.generate(out, emulated, counts, None, progress, sizes=sizes, place=place)
     if not judge:
         print(f"cases are in {out}, hashes of their labels in labels.sha256; a second run judges")
         return

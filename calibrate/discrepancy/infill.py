@@ -36,6 +36,7 @@ from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.simulation import HERE, AbstractPlace
 from jdem.effects.composite import EFFECTS
 
 LOCATIONS = 6  # explanations that are simulated about, in each round
@@ -59,11 +60,12 @@ class InfillLocation:
 
 @dataclass(frozen=True)
 class InfillPlan:
-    """How much is simulated, and where runs are kept."""
+    """How much is simulated, where, and where runs are kept."""
 
     packings: int
     folder: Path
     progress: AbstractProgress = field(default_factory=Silent)
+    place: AbstractPlace = HERE
     workers: int | None = None
 
 
@@ -74,7 +76,8 @@ def with_infill_runs(
     """The library with runs about this lab's leading explanations."""
     emulated = emulated.for_lab(lab)
     effects = switched_off({name: EFFECTS[name] for name in emulated.library.design.effect_names})
-    simulator = Simulator(simulated_lab(lab, emulated.library), plan.folder, effects)
+    given = simulated_lab(lab, emulated.library), plan.folder, effects
+    simulator = Simulator(*given, place=plan.place)
     held, per_round = tuple(HELD.get(lab.particles.conventions, ())), plan.packings // ROUNDS
     extended = emulated
     for number in range(ROUNDS):

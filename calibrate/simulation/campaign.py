@@ -56,11 +56,14 @@ class Campaign:
 
     def packings(self, seeds: Sequence[int]) -> list[Packing]:
         """The specimen's packings of these seeds, prepared if they are not on disk yet."""
-        missing = [s for s in seeds if self._stored_packing(s) is None]
+        stored = {seed: self._stored_packing(seed) for seed in seeds}
+        found = {seed: packing for seed, packing in stored.items() if packing is not None}
+        missing = [seed for seed in stored if seed not in found]
         if missing:
             self._prepare(missing[0], patient=True)  # compiles for all of them
             self._shared("preparing packings", self._prepare, missing[1:])
-        return [self._prepared(seed) for seed in seeds]
+        found |= {seed: self._prepared(seed) for seed in missing}
+        return [found[seed] for seed in seeds]
 
     def runs(
         self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
@@ -148,7 +151,7 @@ class Campaign:
 
     def _packings_while_compiling(self, soils, seeds: Sequence[int]) -> list[Packing]:
         """The packings; where some must be prepared, the simulation is compiled meanwhile."""
-        if all(self._stored_packing(seed) is not None for seed in seeds) or not len(soils):
+        if all(self._packing_path(seed).exists() for seed in seeds) or not len(soils):
             return self.packings(seeds)
         with ThreadPoolExecutor(1) as pool:
             warm_up, bed = self.place.warm_up, blank(self.specimen)

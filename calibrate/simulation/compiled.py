@@ -39,7 +39,7 @@ class Programs:
 
     def get(self, lab: VirtualLab, packing: Packing, soil: SoilParameters) -> tuple[Any, float]:
         """The program, and the seconds that compiling took just now (0 if it was there)."""
-        kind = _kind(lab, packing, soil)
+        kind = kind_of(lab, packing, soil)
         if kind in self._compiled:
             return self._compiled[kind], 0.0
         with self._lock:
@@ -79,8 +79,8 @@ def _timed(lab: VirtualLab, packing: Packing, soil: SoilParameters) -> Run:
     return summary(lab, packing, soil, outcome, time.perf_counter() - begun)
 
 
-def _kind(*arguments):
-    """Shapes, precisions and everything static."""
+def kind_of(*arguments):
+    """What a program is compiled for: shapes, precisions and everything static."""
     arrays, static = eqx.partition(arguments, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
     others, layout = jax.tree.flatten(static)

@@ -61,7 +61,8 @@ def summary(
     """A run's numbers in mm and N, with the checks that say whether to believe them."""
     record = outcome.record
     samples = int(np.sum(np.asarray(record.samples.segment) >= 0))
-    steps = samples * round(lab.numerics.sample_time / float(lab.time_step(packing, soil)))
+    time_step = float(lab.time_step(packing, soil))
+    steps = samples * round(lab.numerics.sample_time / time_step)
     energy = record.state.energy
     rest = np.flatnonzero(np.isin(np.asarray(record.samples.segment), _last_rest(lab)))
     kinetic = np.asarray(record.samples.kinetic_energy)
@@ -71,7 +72,7 @@ def summary(
         "energy_balance": _integration_error(outcome),
         "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
         "platen_work_j": float(energy.platen),
-        "time_step_s": float(lab.time_step(packing, soil)),
+        "time_step_s": time_step,
         "steps": float(steps),
         "spheres": float(packing.spheres.count),
         "runtime_s": seconds,

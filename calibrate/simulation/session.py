@@ -10,6 +10,7 @@ from calibrate.core.progress import AbstractProgress, for_terminal
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import specimens
+from calibrate.simulation.batches import InBatches
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign
@@ -31,7 +32,7 @@ class Session:
     @staticmethod
     def open(
         lab: Path | None, preset: str, out: Path, dask: str | None = None,
-        conventions: str | None = None,
+        conventions: str | None = None, batch: int | None = None,
     ) -> "Session":  # fmt: skip
         """`conventions` stand in for those that the lab file states."""
         if preset not in PRESETS:
@@ -41,7 +42,7 @@ class Session:
         if conventions is not None:
             loaded = loaded.following(conventions)
         make_folder(out)
-        return Session(loaded, PRESETS[preset], out, for_terminal(), place_of(dask))
+        return Session(loaded, PRESETS[preset], out, for_terminal(), place_of(dask, batch))
 
     def resized(self, spheres: int) -> "Session":
         """The same session with another number of spheres in the preset."""
@@ -70,8 +71,14 @@ class Session:
         return replace(self, lab=self.lab.on_soil())
 
 
-def place_of(dask: str | None) -> AbstractPlace:
-    """The cluster at the address of `--dask`, or the cores of this machine."""
+def place_of(dask: str | None = None, batch: int | None = None) -> AbstractPlace:
+    """The cluster at the address of `--dask`, an accelerator for `--batch`, or the cores of this
+    machine."""
+    if dask is not None and batch is not None:
+        problem = "a cluster's workers simulate one specimen at a time"
+        raise InputError(COMMAND_LINE, "--batch", problem, "leave out --batch or --dask")
+    if batch is not None:
+        return InBatches(batch)
     if dask is None:
         return HERE
     from calibrate.simulation.cluster import DaskCluster  # loads Dask, which takes a second

@@ -9,19 +9,21 @@ for it.  What leaves the laboratory are records as machines write them: a way
 through the air before contact, any zero of displacement, noise, few digits.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibrate.core.files import write_text
+from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.recording import interval_means
 from calibrate.discrepancy.library.design import SPEEDS
 from calibrate.discrepancy.library.run_library import Cylinder, curves_of
 from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
-from calibrate.simulation import Run
+from calibrate.simulation import HERE, AbstractPlace, Run, cores, side_by_side
 from calibrate.validation.outside import CARRIED, AggregateCrushing, air_force
 from calibrate.validation.plan import (
     ACCEPTED_CRUSHING,
@@ -93,15 +95,16 @@ class SpecimenRecords:
 class Laboratory:
     """Simulates and measures the specimens of cases; runs are cached in `folder`."""
 
-    def __init__(self, folder: Path, centre: dict[str, float]):
-        self.folder, self.centre = folder, centre
+    def __init__(self, folder: Path, centre: dict[str, float], place: AbstractPlace = HERE):
+        self.folder, self.centre, self.place = folder, centre, place
         self._effects = {**EFFECTS, **CARRIED}
         self._simulators: dict[SpecimenSize, Simulator] = {}
 
     def _simulator(self, size: SpecimenSize) -> Simulator:
         if size not in self._simulators:
             costly = (*COSTLY, AggregateCrushing)
-            made = Simulator(size.lab(), self.folder, switched_off(self._effects), costly)
+            effects = switched_off(self._effects)
+            made = Simulator(size.lab(), self.folder, effects, costly, place=self.place)
             self._simulators.setdefault(size, made)
         return self._simulators[size]
 
@@ -134,6 +137,16 @@ class Laboratory:
                 with_, without = (feature_values(features, curves_of(run)) for run in runs if run)
                 found.append(with_ - without)
         return np.array(found).reshape(-1, len(features))
+
+    def simulate(
+        self, wanted: Sequence[tuple[WithheldCase, int]], progress: AbstractProgress
+    ) -> None:
+        """Simulates these specimens of cases, as many at once as the place takes; what asks for
+        them later finds them in the cache."""
+        slots = self.place.slots(cores())
+        side_by_side(
+            lambda k: self._specimen(*wanted[k]), len(wanted), progress, "simulating", slots
+        )
 
     def _specimen(self, case: WithheldCase, number: int) -> tuple[Run | None, float]:
         """The run of one specimen and its relative density error."""

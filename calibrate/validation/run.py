@@ -11,7 +11,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDisc
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded_feature_values
-from calibrate.simulation import side_by_side
+from calibrate.simulation import HERE, AbstractPlace, side_by_side
 from calibrate.validation import seal
 from calibrate.validation.canary import canary
 from calibrate.validation.labels import FEWEST_CHANGES, normalised, with_visibility
@@ -59,12 +59,16 @@ def generate(
     out: Path, emulated: EmulatedLibrary, counts: dict[str, int] | None, seed: int | None,
     progress: AbstractProgress, beds: Beds | None = None,
     sizes: Sequence[SpecimenSize] = (USUAL,), with_changes: bool = True,
+    place: AbstractPlace = HERE,
 ) -> None:  # fmt: skip
     """Makes and seals all cases that are not there yet; the plan itself is sealed too.  Specimens
     have one of the sizes.  Without changes, which take half as long again, a case's
-    signal-to-noise stays what the library predicts."""
+    signal-to-noise stays what the library predicts.  A place that simulates many specimens at once
+    is given those of all cases first."""
     attempts = _plan(out, emulated, counts, seed, beds, sizes)
-    laboratory = Laboratory(out / "simulated", CENTRE)
+    laboratory = Laboratory(out / "simulated", CENTRE, place)
+    if place is not HERE:
+        _simulate_ahead(out, laboratory, attempts, with_changes, progress)
 
     def label(number: int) -> list[dict]:
         case = _made(out, laboratory, attempts[number])
@@ -73,6 +77,27 @@ def generate(
 
     labels = side_by_side(label, len(attempts), progress, "making cases")
     _seal(out, [one for made in labels for one in made])
+
+
+def _simulate_ahead(
+    out: Path, laboratory: Laboratory, attempts: Sequence[Sequence[WithheldCase]],
+    with_changes: bool, progress: AbstractProgress,
+) -> None:  # fmt: skip
+    """All that the cases need, attempt by attempt, then the same without their effects."""
+    waiting, plain = [rows for rows in attempts if not _kept(out, rows[0]).exists()], []
+    for number in range(max(map(len, waiting), default=0)):
+        cases = [rows[number] for rows in waiting]
+        laboratory.simulate([(case, k) for case in cases for k in range(SPECIMENS)], progress)
+        done = [laboratory.specimens(case) is not None for case in cases]
+        plain += [replace(c, hidden=()) for c, d in zip(cases, done, strict=True) if d and c.hidden]
+        waiting = [rows for rows, d in zip(waiting, done, strict=True) if not d]
+    if with_changes:
+        laboratory.simulate([(case, k) for case in plain for k in range(FEWEST_CHANGES)], progress)
+
+
+def _kept(out: Path, case: WithheldCase) -> Path:
+    """The file that tells which attempt at a case was made."""
+    return out / "sealed" / f"{case.name}.attempt"
 
 
 def _seal(out: Path, labels: list[dict]) -> None:
@@ -128,7 +153,7 @@ def _made(
     """The first attempt whose specimens stand and lie in range, written; the rule is blind to
     the effect."""
     folder = out / "cases" / attempts[0].name
-    kept = out / "sealed" / f"{attempts[0].name}.attempt"
+    kept = _kept(out, attempts[0])
     if kept.exists() and (folder / "lab.toml").exists():
         number = int(kept.read_text())
         return attempts[number] if number >= 0 else None

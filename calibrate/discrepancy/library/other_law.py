@@ -29,6 +29,7 @@ from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, 
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points
 from calibrate.io.conventions import HELD, held_by
 from calibrate.io.lab import Lab
+from calibrate.simulation import HERE, AbstractPlace
 from jdem.materials.conventions import DEFAULT
 
 # Centres of soils, SI, where they differ from those of the library.
@@ -56,7 +57,7 @@ def check(conventions: str, file: str, field: str) -> None:
 
 def simulate(
     conventions: str, design: Design, lab: Lab, folder: Path, progress: AbstractProgress,
-    packings: int = PACKINGS,
+    place: AbstractPlace = HERE, packings: int = PACKINGS,
 ) -> Rows:  # fmt: skip
     """Rows under other conventions in the cylinder and with the sizes of a library's design."""
     under = replace(design, centre=centre_of(conventions, design))
@@ -66,7 +67,7 @@ def simulate(
     spheres = [under.plain_spheres(int(j)) for j in packing]
     none = np.zeros((len(base), len(under.limits)))
     points = RunPoints(base, none, spheres, 1000 * under.seed + FIRST + packing)
-    simulator = Simulator(lab.following(conventions), folder)
+    simulator = Simulator(lab.following(conventions), folder, place=place)
     runs = run_points(under, points, simulator, progress)
     return Rows.of(Cylinder.of(lab), base, none, packing, runs)
 

@@ -26,7 +26,15 @@ from calibrate.discrepancy.library.design import (
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
-from calibrate.simulation import Campaign, Run, not_simulated, side_by_side
+from calibrate.simulation import (
+    HERE,
+    AbstractPlace,
+    Campaign,
+    Run,
+    cores,
+    not_simulated,
+    side_by_side,
+)
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.core.smooth import Smoothing
 from jdem.effects.base import AbstractEffect
@@ -57,6 +65,7 @@ class Simulator:
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
     dtype: str = "float32"
+    place: AbstractPlace = HERE
     _campaigns: dict[tuple, Campaign] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -92,6 +101,11 @@ class Simulator:
         assert usual is not None  # PRESET grows its beds
         return usual
 
+    @property
+    def slots(self) -> int:
+        """How many specimens may be handed in at once."""
+        return self.place.slots(cores())
+
     def _campaign(
         self, spheres: int, loose: float, pace: float, lean: bool, slenderness: float = 0.0,
         stress: float = 0.0,
@@ -109,7 +123,7 @@ class Simulator:
             tests = virtual_lab(own, preset, numerics).tests
             lab = VirtualLab.of(room, tests, numerics, kept)
             folder = self.folder / str(spheres)
-            self._campaigns.setdefault(key, Campaign(lab, cylinder, folder))
+            self._campaigns.setdefault(key, Campaign(lab, cylinder, folder, place=self.place))
         return self._campaigns[key]
 
 
@@ -241,7 +255,7 @@ def run_points(
         )  # fmt: skip
 
     order = _two_packings_in_turn(points.seeds)
-    made = side_by_side(one, len(points.base), progress, "simulating", workers)
+    made = side_by_side(one, len(points.base), progress, "simulating", workers or simulator.slots)
     return [made[place] for place in np.argsort(order)]
 
 

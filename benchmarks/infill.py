@@ -1,0 +1,181 @@
+"""What infill runs about a lab's own explanations change in the answers to open cases.
+
+    python benchmarks/infill.py                some 5 minutes a case; goes on after a stop
+    python benchmarks/infill.py --made         judges the cases that are simulated already
+
+As `calibrate diagnose --simulate` does in its first round: the leading explanations of a case
+(none, single effects, a pair) are simulated on four packings of 1000 spheres, 24 runs, which join
+the library.  Cases: films above a signal-to-noise of 6, all single effects of 2 to 6, ten with
+nothing hidden, eight with effects that the library lacks, in an order of chance.  Each is answered
+by the library alone and with these runs, with the probabilities that the other folds' cases gave
+without them.
+
+results/infill.tar.xz holds the runs' features.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import random
+import tarfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import open_cases
+import reporting
+from support import evidences
+
+from calibrate.core import runtime
+from calibrate.core.files import write_json
+from calibrate.core.progress import Silent
+from calibrate.discrepancy import infill
+from calibrate.discrepancy.comparison.compare import compare, likeliest_verdict
+from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
+from calibrate.discrepancy.library.run_library import Rows
+from calibrate.discrepancy.library.simulate import Simulator, run_points, switched_off
+from calibrate.io.lab import load_lab
+from calibrate.validation import trial
+from jdem.effects.composite import EFFECTS
+
+WORK = reporting.CACHE / "infill"
+FOLDERS = {open_cases.SET: "open_cases", "withheld_own": "withheld_own"}
+PACKINGS = 4
+SEED = 7
+OTHERS = {"none": 10, "outside": 8}  # cases of these strata, drawn
+FILMS = ["capillary_tension"]
+
+
+def chosen() -> list[dict]:
+    """The cases with what is known of them, a film above 6 before every four others."""
+    every = [c for c in json.loads(reporting.file_of("open_cases").read_text())["cases"]]
+    every = [c for c in every if c["set"] in FOLDERS]
+    of = {stratum: [c for c in every if c["stratum"] == stratum] for stratum in
+          ("single above 6", "single 2 to 6", *OTHERS)}  # fmt: skip
+    drawn = random.Random(SEED)
+    films = [c for c in of["single above 6"] if c["hidden"] == FILMS]
+    rest = [*of["single 2 to 6"], *(c for n, k in OTHERS.items() for c in drawn.sample(of[n], k))]
+    drawn.shuffle(rest)
+    found = []
+    while films or rest:
+        found += [*films[:1], *rest[:4]]
+        films, rest = films[1:], rest[4:]
+    return found
+
+
+def folder_of(case: dict) -> Path:
+    return reporting.CACHE / FOLDERS[case["set"]] / "cases" / case["case"]
+
+
+def rows_at(case: dict) -> Path:
+    return WORK / "rows" / f"{case['case']}.npz"
+
+
+def simulate(case: dict) -> None:
+    """Infill runs of a case, kept as rows."""
+    if rows_at(case).exists():
+        return
+    lab = load_lab(folder_of(case) / "lab.toml")
+    emulated = open_cases.emulated().for_lab(lab)
+    library = emulated.library
+    locations = infill.leading_locations(lab, emulated, 0, None)
+    infill.SIZES = (1.0,)
+    points = infill.scattered_about(locations, library, range(PACKINGS), 0)
+    effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
+    simulator = Simulator(infill.simulated_lab(lab, library), WORK / "simulated", effects)
+    runs = run_points(library.design, points, simulator, Silent(), workers=1)
+    number = points.seeds - infill.FIRST_SEED
+    rows = Rows.of(library.cylinder, points.base, points.strengths, number, runs)
+    rows_at(case).parent.mkdir(parents=True, exist_ok=True)
+    np.savez(rows_at(case), **vars(rows))
+
+
+def judge(case: dict) -> dict:
+    """Evidences of a case with its infill runs, kept."""
+    kept = WORK / open_cases.judged_by() / f"{case['case']}.json"
+    if not kept.exists():
+        lab = load_lab(folder_of(case) / "lab.toml")
+        emulated = open_cases.emulated().for_lab(lab)
+        with np.load(rows_at(case)) as made:
+            emulated = emulated.joined(Rows(**made), emulated.library)
+        _, d, measured = described(lab, emulated, 0)
+        prepared = prepared_diagnosis(d, measured, 0, open_cases.setup())
+        found = compare(prepared, measured)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_json(kept, {
+            "p_before": found.summary.p_before, "p_after": found.summary.p_after,
+            "classes": [list(members) for members in prepared.classes.members],
+            "ln_evidence": {n: round(x, 4) for n, x in trial.ln_evidence(found).items()},
+        })  # fmt: skip
+    return json.loads(kept.read_text())
+
+
+def answers(cases: list[dict], found: list[dict]) -> list[dict]:
+    """What is said of each case by the library alone, and with its infill runs."""
+    table = evidences.rows()
+    known = [evidences.known(row) for row in table]
+    of = [(row["set"], row["case"]) for row in table]
+    by, before = (
+        dict(zip(of, evidences.by_other_folds(known), strict=True)),
+        dict(zip(of, table, strict=True)),
+    )
+    answered = []
+    for case, evidence in zip(cases, found, strict=True):
+        name = case["set"], case["case"]
+        row = before[name]
+        said = {"hidden": case["hidden"], "stratum": case["stratum"], "snr": case["snr"]}
+        for way, one in (("library", row), ("infill", {**row, **evidence})):
+            known_case = evidences.known(one)
+            probability = known_case.said(by[name])
+            verdict = likeliest_verdict(probability)
+            said[way] = {
+                "verdict": verdict, "stated": probability[verdict],
+                "of_truth": probability.get(known_case.truth, 0.0),
+                "right": verdict == known_case.truth, "p_gap": one["p_before"],
+            }  # fmt: skip
+        answered.append({"case": case["case"], **said})
+    return answered
+
+
+def unpack() -> None:
+    """The rows that were kept, where there are none."""
+    archive = reporting.RESULTS / "infill.tar.xz"
+    if archive.exists() and not (WORK / "rows").exists():
+        WORK.mkdir(parents=True, exist_ok=True)
+        with tarfile.open(archive) as kept:
+            kept.extractall(WORK, filter="data")
+
+
+def pack(cases: list[dict]) -> None:
+    """Keeps the rows of these cases."""
+    with tarfile.open(reporting.RESULTS / "infill.tar.xz", "w:xz") as kept:
+        for case in sorted(cases, key=lambda one: one["case"]):
+            kept.add(rows_at(case), f"rows/{rows_at(case).name}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--made", action="store_true", help="judge what is simulated, no more")
+    given = parser.parse_args()
+    runtime.configure()
+    open_cases.unpack()
+    unpack()
+    cases = chosen()
+    apart = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
+        if not given.made:
+            list(workers.map(simulate, cases))
+        cases = [case for case in cases if rows_at(case).exists()]
+        found = list(workers.map(judge, cases))
+    said = answers(cases, found)
+    pack(cases)
+    reporting.write_content("infill", {"cases": said, **reporting.provenance()})
+    for name in ("library", "infill"):
+        right = sum(one[name]["right"] for one in said)
+        score = np.mean([np.log(max(one[name]["of_truth"], evidences.LEAST)) for one in said])
+        print(f"{name}: {right} of {len(said)} right, mean logarithmic score {score:.2f}")
+
+
+if __name__ == "__main__":
+    main()
