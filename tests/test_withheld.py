@@ -24,6 +24,7 @@ from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import load_lab
+from calibrate.simulation import Here
 from calibrate.validation import laboratory, run
 from calibrate.validation.canary import canary
 from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
@@ -435,7 +436,7 @@ def test_a_half_made_set_goes_on_from_its_cases_and_seals(tmp_path, monkeypatch)
     asked = []
 
     class FakeLaboratory:
-        def __init__(self, folder, centre):
+        def __init__(self, folder, centre, place):
             pass
 
         def specimens(self, case):
@@ -456,6 +457,43 @@ def test_a_half_made_set_goes_on_from_its_cases_and_seals(tmp_path, monkeypatch)
     (tmp_path / "sealed" / "0a1b2.changes").write_text("[[2.0, 2.0]]")
     with pytest.raises(InputError, match="no longer give the labels that were sealed"):
         run.generate(tmp_path, library, None, None, Silent())
+
+
+def test_a_place_for_many_is_given_all_cases_at_once(tmp_path, monkeypatch):
+    """The second case lies out of range at its first attempt.  Specimens without the effect come
+    last, none for the case that hides nothing; what was simulated ahead is asked for again."""
+    first = WithheldCase(
+        name="0a1b2", kind="single", stratum="", snr=3.0, hidden=(Hidden("seating_gap", 1e-3),),
+        soil={}, spheres=1100, porosity=0.005, packings=tuple(range(8)), seed=7, nonce="",
+    )  # fmt: skip
+    far, near = (replace(first, name="0a1b3", hidden=(), seed=seed) for seed in (8, 9))
+    ahead = []
+
+    class FakeLaboratory:
+        def __init__(self, folder, centre, place):
+            assert place is there
+
+        def simulate(self, wanted, progress):
+            ahead.append([(case.name, case.seed, bool(case.hidden), k) for case, k in wanted])
+
+        def specimens(self, case):
+            return None if case is far else specimens(3)
+
+        def changes(self, case, packings):
+            return np.ones((len(packings) if case.hidden else 0, 2))
+
+    there = Here()
+    monkeypatch.setattr(run, "Laboratory", FakeLaboratory)
+    monkeypatch.setattr(run, "_plan", lambda *any: [[first, first], [far, near]])
+    library = cast(EmulatedLibrary, None)
+    run.generate(tmp_path, library, None, None, Silent(), place=there)
+    every = range(SPECIMENS)
+    assert ahead == [
+        [("0a1b2", 7, True, k) for k in every] + [("0a1b3", 8, False, k) for k in every],
+        [("0a1b3", 9, False, k) for k in every],
+        [("0a1b2", 7, False, k) for k in range(FEWEST_CHANGES)],
+    ]
+    assert (tmp_path / "sealed" / "0a1b3.attempt").read_text() == "1"
 
 
 def test_given_cases_are_not_made(tmp_path):
