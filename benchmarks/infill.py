@@ -80,8 +80,7 @@ def simulate(case: dict) -> None:
     emulated = open_cases.emulated().for_lab(lab)
     library = emulated.library
     locations = infill.leading_locations(lab, emulated, 0, None)
-    infill.SIZES = (1.0,)
-    points = infill.scattered_about(locations, library, range(PACKINGS), 0)
+    points = infill.scattered_about(locations, library, range(PACKINGS), 0, sizes=(1.0,))
     effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
     simulator = Simulator(infill.simulated_lab(lab, library), WORK / "simulated", effects)
     runs = run_points(library.design, points, simulator, Silent(), workers=1)

@@ -65,7 +65,7 @@ def test_programs_do_not_pile_up(monkeypatch):
     kinds, emptied = iter(range(3 * compiled.KEPT)), []
     made = SimpleNamespace(lower=lambda *_: SimpleNamespace(compile=object))
     monkeypatch.setattr(compiled, "program", lambda _: made)
-    monkeypatch.setattr(compiled, "_kind", lambda *_: next(kinds))
+    monkeypatch.setattr(compiled, "kind_of", lambda *_: next(kinds))
     monkeypatch.setattr(compiled.jax, "clear_caches", lambda: emptied.append(1))
     programs = compiled.Programs()
     nothing: Any = None

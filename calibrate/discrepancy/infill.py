@@ -137,10 +137,10 @@ def location_of(fit: Refit, soil_prior: SoilPrior, library: RunLibrary) -> Infil
 
 def scattered_about(
     locations: Sequence[InfillLocation], library: RunLibrary, packings: range, seed: int,
-    held: Sequence[str] = (),
+    held: Sequence[str] = (), sizes: Sequence[float] = SIZES,
 ) -> RunPoints:  # fmt: skip
     """Every location on every packing, packing by packing; soils and strengths scatter a little,
-    but for soil parameters that are `held`."""
+    but for soil parameters that are `held`.  sizes: spheres of packings over the design's."""
     design = library.design
     wide, count = len(design.soil_names), len(packings) * len(locations)
     base = np.array([location.base for _ in packings for location in locations])
@@ -150,7 +150,7 @@ def scattered_about(
     normal[:, [i for i, name in enumerate(design.soil_names) if name in held]] = 0.0
     base[:, :wide] += SOIL_SPREAD * normal[:, :wide] * np.array(list(design.soil_sd.values()))
     strengths *= np.exp(STRENGTH_SPREAD * normal[:, wide:])
-    factor = np.repeat([SIZES[j % len(SIZES)] for j in packings], len(locations))
+    factor = np.repeat([sizes[j % len(sizes)] for j in packings], len(locations))
     spheres = np.round(design.spheres * factor).astype(int)
     smoothing, porosity, pace, *_, size = (wide + SETTINGS.index(name) for name in SETTINGS)
     base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
