@@ -1,6 +1,6 @@
 """One table of what the diagnosis does today, beside what was asked of it.
 
-    python benchmarks/diagnosis.py        three minutes
+    python benchmarks/diagnosis.py        four minutes
 
 Reads the results of open_cases.py, infill.py, further_tests.py, reality/references.py, codes.py
 and of `calibrate withheld`, with and without --shapes, and times both commands on a case of

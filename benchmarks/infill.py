@@ -1,6 +1,6 @@
 """What infill runs about a lab's own explanations change in the answers to open cases.
 
-    python benchmarks/infill.py                some 5 minutes a case; goes on after a stop
+    python benchmarks/infill.py                three minutes of two cores a case; goes on
     python benchmarks/infill.py --made         judges the cases that are simulated already
 
 As `calibrate diagnose --simulate` does in its first round: the leading explanations of a case
@@ -29,15 +29,10 @@ from support import evidences
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json
-from calibrate.core.progress import Silent
 from calibrate.discrepancy import infill
-from calibrate.discrepancy.comparison.compare import compare, likeliest_verdict
-from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
+from calibrate.discrepancy.comparison.compare import likeliest_verdict
 from calibrate.discrepancy.library.run_library import Rows
-from calibrate.discrepancy.library.simulate import Simulator, run_points, switched_off
 from calibrate.io.lab import load_lab
-from calibrate.validation import trial
-from jdem.effects.composite import EFFECTS
 
 WORK = reporting.CACHE / "infill"
 FOLDERS = {open_cases.SET: "open_cases", "withheld_own": "withheld_own"}
@@ -49,7 +44,7 @@ FILMS = ["capillary_tension"]
 
 def chosen() -> list[dict]:
     """The cases with what is known of them, a film above 6 before every four others."""
-    every = [c for c in json.loads(reporting.file_of("open_cases").read_text())["cases"]]
+    every = json.loads(reporting.file_of("open_cases").read_text())["cases"]
     every = [c for c in every if c["set"] in FOLDERS]
     of = {stratum: [c for c in every if c["stratum"] == stratum] for stratum in
           ("single above 6", "single 2 to 6", *OTHERS)}  # fmt: skip
@@ -77,15 +72,9 @@ def simulate(case: dict) -> None:
     if rows_at(case).exists():
         return
     lab = load_lab(folder_of(case) / "lab.toml")
+    plan = infill.InfillPlan(PACKINGS, WORK / "simulated", workers=1)
     emulated = open_cases.emulated().for_lab(lab)
-    library = emulated.library
-    locations = infill.leading_locations(lab, emulated, 0, None)
-    points = infill.scattered_about(locations, library, range(PACKINGS), 0, sizes=(1.0,))
-    effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
-    simulator = Simulator(infill.simulated_lab(lab, library), WORK / "simulated", effects)
-    runs = run_points(library.design, points, simulator, Silent(), workers=1)
-    number = points.seeds - infill.FIRST_SEED
-    rows = Rows.of(library.cylinder, points.base, points.strengths, number, runs)
+    rows = infill.rows_about(lab, emulated, range(PACKINGS), 0, plan, sizes=(1.0,))
     rows_at(case).parent.mkdir(parents=True, exist_ok=True)
     np.savez(rows_at(case), **vars(rows))
 
@@ -98,15 +87,8 @@ def judge(case: dict) -> dict:
         emulated = open_cases.emulated().for_lab(lab)
         with np.load(rows_at(case)) as made:
             emulated = emulated.joined(Rows(**made), emulated.library)
-        _, d, measured = described(lab, emulated, 0)
-        prepared = prepared_diagnosis(d, measured, 0, open_cases.setup())
-        found = compare(prepared, measured)
         kept.parent.mkdir(parents=True, exist_ok=True)
-        write_json(kept, {
-            "p_before": found.summary.p_before, "p_after": found.summary.p_after,
-            "classes": [list(members) for members in prepared.classes.members],
-            "ln_evidence": {n: round(x, 4) for n, x in trial.ln_evidence(found).items()},
-        })  # fmt: skip
+        write_json(kept, open_cases.evidence_of(lab, emulated))
     return json.loads(kept.read_text())
 
 
@@ -115,10 +97,8 @@ def answers(cases: list[dict], found: list[dict]) -> list[dict]:
     table = evidences.rows()
     known = [evidences.known(row) for row in table]
     of = [(row["set"], row["case"]) for row in table]
-    by, before = (
-        dict(zip(of, evidences.by_other_folds(known), strict=True)),
-        dict(zip(of, table, strict=True)),
-    )
+    by = dict(zip(of, evidences.by_other_folds(known), strict=True))
+    before = dict(zip(of, table, strict=True))
     answered = []
     for case, evidence in zip(cases, found, strict=True):
         name = case["set"], case["case"]

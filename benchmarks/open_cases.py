@@ -47,7 +47,7 @@ from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_
 from calibrate.discrepancy.library import store
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.io.lab import load_lab
+from calibrate.io.lab import Lab, load_lab
 from calibrate.simulation import side_by_side
 from calibrate.simulation.keys import source_hash
 from calibrate.validation import run, trial
@@ -99,18 +99,24 @@ def judge(case: Path) -> None:
     if kept_at(case).exists():
         return
     try:
-        _, d, measured = described(load_lab(case / "lab.toml"), emulated(), 0)
+        found = evidence_of(load_lab(case / "lab.toml"), emulated())
     except InputError as error:
         print(f"{case.name}: {error}", file=sys.stderr)
         return
+    kept_at(case).parent.mkdir(exist_ok=True)
+    write_json(kept_at(case), found)
+
+
+def evidence_of(lab: Lab, known: EmulatedLibrary) -> dict:
+    """What a library says of a lab: facts, classes of alike effects, ln evidences."""
+    _, d, measured = described(lab, known, 0)
     prepared = prepared_diagnosis(d, measured, 0, setup())
     found = compare(prepared, measured)
-    kept_at(case).parent.mkdir(exist_ok=True)
-    write_json(kept_at(case), {
+    return {
         "p_before": found.summary.p_before, "p_after": found.summary.p_after,
         "classes": [list(members) for members in prepared.classes.members],
         "ln_evidence": {n: round(x, 4) for n, x in trial.ln_evidence(found).items()},
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 def judged(cases: Sequence[Path]) -> list[Path]:

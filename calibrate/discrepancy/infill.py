@@ -74,22 +74,31 @@ def with_infill_runs(
     discrepancy: ModelDiscrepancy | None = None, say: Say = lambda text: None,
 ) -> EmulatedLibrary:  # fmt: skip
     """The library with runs about this lab's leading explanations."""
-    emulated = emulated.for_lab(lab)
-    effects = switched_off({name: EFFECTS[name] for name in emulated.library.design.effect_names})
-    given = simulated_lab(lab, emulated.library), plan.folder, effects
-    simulator = Simulator(*given, place=plan.place)
-    held, per_round = tuple(HELD.get(lab.particles.conventions, ())), plan.packings // ROUNDS
-    extended = emulated
+    extended = emulated.for_lab(lab)
+    own, per_round = extended.library, plan.packings // ROUNDS
     for number in range(ROUNDS):
         say(f"leading explanations, round {number + 1} of {ROUNDS}")
-        locations = leading_locations(lab, extended, seed, discrepancy)
         packings = range(number * per_round, (number + 1) * per_round)
-        points = scattered_about(locations, emulated.library, packings, seed, held)
-        runs = run_points(emulated.library.design, points, simulator, plan.progress, plan.workers)
-        of_packing = points.seeds - FIRST_SEED - number * per_round
-        rows = Rows.of(emulated.library.cylinder, points.base, points.strengths, of_packing, runs)
-        extended = extended.joined(rows, emulated.library) if len(rows.values) else extended
+        rows = rows_about(lab, extended, packings, seed, plan, discrepancy)
+        extended = extended.joined(rows, own) if len(rows.values) else extended
     return extended
+
+
+def rows_about(
+    lab: Lab, emulated: EmulatedLibrary, packings: range, seed: int, plan: InfillPlan,
+    discrepancy: ModelDiscrepancy | None = None, sizes: Sequence[float] = SIZES,
+) -> Rows:  # fmt: skip
+    """Simulations about the leading explanations of a lab, in whose size the library speaks, on
+    these packings; sizes: their spheres over the design's."""
+    library = emulated.library
+    effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
+    simulator = Simulator(simulated_lab(lab, library), plan.folder, effects, place=plan.place)
+    locations = leading_locations(lab, emulated, seed, discrepancy)
+    held = tuple(HELD.get(lab.particles.conventions, ()))
+    points = scattered_about(locations, library, packings, seed, held, sizes)
+    runs = run_points(library.design, points, simulator, plan.progress, plan.workers)
+    of_packing = points.seeds - FIRST_SEED - packings.start
+    return Rows.of(library.cylinder, points.base, points.strengths, of_packing, runs)
 
 
 def simulated_lab(lab: Lab, library: RunLibrary) -> Lab:
