@@ -23,6 +23,7 @@ import yaml
 from calibrate import cli
 from calibrate.labtests.base import Pace
 from calibrate.labtests.measured import Cylinder
+from calibrate.reports.effects import PLAIN
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -192,6 +193,11 @@ def test_meanings_on_the_page_of_the_lab_file_are_of_entries_that_exist():
         for name in getattr(kind, "model_fields", {})
     }
     assert set(lab_file_page.MEANING) <= known
+
+
+def test_what_pages_call_effects_is_documented():
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert all(f"| {name} | {plain.name} |" in page for name, plain in PLAIN.items())
 
 
 def test_the_page_of_commands_has_every_verb_and_option():
