@@ -149,6 +149,16 @@ def verdict_in(folder: Path, out: str, judge: trial.TrainedBaselines) -> dict:
     return json.loads((folder / out / "0abcd.json").read_text())
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_all_cases_are_judged_in_whatever_process(tmp_path, count):
+    cases = [tmp_path / str(number) for number in range(count)]
+    assert list(trial._in_processes(Path.touch, cases)) == [None] * count
+    assert all(case.exists() for case in cases)
+    beyond = [tmp_path / "absent" / str(number) for number in range(max(count, 1))]
+    with pytest.raises(FileNotFoundError):
+        list(trial._in_processes(Path.touch, beyond))
+
+
 def test_a_diagnosis_runs_while_the_seal_cannot_be_opened(sealed_case, judge):
     with sealed_folders_refused():
         with pytest.raises(InputError, match="PermissionError"):

@@ -4,13 +4,17 @@ The verdict holds all that scoring needs, so that scoring can neither change it 
 """
 
 import json
+import multiprocessing
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from calibrate.core import runtime
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.comparison import baselines
@@ -25,6 +29,7 @@ from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
+from calibrate.simulation.executors import cores
 
 DRAWS, TRAINING = 300, 1200
 SAMPLED = 9  # cases among which a typical one is sought
@@ -183,17 +188,41 @@ def diagnose_all(
     progress,
     discrepancy: ModelDiscrepancy | None = None,
 ) -> None:
-    """Verdicts of all cases into `out`; those that are there already stay."""
+    """Verdicts of all cases into `out`, a case a core; those that are there already stay."""
     waiting = [case for case in cases if not (out / f"{case.name}.json").exists()]
+    one = partial(_judge, out, emulated, trained, seed, discrepancy)
     progress.start("diagnosing", len(waiting))
-    for case in waiting:
-        try:
-            verdict = verdict_of(case, emulated, trained, seed, discrepancy)
-        except (InputError, ValueError, np.linalg.LinAlgError) as error:  # wrong, not absent
-            verdict = {"case": case.name, "failed": str(error), "verdict": "failed", "stated": 0.0}
-        write_json(out / f"{case.name}.json", verdict)
+    for _ in _in_processes(one, waiting):
         progress.advance()
     progress.finish()
+
+
+def _judge(
+    out: Path, emulated: EmulatedLibrary, trained: TrainedBaselines, seed: int,
+    discrepancy: ModelDiscrepancy | None, case: Path,
+) -> None:  # fmt: skip
+    """The verdict on a case, written."""
+    try:
+        verdict = verdict_of(case, emulated, trained, seed, discrepancy)
+    except (InputError, ValueError, np.linalg.LinAlgError) as error:  # wrong, not absent
+        verdict = {"case": case.name, "failed": str(error), "verdict": "failed", "stated": 0.0}
+    write_json(out / f"{case.name}.json", verdict)
+
+
+def _in_processes(one: Callable[[Path], None], cases: Sequence[Path]) -> Iterator[None]:
+    """one(case) of all, one process a core: threads would wait for one interpreter."""
+    workers = min(cores(), len(cases))
+    if workers < 2:
+        yield from map(one, cases)
+        return
+    apart = multiprocessing.get_context("spawn")  # threads of JAX do not survive a fork
+    with ProcessPoolExecutor(workers, apart, runtime.configure) as pool:
+        try:
+            for done in as_completed([pool.submit(one, case) for case in cases]):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def read_verdicts(out: Path) -> dict[str, dict]:
