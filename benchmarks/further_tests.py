@@ -2,13 +2,12 @@
 
     python benchmarks/further_tests.py --most 24        40 cases, 12 to 27 minutes
 
-Cases of the sealed set that was judged last, by that diagnosis, whose one effect has a
-signal-to-noise above 1, and some with nothing hidden or with an effect that the library lacks.  A
-laboratory answers up to three tests a case from the list of `calibrate next`: each on two fresh
-specimens of the case's soil, with what is hidden.  Three ways to ask are scored on the same
-answers: what `calibrate next` proposes until it says stop, tests drawn at random, and all tests of
-an hour at most at once.  Answers and verdicts are kept, so that a stopped run goes on.
-`diagnosis.py` makes the page.
+Cases of `open_cases.py` whose one effect has a signal-to-noise above 1, and some with nothing
+hidden or with an effect that the library lacks.  A laboratory answers up to three tests a
+case from the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is
+hidden.  Three ways to ask are scored on the same answers: what `calibrate next` proposes until it
+says stop, tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts
+are kept, so that a stopped run goes on.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -38,8 +37,6 @@ from calibrate.validation.laboratory import Laboratory
 from calibrate.validation.loop import ROUNDS, Asking
 from calibrate.validation.scores import truth_of
 
-SET = "withheld_second"
-WORK = reporting.CACHE / SET
 VISIBLE = 1.0  # signal-to-noise from which an effect counts
 DRAWS = 2000  # of the bootstrap
 WAYS = {"asked for": "asked", "at random": "random"}
@@ -117,16 +114,15 @@ def main() -> None:
     )
     given = parser.parse_args()
     runtime.configure()
-    open_cases.unpack(f"{SET}.tar.xz")
-    scored = json.loads(reporting.file_of(SET).read_text(encoding="utf-8"))
-    snr, progress = {row["case"]: row["snr"] for row in scored["rows"]}, for_terminal()
-    cases = chosen_cases(WORK, snr, given.most, given.others)
+    open_cases.unpack()
+    snr, progress = open_cases.snr_of_work(only_made=True), for_terminal()
+    cases = chosen_cases(open_cases.WORK, snr, given.most, given.others)
     progress.start("asking for further tests", len(cases))
     rows = []
     apart = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
         for case, found in zip(cases, workers.map(loop, cases), strict=True):
-            true = run.planned_case(WORK, case.name)
+            true = run.planned_case(open_cases.WORK, case.name)
             label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
             rows.append({
                 "case": case.name, "kind": true.kind, "snr": snr[case.name],
