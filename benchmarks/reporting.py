@@ -57,8 +57,8 @@ def write(name: str, content: dict, markdown: str) -> None:
 
 
 def write_content(name: str, content: dict) -> None:
-    """The result's JSON alone, for a page that shows several."""
-    write_json(file_of(name), content)
+    """The result's JSON alone, for a page that shows several; in one line, as many are large."""
+    write_json(file_of(name), content, indent=None)
     print(f"written: {file_of(name)}", file=sys.stderr)
 
 

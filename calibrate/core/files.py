@@ -42,14 +42,14 @@ def write_text(path: Path, text: str) -> None:
         part.unlink(missing_ok=True)
 
 
-def write_json(path: Path, content: dict) -> None:
+def write_json(path: Path, content: dict, indent: int | None = 1) -> None:
     """Strict JSON: NaN and infinities become null."""
-    write_text(path, as_json(content))
+    write_text(path, as_json(content, indent))
 
 
-def as_json(content: dict) -> str:
-    """Strict JSON: NaN and infinities become null."""
-    return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
+def as_json(content: dict, indent: int | None = 1) -> str:
+    """Strict JSON: NaN and infinities become null; without indentation all in one line."""
+    return json.dumps(_finite(content), indent=indent, allow_nan=False) + "\n"
 
 
 def _finite(value):
