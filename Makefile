@@ -10,13 +10,16 @@ TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadsco
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test check lint docs notebooks clean help
+.PHONY: calibrate test test-slow check lint docs notebooks clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in results/calibrate
 	$(BIN)/calibrate fit --preset standard --out results/calibrate
 
-test: lint  ## lint, then run all tests on two cores
-	$(TESTS)
+test: lint  ## lint, then the tests that take seconds, on two cores
+	$(TESTS) -m "not slow"
+
+test-slow: $(STAMP)  ## the other tests, half an hour
+	$(TESTS) -m slow
 
 check: lint  ## lint and the fast tests, in about a minute
 	$(TESTS) -m "not thorough"
@@ -37,7 +40,7 @@ clean:  ## remove the environment, caches and build products; results/ stays
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:  ## show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

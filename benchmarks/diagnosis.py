@@ -42,16 +42,14 @@ HEADER = ("question", "asked", "found", "95 % interval", "of which cases")
 OF_WRONG = ("hidden", "signal-to-noise", "verdict", "stated", "by scatter alone")
 OF_FURTHER = ("hidden", "signal-to-noise", "at first", "tests")
 NOTES = (
-    "Open cases served development. Their first answers are told by cross-validation; those after "
-    "further tests with probabilities that were learned from them too. Sealed cases were judged "
-    "once, by what the diagnosis was then; those of other specimens are among the open ones now. "
-    "Cases with infill runs are the first that were simulated; of these the films above 6 are "
-    "mostly those that the library alone misses. Further tests were judged before the library knew "
-    "how machines press. Signal-to-noise is what calibration leaves of an effect, over scatter and "
-    "errors; in LIGGGHTS what two specimens that were simulated without the effect tell, of the "
-    "machine's errors what equations do. Stated: the probability that the diagnosis gives its "
-    "verdict. By scatter alone: the share of laboratories without any gap whose curves would miss "
-    "the model as much."
+    "Open cases served development. Their answers are told by cross-validation. Sealed cases were "
+    "judged once, by what the diagnosis was then; those of other specimens are among the open ones "
+    "now. Cases with infill runs are the first that were simulated; of these the films above 6 are "
+    "mostly those that the library alone misses. Signal-to-noise is what calibration leaves of an "
+    "effect, over scatter and errors; in LIGGGHTS what two specimens that were simulated without "
+    "the effect tell, of the machine's errors what equations do. Stated: the probability that the "
+    "diagnosis gives its verdict. By scatter alone: the share of laboratories without any gap "
+    "whose curves would miss the model as much."
 )
 
 
@@ -118,7 +116,7 @@ def _calibration(cases: Sequence[dict], words: str) -> Iterator[Row]:
 def of_further() -> Iterator[Row]:
     found = result("further_tests")
     single = [row for row in found.get("cases", []) if row["kind"] == "single"]
-    words = "open, effects above 1"
+    words = "sealed, effects above 1"
     for called, way in further_tests.WAYS.items():
         right = [further_tests.right_after(row, way)[-1] for row in single]
         asked = "at least 90 %" if way == "asked" else ""

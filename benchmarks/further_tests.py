@@ -1,13 +1,14 @@
 """How many further tests it takes to name what is hidden: those asked for, at random, all cheap.
 
-    python benchmarks/further_tests.py --most 24        40 cases, 12 to 27 minutes
+    python benchmarks/further_tests.py        HOURS
 
-Cases of `open_cases.py` whose one effect has a signal-to-noise above 1, and some with nothing
-hidden or with an effect that the library lacks.  A laboratory answers up to three tests a
-case from the list of `calibrate next`: each on two fresh specimens of the case's soil, with what is
-hidden.  Three ways to ask are scored on the same answers: what `calibrate next` proposes until it
-says stop, tests drawn at random, and all tests of an hour at most at once.  Answers and verdicts
-are kept, so that a stopped run goes on.  `diagnosis.py` makes the page.
+Cases of a sealed set, after it was judged: those whose one effect has a signal-to-noise above 1,
+and some with nothing hidden or with an effect that the library lacks.  A laboratory answers up to
+three tests a case from the list of `calibrate next`: each on two fresh specimens of the case's
+soil, or without soil, with what is hidden.  Three ways to ask are scored on the same answers: what
+`calibrate next` proposes until it says stop, tests drawn at random, and all tests of an hour at
+most at once.  Answers and verdicts are kept, so that a stopped run goes on.  `diagnosis.py` makes
+the page.
 """
 
 import argparse
@@ -39,6 +40,8 @@ from calibrate.validation.scores import truth_of
 
 VISIBLE = 1.0  # signal-to-noise from which an effect counts
 DRAWS = 2000  # of the bootstrap
+SET = "withheld_second"  # of which nothing was learned
+WORK = reporting.CACHE / SET
 WAYS = {"asked for": "asked", "at random": "random"}
 
 
@@ -108,21 +111,22 @@ def ratio(rows: Sequence[dict]) -> tuple[float, float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--most", type=int, default=40, help="cases with one effect")
+    parser.add_argument("--most", type=int, default=100, help="cases with one effect")
     parser.add_argument(
-        "--others", type=int, default=8, help="with nothing hidden, and from outside"
+        "--others", type=int, default=10, help="with nothing hidden, and from outside"
     )
     given = parser.parse_args()
     runtime.configure()
-    open_cases.unpack()
-    snr, progress = open_cases.snr_of_work(only_made=True), for_terminal()
-    cases = chosen_cases(open_cases.WORK, snr, given.most, given.others)
+    open_cases.unpack([f"{SET}.tar.xz"])
+    judged = json.loads(reporting.file_of(SET).read_text(encoding="utf-8"))["rows"]
+    snr, progress = {row["case"]: row["snr"] for row in judged}, for_terminal()
+    cases = chosen_cases(WORK, snr, given.most, given.others)
     progress.start("asking for further tests", len(cases))
     rows = []
     apart = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), apart, runtime.configure) as workers:
         for case, found in zip(cases, workers.map(loop, cases), strict=True):
-            true = run.planned_case(open_cases.WORK, case.name)
+            true = run.planned_case(WORK, case.name)
             label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
             rows.append({
                 "case": case.name, "kind": true.kind, "snr": snr[case.name],

@@ -81,10 +81,10 @@ def judged_by() -> str:
     return f"evidences-{library[:8]}-{source_hash(described, prepared_diagnosis, compare)[:8]}"
 
 
-def unpack() -> None:
+def unpack(archives: Sequence[str] = ARCHIVES) -> None:
     """The cases made so far, and those of opened sets, where there are none."""
     reporting.CACHE.mkdir(parents=True, exist_ok=True)
-    for name in ARCHIVES:
+    for name in archives:
         if not (reporting.CACHE / name.split(".")[0]).exists():
             with tarfile.open(reporting.RESULTS / name) as archive:
                 archive.extractall(reporting.CACHE, filter="data")

@@ -170,6 +170,7 @@ def test_a_disk_that_refuses_a_result_is_one_line(simulated, monkeypatch, code):
 # ------------------------------------------------------------------ simulations that go wrong
 
 
+@pytest.mark.slow
 def test_a_contact_list_that_is_too_small_is_named(tmp_path):
     """Even the larger ones of the second attempt hold only a tenth of the contacts."""
     lab, cylinder = tiny_lab(), specimen(tiny_lab(), TINY)
@@ -181,6 +182,7 @@ def test_a_contact_list_that_is_too_small_is_named(tmp_path):
     assert run.quality["overflow"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_time_step_that_is_too_large_is_named(tmp_path):
     """At three times the usual one every number is finite, and wrong."""
     work = tiny_campaign(tmp_path)

@@ -53,6 +53,7 @@ def test_measured_settlements_are_those_of_the_published_void_ratios():
     assert list(problem.repeats) == [0, *[3] * 12]
 
 
+@pytest.mark.slow
 def test_a_simulation_settles_while_loading_and_springs_back(tmp_path):
     work = campaign(OEDOMETER, TINY, tmp_path, Silent())
     (run,) = work.runs([base_soil(OEDOMETER)], [0], "oedometer")[0]
@@ -98,6 +99,7 @@ def test_measured_numbers_are_the_way_up_and_the_force_at_the_end(lab):
     np.testing.assert_allclose(problem.measured, [350.0, 0.98, 1.98, 2.98, 350.0])
 
 
+@pytest.mark.slow
 def test_force_stays_without_an_effect_and_falls_with_the_rate(lab, runs):
     """In five minutes instead of the seconds of loading the felt rate falls by decades."""
     still, felt = runs

@@ -47,6 +47,7 @@ def test_beds_of_one_specimen_have_centres_of_their_own():
     assert len(set(tops)) == len(seeds("quick"))
 
 
+@pytest.mark.slow
 def test_a_bed_that_settles_here_is_like_the_shipped_one():
     """Not the same bit for bit: on another processor round-off grows while spheres fall."""
     wanted = cylinder("wheat_after_rice", "quick")
@@ -144,6 +145,7 @@ def test_a_grown_bed_has_the_porosity_height_and_density_that_were_asked_for(gro
     assert float(grown.bulk_density()) == pytest.approx(GROWN.density, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("porosity", [0.465, 0.49])
 def test_denser_and_looser_grown_beds_are_reached(porosity):
     found = prepare(replace(GROWN, porosity=porosity), 1)
@@ -184,6 +186,7 @@ def test_thrown_spheres_lie_apart_within_the_mould():
     assert np.all((centres[:, 2] >= radius) & (centres[:, 2] + radius <= 0.1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("porosity", "repair"), [(0.33, "higher"), (0.62, "lower")])
 def test_a_porosity_out_of_reach_is_one_sentence(porosity, repair):
     with pytest.raises(ValueError, match=f": ask for a {repair} one") as refusal:

@@ -171,6 +171,7 @@ def test_a_spun_base_carries_a_sphere_along_and_feels_its_torque():
     assert abs(error) < 1e-12 * float(jnp.abs(ledger.boundaries).sum())
 
 
+@pytest.mark.slow
 def test_a_servo_holds_a_torque():
     """Platen and base turn against each other on spheres between them until the torque is there."""
     soil = soil_of(platen_friction=0.8, restitution=0.3, rolling_friction=0.5)

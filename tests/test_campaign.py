@@ -228,6 +228,7 @@ def nothing_is_left(folder):
     assert not entries(folder, "*/*.part*")
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_cache_and_simulate_nothing_twice(tmp_path, another_process):
     """40 runs of 50 ms: both begin together, each does some, none is done by both."""
     work = toy_campaign(tmp_path, seconds=0.05)
@@ -462,6 +463,7 @@ def in_threes():
     jax.config.update("jax_default_device", None)
 
 
+@pytest.mark.slow
 def test_a_batch_simulates_what_single_runs_do(tmp_path, in_threes, monkeypatch):
     """Two soils on two packings: a batch and another one that is padded.  The machine gives up the
     first batch, so its specimens are handed in again.  In double precision they differ by rounding,

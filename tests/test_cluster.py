@@ -53,6 +53,7 @@ def kill_one_worker_after(folder, finished, dask, killed):
     os.kill(victim.pid, signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_campaign_survives_the_death_of_a_worker(dask, place, tmp_path):
     """Packings and runs of 48 spheres: every one comes back, equal to those simulated here."""
     tested = [with_values(BASE, {"surface_energy": energy}) for energy in ENERGIES]
@@ -113,6 +114,7 @@ def test_a_worker_with_another_engine_is_refused():
     assert on_worker(type, engine_hash(drift), {}, (drift,)) is type(drift)
 
 
+@pytest.mark.slow
 def test_numbers_keep_their_precision_on_the_way(place):
     value = jax.numpy.asarray(np.pi)
     assert place._computed(np.negative, value).dtype == np.float64
@@ -126,6 +128,7 @@ def test_an_address_without_scheduler_is_refused(address, monkeypatch):
         DaskCluster(address)
 
 
+@pytest.mark.slow
 def test_a_refused_address_leaves_no_client_behind():
     """One that did would be closed by the thread of the next client, which waits for it."""
     before = sum(type(each) is Client for each in gc.get_objects())

@@ -83,6 +83,7 @@ def test_no_force_without_overlap(name, smoothing):
     assert np.all(rows[1, :3] != 0) and not rows[3:].any()
 
 
+@pytest.mark.slow
 @every_convention
 @every_smoothing
 def test_values_and_gradients_are_finite_through_every_kink(name, smoothing):
@@ -263,6 +264,7 @@ def test_a_held_parameter_cannot_be_freed(calibrate):
     assert status == 2 and "tensile_exponent" in error and len(error.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_simulate_says_whose_conventions_it_followed(calibrate, tmp_path):
     options = ["--preset", "quick", "--conventions", "liggghts", "--out", "out"]
     status, _, error = calibrate("simulate", *options)

@@ -180,6 +180,7 @@ def test_wrong_input_is_one_sentence(place, capfd, wrong):
     assert pair[0].name in last or pair[1].name in last
 
 
+@pytest.mark.slow
 def test_infill_runs_join_the_library(place, monkeypatch):
     monkeypatch.setattr(infill, "run_points", toy_library.run_points)
     out, library = place / "infill", place / "library.nc"

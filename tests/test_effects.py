@@ -103,6 +103,7 @@ def segment(outcome, name):
 # ------------------------------------------------------------------ strength 0
 
 
+@pytest.mark.slow
 def test_strength_zero_is_the_base_model_bit_for_bit(base, outcome):
     """All effects at once, in one program that is not the base model's."""
     nothing = outcome()
@@ -139,6 +140,7 @@ class Lightness(AbstractEffect):
         return eqx.tree_at(lambda s: s.shear_modulus, soil, softer)
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_users_own(base, packing, time_step):
     run = eqx.filter_jit(eqx.debug.assert_max_traces(VirtualLab.run, max_traces=1))
     outcomes = [run(lab_with(Lightness(s)), packing, SOIL, time_step) for s in (0.0, 1.0)]
@@ -395,6 +397,7 @@ def slopes(packing, time_step):
     return np.asarray(jax.jit(jax.vmap(push))(jnp.eye(len(NAMES))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
     """Tangents against central differences over 1e-7 of a typical strength (one-sided at 0

@@ -164,6 +164,7 @@ def slowed(overlap, unloaded):
     return share, load, float(bed.time_step)
 
 
+@pytest.mark.slow
 def test_the_extra_damping_is_for_spheres_without_load():
     """1/(1 + c dt) with c = c0/(1 + (S/S0)^2), S/S0 the load over LOADED own weights."""
     for overlap in (-1e-6, 1e-6, 1e-5, 1e-4):
@@ -232,6 +233,7 @@ def cohesive_soil(**values):
     )
 
 
+@pytest.mark.slow
 def test_the_base_carries_the_weight_of_what_rests_on_it():
     spheres = spheres_of(4)
     bed = bed_of(spheres, cohesive_soil(), smoothing=Smoothing())
@@ -256,6 +258,7 @@ def test_a_turned_bed_moves_as_the_bed_turned():
         assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_blocks_of_a_pair_list_add_up_to_the_whole(monkeypatch):
     """Four blocks of four pairs, some of them unused; what differs is the order of additions."""
     bed = bed_of(spheres_of(4), cohesive_soil(), smoothing=Smoothing())
@@ -382,6 +385,7 @@ def test_new_parameter_values_do_not_compile_anew():
         ran(bed, state_of(bed, heap()), 2 + len(values), 10)  # raises if traced a second time
 
 
+@pytest.mark.slow
 def test_a_batch_of_soils_runs_as_each_alone():
     soils = [cohesive_soil(), cohesive_soil(surface_energy=3.0, static_friction=0.4)]
     beds = [bed_of(spheres_of(4), soil, smoothing=Smoothing()) for soil in soils]
@@ -466,6 +470,7 @@ def pressed_to_a_force(log_unit):
     return (samples.platen_force, samples.platen_height), samples.segment
 
 
+@pytest.mark.slow
 def test_forces_go_with_the_unit_and_displacements_do_not():
     """Modulus, surface energy, masses and the machine's forces times one factor: nothing moves
     differently, so a force's derivative in the factor's logarithm is the force."""

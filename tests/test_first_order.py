@@ -53,6 +53,7 @@ def pressed(tmp_path_factory):
     return lab, Campaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), folder)
 
 
+@pytest.mark.slow
 def test_slopes_of_a_bed_are_those_of_its_response_and_are_kept(pressed):
     lab, work = pressed
     free, problem, seeds = space(lab, FREE), pose(lab), (0,)

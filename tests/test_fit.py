@@ -112,6 +112,7 @@ def test_different_starts_end_in_the_same_place():
     assert np.all(np.abs(apart) < 0.15 * ends[0].identifiability.sd_log)
 
 
+@pytest.mark.slow
 def test_stated_intervals_hold_their_promise():
     """20 soils drawn from the prior's inner half, 40 intervals at 95 %.
 
@@ -355,6 +356,7 @@ def killed_after(process, folder, more, delay):
     process.wait()
 
 
+@pytest.mark.slow
 def test_a_fit_killed_at_any_moment_resumes_to_the_same_end(tiny_result, tiny_folder, tmp_path):
     """Bit for bit, and without repeating a finished simulation."""
     luck, folder = random.Random(7), tmp_path / "killed"

@@ -96,6 +96,7 @@ def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
     ]
 
 
+@pytest.mark.slow
 def test_infill_runs_lessen_the_emulator_s_error(emulated, lab, formulas, tmp_path):
     """At the hidden strength: nearer to the formula's mean over many packings, and surer."""
     better = with_infill_runs(lab, emulated, 0, InfillPlan(32, tmp_path))

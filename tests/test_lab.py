@@ -135,6 +135,7 @@ def at_rest(packing, soil, mould):
     return jax.tree.map(lambda leaf: np.mean(np.asarray(leaf)[late], axis=0), record.samples)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall_friction", [0.0, 0.3])
 def test_base_and_mould_carry_the_weight(packing, wall_friction):
     """Base force (down) and drag on the mould (up is positive): base - drag = sum m g.
@@ -190,6 +191,7 @@ def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_pack
     assert len(set(depths)) == 3
 
 
+@pytest.mark.slow
 def test_a_batch_of_soils_gives_what_single_runs_give(packing):
     """The same arithmetic in another order: equal until chaos has amplified round-off.
 
@@ -202,6 +204,7 @@ def test_a_batch_of_soils_gives_what_single_runs_give(packing):
     np.testing.assert_allclose(batch, single, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_single_precision_gives_the_same_depth(packing):
     """Within 2 %: round-off of 1e-7 decides otherwise at slips and rearrangements, and a bed
     of 60 spheres answers one of these with some 1e-2 mm (scatter of packings: several %)."""
@@ -218,6 +221,7 @@ def test_single_precision_gives_the_same_depth(packing):
 # ------------------------------------------------------------------ derivatives
 
 
+@pytest.mark.slow
 def test_depth_has_its_exact_derivative(packing):
     """Tangents against central differences in each of the seven ln p, at a fixed time step.
 
@@ -281,6 +285,7 @@ def test_seeds_give_different_packings(packing, other_packing):
     assert np.median(apart) > 0.1 * float(packing.mean_diameter())
 
 
+@pytest.mark.slow
 def test_falling_and_levelling_share_one_program(monkeypatch):
     """A bed of 50 falls for less time than levelling may take, by more than capacities round."""
     capacities, settle = [], jdem.packing.settling._program()

@@ -66,6 +66,7 @@ def lab(tmp_path_factory) -> Lab:
 # ---------------------------------------------------------------- proportion
 
 
+@pytest.mark.slow
 def test_a_lab_of_the_same_shape_gets_the_same_answer_in_its_own_units(emulated, lab):
     """Lengths times 1.4, forces times 1.96: so is the offset of the load cell."""
     other = of_size(lab, 0.05 * LARGER, 0.1 * LARGER, 400.0 * LARGER**2)

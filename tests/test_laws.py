@@ -65,6 +65,7 @@ def test_no_pull_off_force_without_overlap(exponent):
 # ------------------------------------------------------------------ gradients
 
 
+@pytest.mark.slow
 @every_exponent
 @every_smoothing
 def test_values_and_gradients_are_finite_through_every_kink(exponent, smoothing):

@@ -79,6 +79,7 @@ def test_no_force_without_overlap(name, smoothing):
     assert np.all(np.abs(forces[:, 1, 0]) > 0)
 
 
+@pytest.mark.slow
 @every_law
 @every_smoothing
 def test_values_and_gradients_are_finite_through_every_kink(name, smoothing):

@@ -155,6 +155,7 @@ def malformed_sheet(good, rng):
     return again.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_no_malformed_file_gives_a_traceback(tmp_path):
     """Each is refused in one line, or read into curves and a lab file that `fit` accepts."""
@@ -182,6 +183,7 @@ def test_no_malformed_file_gives_a_traceback(tmp_path):
     assert min(read, refused) > CASES / 10  # the accidents are neither harmless nor all fatal
 
 
+@pytest.mark.slow
 def test_malformed_files_on_the_command_line(calibrate, tmp_path):
     """The same through the program itself, with its figure: exit status 0 or 2, one line."""
     rng = np.random.default_rng(5)

@@ -150,6 +150,7 @@ def test_it_stands_in_a_lab_file_and_takes_no_specimen(tmp_path):
     assert bare_machine(lab.on_soil()) is None
 
 
+@pytest.mark.slow
 def test_no_soil_changes_it_so_a_fit_compares_nothing_of_it(tmp_path):
     lab = lab_of(tmp_path, HEAD + MACHINE + SOIL)
     problem = pose(lab)

@@ -6,11 +6,13 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_library
 from test_diagnose_verb import call
 
+from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison import next_test
 from calibrate.discrepancy.comparison.compare import compare
 from calibrate.discrepancy.comparison.next_test import Proposal, next_tests
@@ -29,6 +31,7 @@ from calibrate.discrepancy.library.further_tests import (
 from calibrate.io.lab import Lab, load_lab
 from calibrate.labtests.diagnosis.base import Condition
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
+from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.measured import Curve
 from calibrate.validation.further import FurtherLaboratory, under
 from calibrate.validation.laboratory import SpecimenRecords
@@ -42,6 +45,7 @@ from jdem.laboratory.virtual_lab import TestSequence
 jax.config.update("jax_enable_x64", True)
 
 OFFSET = 10.0  # N
+BLOCK_AND_WEIGHT = "steel block and a known weight in the machine"
 
 
 @pytest.fixture(scope="module")
@@ -73,20 +77,56 @@ def block(readings: np.ndarray) -> Curve:
 
 @pytest.mark.parametrize(
     ("name", "strength"),
-    [("load_frame_compliance", 2e-7), ("seating_gap", 3e-4), ("load_cell_offset", 7.0)],
-)
+    [("load_frame_compliance", 2e-7), ("seating_gap", 3e-4), ("load_cell_offset", 7.0),
+     ("load_cell_drift", 0.014), ("load_cell_gain", -0.02)],
+)  # fmt: skip
 def test_a_bare_machine_shows_what_its_response_predicts(name, strength, known):
     """The virtual machine, whose equations are those of `jdem.laboratory.bare_machine`."""
     d, _, _ = known
-    press = PlatenOnBase(force=400.0, loading=60.0)
-    (reading,) = BareMachine(TestSequence((press,)), (EFFECTS[name](strength),)).run().values()
+    press, effect = PlatenOnBase(force=400.0, loading=60.0), EFFECTS[name](strength)
+    (reading,) = BareMachine(TestSequence((press,)), (effect,)).run().values()
     curve = np.column_stack([1e3 * reading.curve.displacement, reading.curve.force])
+    in_air = [np.repeat(curve[[row]], 9, axis=0) for row in (0, -1)]
+    weighed = 200 + float(effect.force_error(jnp.asarray(200.0), jnp.asarray(0.0)))
+    test = MachineTest.model_validate({"weight": "200 N", "reads": f"{weighed} N"})
     candidate = replace(d.effects[0], name=name, typical=1.0)
     alone = replace(d, effects=(candidate,), effect_slopes=d.effect_slopes[:, :1], emulator=None)
-    told = machine_alone(alone, 400.0, 1).response(np.zeros(len(d.prior_sd)), np.array([strength]))
-    found = _of_machine(400.0, block(curve))
-    assert found == pytest.approx(told[0], abs=0.02 if name == "load_cell_offset" else 2e-3)
-    assert np.abs(told[0]).max() > 0.02 and len(found) == 1 + len(SHARES)
+    known_weight = machine_alone(alone, 400.0, 1, weight=200.0)
+    told = known_weight.response(np.zeros(len(d.prior_sd)), np.array([strength]))[0]
+    found = _of_machine(test, block(np.concatenate([in_air[0], curve, in_air[1]])))
+    assert found == pytest.approx(told, abs=0.02 if name == "load_cell_offset" else 2e-3)
+    plain = np.array([0.0, 0.0, 200.0, *np.zeros(len(SHARES))])
+    assert np.abs(told - plain).max() > 0.02
+
+
+def test_a_machine_test_without_a_weight_or_a_return_tells_the_rest(known, lab, place):
+    """A curve that ends at its largest force, and no known weight."""
+    d, _, comparison = known
+    folder = place / "no_weight"
+    folder.mkdir()
+    write_block(folder, 7.0)
+    cylinder = toy_library.library().cylinder
+    ((outcome,), unused) = outcomes(
+        lab, [load_lab(folder / "block.toml")], cylinder, d, comparison.noise
+    )
+    assert outcome.test.name == "steel block in the machine" and not unused
+    assert len(outcome.found) == 1 + len(SHARES) == len(outcome.test.labels)
+    assert outcome.found[0] == pytest.approx(7.0)
+    slopes = outcome.test.response(np.zeros(len(d.prior_sd)), np.zeros(len(d.effects)))[2]
+    assert slopes.shape == (1 + len(SHARES), len(d.effects))
+
+
+@pytest.mark.parametrize(
+    ("entries", "field"),
+    [('weight = "200 N"', "reads"), ('reads = "200 N"', "weight"),
+     ('weight = "200 N"\nreads = ""', "reads")],
+)  # fmt: skip
+def test_a_weight_comes_with_its_reading(entries, field, tmp_path):
+    write_block(tmp_path, 0.0)
+    text = BLOCK.replace('force = "400 N"', f'force = "400 N"\n{entries}')
+    (tmp_path / "block.toml").write_text(text)
+    with pytest.raises(InputError, match=field):
+        load_lab(tmp_path / "block.toml")
 
 
 def test_slopes_under_another_condition_are_derivatives(known):
@@ -160,6 +200,8 @@ def test_next_writes_a_list_a_drawing_and_a_lab_file(proposed):
     assert all(0 <= test["chance"] <= 1 and test["cost"] > 0 for test in found["tests"])
     drawn = ElementTree.parse(proposed / "figures" / "next_test.svg").getroot()
     assert drawn.tag.endswith("svg")
+    written = (proposed / ANSWER).read_text()
+    (proposed / ANSWER).write_text(written.replace('reads = ""', 'reads = "201 N"'))
     for number in (1, 2):
         rows = [f"{0.1 * k:.1f},{50 * k}" for k in range(10)]
         (proposed / f"next_{number}.csv").write_text("\n".join(["displacement,force", *rows]))
@@ -202,6 +244,7 @@ def write_block(folder: Path, reading: float) -> None:
     (folder / "block.csv").write_text("\n".join(["mm,N", *rows]))
 
 
+@pytest.mark.slow
 def test_an_answer_comes_back_as_a_lab_file_and_moves_the_verdict(place):
     """A machine that reads the offset at rest without soil, and one that reads nothing."""
     seen, unseen = offset_after(place, OFFSET), offset_after(place, 0.0)
@@ -296,15 +339,18 @@ def test_a_hold_shows_what_is_lost_and_what_drifts(hidden, change, known, lab, t
 def test_a_bare_machine_answers_with_its_faults(known, lab, tmp_path):
     d, _, comparison = known
     made = FurtherLaboratory(FakeLaboratory(), tmp_path)  # pyright: ignore
-    asked = proposal_of(known, lab, "steel block in the machine")
-    case = sealed_case(Hidden("load_cell_offset", 6.0), Hidden("load_frame_compliance", 1e-6))
+    asked = proposal_of(known, lab, BLOCK_AND_WEIGHT)
+    case = sealed_case(
+        Hidden("load_cell_offset", 6.0), Hidden("load_frame_compliance", 1e-6),
+        Hidden("load_cell_drift", 0.02), Hidden("load_cell_gain", 0.03),
+    )  # fmt: skip
     answer = made.answer(case, lab, asked)
     assert answer is not None
     cylinder = toy_library.library().cylinder
     (found,), _ = outcomes(lab, [answer], cylinder, d, comparison.noise)
     stretch = 1e3 * 1e-6 * 400 * (np.array(SHARES) - FROM)
-    assert found.found[0] == pytest.approx(6.0, abs=0.3)
-    assert found.found[1:] == pytest.approx(stretch, abs=0.02)
+    assert found.found[:3] == pytest.approx([6.0, 0.02 * 120, 200 * 1.03 + 6.0], abs=1.5)
+    assert found.found[3:] == pytest.approx(stretch, abs=0.02)
 
 
 def test_the_loop_asks_takes_in_and_stops(place, lab, monkeypatch):
@@ -315,7 +361,7 @@ def test_the_loop_asks_takes_in_and_stops(place, lab, monkeypatch):
 
     def answer(proposal: Proposal) -> Lab | None:
         asked.append(proposal.name)
-        if proposal.name != "steel block in the machine":
+        if proposal.name != BLOCK_AND_WEIGHT:
             return None
         folder = place / "answered"
         folder.mkdir(exist_ok=True)
@@ -329,4 +375,4 @@ def test_the_loop_asks_takes_in_and_stops(place, lab, monkeypatch):
     cheap = loop.all_cheap()
     assert sum(p for n, p in cheap["by_class"].items() if "load_cell_offset" in n) > 0.9
     drawn = loop.at_random([3])
-    assert drawn == loop.at_random([3]) and drawn[-1]["test"] == "steel block in the machine"
+    assert drawn == loop.at_random([3]) and drawn[-1]["test"] == BLOCK_AND_WEIGHT

@@ -93,6 +93,7 @@ def row():
     return jnp.stack([x, 0 * x, 0 * x + RADIUS], axis=-1), 2 * RADIUS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arranged", [row, column])
 def test_a_sphere_and_a_chain_between_platens(arranged):
     """At a given travel F is proportional to the modulus, and no sphere moves."""
@@ -124,6 +125,7 @@ def net_forces(place, x, state, spread):
     return loads.rows[:, :3].ravel(), felt[PLATEN, 6]
 
 
+@pytest.mark.slow
 def test_a_packing_at_rest_solves_for_equilibrium():
     """Motion frozen or not: K dx = -df, whatever the drag was on the way."""
     position, height, mould = rings(3)
@@ -147,6 +149,7 @@ def test_a_packing_at_rest_solves_for_equilibrium():
     assert np.abs(np.asarray(moved[:, MIDDLE])).max() > 0.1 * RADIUS  # equilibrium moves
 
 
+@pytest.mark.slow
 def test_the_system_is_the_derivative_of_the_balance():
     """Of a bed with friction, adhesion and rolling resistance, spheres moving at random."""
     position, height, mould = rings(3)
@@ -175,6 +178,7 @@ def test_the_system_is_the_derivative_of_the_balance():
         assert np.linalg.norm(found[:, part] - expected[:, part]) < 1e-5 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinate", ["ln k", "gain"])
 def test_a_turn_at_a_force(coordinate):
     """F = k s, and the machine sees (1 + g) F: at the force G that it sees, F = G/(1 + g) and the
@@ -205,6 +209,7 @@ def test_a_turn_at_a_force(coordinate):
     np.testing.assert_allclose(height_slope[held], pressed_by, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_is_followed_beyond_the_last_movement():
     """Derivatives are those of a run that follows everything, and then zero."""
     position, height = row()
@@ -247,6 +252,7 @@ def taken(simulated, point, direction):
     return quickly(lambda x, t: jax.jvp(simulated, (x,), (t,)))(point, direction)
 
 
+@pytest.mark.slow
 def test_a_curve_is_differentiated_as_a_power_law():
     """u = (F/k)^(1/n): du/d ln k = -u/n, however rough the recorded force is."""
     travel = jnp.linspace(0.0, 5e-3, 400)

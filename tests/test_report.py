@@ -290,6 +290,7 @@ def places(content, path=()):
             yield from places(value, (*path, key))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", ["fit", "audit"])
 def test_a_damaged_result_is_shown_or_refused(folders, tmp_path, monkeypatch, kind):

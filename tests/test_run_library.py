@@ -519,6 +519,7 @@ def test_repeats_survive_their_file_and_growth(tmp_path):
     assert grown.repeats is library.repeats
 
 
+@pytest.mark.slow
 def test_a_fitted_library_knows_scatter_from_repeats():
     """A soil with a failed run has three specimens."""
     rows = toy_repeats()

@@ -49,6 +49,7 @@ def test_one_particle_under_it_carries_the_closed_form():
     np.testing.assert_allclose(final.loads.sum(axis=0)[:3], 0.0, atol=1e-6 * expected)
 
 
+@pytest.mark.slow
 def test_forces_and_torques_balance_off_its_axis():
     """A particle under its flank, rough and spun against: what indenter and base feel is what the
     particle's motion lost, also as torque about one point."""
@@ -76,6 +77,7 @@ def test_forces_and_torques_balance_off_its_axis():
     assert abs(float(record.state.loads[1, 5])) > 0  # it is braked
 
 
+@pytest.mark.slow
 def test_a_servo_presses_it_into_a_bed():
     """Lowered onto the highest of four particles, then to a force; the base carries it."""
     ring = [[2.2 * RADIUS * np.cos(a), 2.2 * RADIUS * np.sin(a), RADIUS] for a in (0.5, 2.6, 4.7)]

@@ -129,6 +129,7 @@ def test_a_lab_without_any_target_is_refused():
         design(replace(LAB, targets={}), PRESETS["quick"], {}, 0, Formulas())
 
 
+@pytest.mark.slow
 def test_one_target_is_a_goal_of_both_surfaces_and_the_rest_are_responses(tmp_path):
     """The depth, without a target, has effects, surfaces and slopes all the same."""
     lab = replace(LAB, targets={"crushing_force_n": TARGETS["crushing_force_n"]})
@@ -154,6 +155,7 @@ def test_stages_are_called_after_their_goals():
         assert stage_titles(*goals) == called
 
 
+@pytest.mark.slow
 def test_everything_is_written(found, tmp_path):
     """JSON, a page without requests, one run sheet a design with every response in it."""
     session = Session(replace(LAB, targets=TARGETS), PRESETS["quick"], tmp_path, Silent())
@@ -166,6 +168,7 @@ def test_everything_is_written(found, tmp_path):
         assert len(lines[1].split(",")) == len(experiment.design.factors) + 2 * 3
 
 
+@pytest.mark.slow
 def test_a_surface_and_the_gradient_agree_on_simulated_beds(tmp_path):
     """48 spheres pressed with 50 N: slopes of depth at the centre of a composite design.
 

@@ -109,6 +109,7 @@ def cycle():
     return stack([*STILL, *moves(SPEED, SPEED, -0.6 * SPEED, 0.4 * SPEED, SPEED)])
 
 
+@pytest.mark.slow
 def test_given_motion_makes_virtual_power_exact(cycle):
     """Central differences of 1e-6 in ln p leave 1e-6 of the largest slope.
 

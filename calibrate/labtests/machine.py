@@ -1,7 +1,8 @@
 """A run of the machine without soil: the platen presses on the bare base, and what yields is told.
 
 The deflection is the displacement at the largest force.  It is 0 in the base model, whose machine
-is rigid, and no soil changes it: a fit compares nothing of this test.
+is rigid, and no soil changes it: a fit compares nothing of this test.  What the machine reads with
+a known weight on its load cell is a number of its own, for the diagnosis.
 """
 
 from pydantic import model_validator
@@ -19,7 +20,8 @@ DEFLECTION = Observable(
 
 
 class MachineTest(AbstractLabTest):
-    """Loading on the bare base to `force` (N) within `loading` (s), and unloading as fast."""
+    """Loading on the bare base to `force` (N) within `loading` (s), and unloading as fast; a known
+    `weight` (N) on the load cell `reads` (N) what it does; None: none was laid on."""
 
     type_name = "machine"
     title = "machine without soil"
@@ -28,11 +30,18 @@ class MachineTest(AbstractLabTest):
 
     force: Force = 400.0
     loading: Duration = 60.0
+    weight: Force | None = None
+    reads: Force | None = None
 
     @model_validator(mode="after")
     def _check_bare(self) -> "MachineTest":
         if self.loading <= 0:
             raise BadValue("the force takes no time to rise", 'give e.g. "60 s"', "loading")
+        if self.weight is not None and self.reads is None:
+            repair = f'give what the machine shows with it, e.g. "{self.weight:g} N", or no weight'
+            raise BadValue("nothing is said of the weight", repair, "reads")
+        if self.reads is not None and self.weight is None:
+            raise BadValue("there is no known weight", 'give weight = "200 N"', "weight")
         for name, given in (("protocol", self.protocol), ("specimen", self.specimen)):
             if given:
                 problem = f"a run of the machine without soil has no {name}"

@@ -3,7 +3,8 @@ with curves beside it.
 
     test again      both tests on fresh packings; effects kept away or scaled as the test's table
                     says; at 10^n of the rate contact forces times exp(rho n), rho: rate dependence
-    machine alone   `jdem.laboratory.bare_machine` with the case's effects
+    machine alone   `jdem.laboratory.bare_machine` with the case's effects; a known weight reads
+                    what the load cell makes of it
     hold            F (1 - rho decades) + drift; spheres at rest lose next to nothing more
 
 Every answer is kept; a test is made once, whoever asks for it.  Fresh specimens are those that a
@@ -14,6 +15,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.files import write_text
@@ -39,6 +41,7 @@ from calibrate.simulation.resolution import STILL
 from calibrate.simulation.run import points_of
 from calibrate.validation.laboratory import DISPLACEMENT_SD, FORCE_SD, Laboratory
 from calibrate.validation.plan import SPECIMENS, Hidden, WithheldCase
+from jdem.effects.base import AbstractEffect
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
 
@@ -70,7 +73,7 @@ class FurtherLaboratory:
                 rows = "\n".join(f"{x:.3f},{f:.1f}" for x, f in curve)
                 name = CURVES.format(number=number)
                 write_text(place / name, f"displacement,force\n{rows}\n")
-            write_text(place / ANSWER, answer_file(lab, asked))
+            write_text(place / ANSWER, answer_file(lab, self._weighed(case, asked)))
         return load_lab(place / ANSWER)
 
     def _curves(self, case: WithheldCase, lab: Lab, asked: Proposal) -> list[np.ndarray] | None:
@@ -90,15 +93,29 @@ class FurtherLaboratory:
         made = self.laboratory.specimens(other, range(first, first + REPEATS))
         return None if made is None else [specimen.records[test] for specimen in made]
 
+    def _weighed(self, case: WithheldCase, asked: Proposal) -> Proposal:
+        """The test with what the load cell reads of a known weight, if one is asked for."""
+        if "weight" not in asked.entries:
+            return asked
+        random = np.random.default_rng([case.seed, *asked.name.encode(), 1])
+        true = MachineTest.model_validate({**asked.entries, "reads": "1 N"}).weight or 0.0
+        of_cell = (e.force_error(jnp.asarray(true), jnp.asarray(0.0)) for e in of_machine(case))
+        reads = true + float(sum(of_cell)) + FORCE_SD * random.standard_normal()
+        return replace(asked, entries={**asked.entries, "reads": f"{reads:.1f} N"})
+
     def _bare(self, case: WithheldCase, lab: Lab, random: np.random.Generator) -> np.ndarray:
         """A curve of the machine without soil, to the largest force of the lab's first test."""
         force = lab.pair().compression.force_high
         test = MachineTest.model_validate({"name": "bare", "force": f"{force!r} N"})
-        effects = tuple(OF_NAME[h.name](h.strength) for h in case.hidden if h.name in OF_NAME)
         press = test.apparatus(lab.specimen, STILL)
-        (reading,) = BareMachine(TestSequence((press,)), effects).run().values()
+        (reading,) = BareMachine(TestSequence((press,)), of_machine(case)).run().values()
         way, reads = points_of(reading.curve).T
-        return read_in_time(way, reads, strength_of(case, OFFSET), random)
+        return read_in_time(way, reads, strength_of(case, OFFSET), random, reads[-1])
+
+
+def of_machine(case: WithheldCase) -> tuple[AbstractEffect, ...]:
+    """The hidden effects that the library knows."""
+    return tuple(OF_NAME[h.name](h.strength) for h in case.hidden if h.name in OF_NAME)
 
 
 def strength_of(case: WithheldCase, name: str) -> float:
@@ -128,11 +145,14 @@ def held(case: WithheldCase, lab: Lab, random: np.random.Generator) -> np.ndarra
 
 
 def read_in_time(
-    way: np.ndarray, force: np.ndarray, at_rest: float, random: np.random.Generator
-) -> np.ndarray:
+    way: np.ndarray, force: np.ndarray, at_rest: float, random: np.random.Generator,
+    after: float | None = None,
+) -> np.ndarray:  # fmt: skip
     """What a machine writes that reads by the clock: (readings, 2) of a way (mm) and a reading (N),
-    with those in the air before it."""
-    x = np.concatenate([way[0] - STEP_IN_AIR * np.arange(IN_AIR, 0, -1), way])
-    f = np.concatenate([np.full(IN_AIR, at_rest), force])
+    with those in the air before it, and after it if the platen goes back."""
+    away = STEP_IN_AIR * np.arange(1, IN_AIR + 1)
+    x = np.concatenate([way[0] - away[::-1], way, [] if after is None else way[-1] - away])
+    back = [] if after is None else np.full(IN_AIR, after)
+    f = np.concatenate([np.full(IN_AIR, at_rest), force, back])
     x = x + DISPLACEMENT_SD * random.standard_normal(len(x))
     return np.column_stack([x, f + FORCE_SD * random.standard_normal(len(f))])

@@ -70,6 +70,8 @@ MEANING = {
     "UnconfinedTest.rest": "between the removal of the mould and the test",
     "MachineTest.force": "of the platen on the bare base",
     "MachineTest.loading": "until the force is there, and again until it is gone",
+    "MachineTest.weight": "a known weight that was laid on the load cell",
+    "MachineTest.reads": "what the machine shows with it",
     "AbstractLabTest.type": "kind of test; must be given in `[[tests]]`",
     "AbstractLabTest.name": "of the test in results; default: its type; each name once",
     "AbstractLabTest.specimen": "a specimen of its own, in place of that of the test before",

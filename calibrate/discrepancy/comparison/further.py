@@ -41,6 +41,10 @@ class LinearResponse:
         values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
         return values, self.base_slopes, self.effect_slopes
 
+    def of_rows(self, keep: np.ndarray) -> "LinearResponse":
+        """The response of some of the features."""
+        return LinearResponse(self.mean[keep], self.base_slopes[keep], self.effect_slopes[keep])
+
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         return np.zeros((len(self.mean), 0))
 

@@ -3,7 +3,8 @@ lab file holds of them.
 
     test again     f(delta + decades rho, c e)     the same emulator, under another condition: c
                                                    keeps effects away or scales them by the rate
-    machine alone  the effects' own equations      no soil, so nothing of the base parameters
+    machine alone  the effects' own equations      no soil, so nothing of the base parameters:
+                   steel block, return to zero, a known weight
     hold           -F rho decades + drift          what is lost at rest
 
 Over decades of rate, rate dependence rho multiplies contact forces by exp(rho decades): stiffness
@@ -43,6 +44,9 @@ FROM = 0.025  # share of the force from which displacement counts on the bare ma
 SHARES = (0.05, 0.125, 0.25, 0.5, 0.95)  # of the force, where it is read
 BLOCK_SD = 5e-3  # mm
 AT_REST_SD = 0.3  # N, of a mean of many readings
+RETURN_SD = 0.5  # N, of the difference of two of these
+WEIGHT_SD = 0.5  # N
+WEIGHT = 200.0  # N, at most half the force: what a laboratory can lay on
 HOLD = 60.0  # s
 HOLD_SD = 1.5  # N
 DECADES_OF_A_HOLD = 2.7  # of the rate that the soil feels, from 8 mm/s to a minute of rest
@@ -50,11 +54,12 @@ STILL_MM = 0.01  # within which a platen stands still
 BEGINNING = 10  # of the readings of a hold, one in so many tells the force that it begins with
 REPEATS = 2
 RATE, GAP, COMPLIANCE = "rate_dependence", "seating_gap", "load_frame_compliance"
-OFFSET, DRIFT = "load_cell_offset", "load_cell_drift"
+OFFSET, DRIFT, GAIN = "load_cell_offset", "load_cell_drift", "load_cell_gain"
 ANSWER = "next_lab.toml"
 CURVES = "next_{number}.csv"  # of repeats, from 1 on
 HEAD = """# What `{command}` proposes: {name}.
-# Put the curve of each repeat beside this file, then: calibrate diagnose LAB.toml --further {file}
+# Put the curve of each repeat beside this file{filled}, then:
+#   calibrate diagnose LAB.toml --further {file}
 
 [soil]
 name = "{soil}"
@@ -95,6 +100,10 @@ class Varied:
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         return self.description.wrong_at(*self._moved(delta, strengths))[self.rows]
 
+    def of_rows(self, keep: np.ndarray) -> "Varied":
+        """The response of some of the features."""
+        return Varied(self.description, self.rows[keep], self.condition)
+
     def _moved(self, delta, strengths):
         shift = np.zeros_like(delta)
         if self.condition.decades and RATE in self.description.effect_names:
@@ -132,7 +141,8 @@ def menu(
         for test in present
         for v in TEST_FEATURES[test].variations
     ]
-    return [machine_alone(d, force, REPEATS), _hold(d, force, HOLD, REPEATS), *again]
+    weight = min(WEIGHT, force / 2)
+    return [machine_alone(d, force, REPEATS, weight=weight), _hold(d, force, HOLD, REPEATS), *again]
 
 
 def _entries(test: str, variation: Variation, rate: float) -> dict[str, str | bool]:
@@ -166,9 +176,9 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
     """The outcome of one test; None where the library knows nothing of it."""
     if isinstance(test, MachineTest):
         longer, wider = _to_size(file.specimen, cylinder)
-        block = machine_alone(d, wider * test.force, len(curves))
-        rows = [_of_machine(test.force, c) * _scale(longer, wider) for c in curves]
-        return Outcome(block, np.mean(rows, axis=0))
+        loads = (wider * test.force, len(curves), test.loading, wider * (test.weight or 0.0))
+        rows = np.array([_of_machine(test, c) * _scale(longer, wider) for c in curves])
+        return _known(machine_alone(d, *loads), rows)
     if isinstance(test, RelaxationTest) and not test.protocol:
         wider = _to_size(file.cylinder_of(test.called), cylinder)[1]
         held = _hold(d, wider * test.force, test.hold, len(curves))
@@ -195,13 +205,12 @@ def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
     keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
     if not len(keep):
         return None
-    assert test.rows is not None and isinstance(test.response, Varied)
-    of = test.rows[keep]
-    response = Varied(test.response.description, of, test.response.condition)
-    labels = tuple(test.labels[i] for i in keep)
-    some = FurtherTest(
-        test.name, test.cost, labels, response, test.specimen[np.ix_(keep, keep)], len(rows),
-        len(rows), of,
+    assert isinstance(test.response, Varied | LinearResponse)
+    some = replace(
+        test, labels=tuple(test.labels[i] for i in keep), response=test.response.of_rows(keep),
+        specimen=test.specimen[np.ix_(keep, keep)], repeats=len(rows),
+        specimens=0 if test.rows is None else len(rows),
+        rows=None if test.rows is None else test.rows[keep],
     )  # fmt: skip
     return Outcome(some, rows[:, keep].mean(axis=0))
 
@@ -227,35 +236,50 @@ def _of_shape(file: Lab, test: AbstractLabTest, cylinder: Cylinder) -> bool:
 
 
 def _scale(longer: float, wider: float) -> np.ndarray:
-    return np.array([wider, *[longer] * len(SHARES)])
+    return np.array([wider, wider, wider, *[longer] * len(SHARES)])
 
 
-def _of_machine(force: float, curve: Curve) -> np.ndarray:
-    """What a bare machine shows: reading at rest (N), displacements (mm) on loading from the first
-    of its forces on."""
-    at_rest = force_before_contact(curve.force_n)
-    at_rest = float(curve.force_n[0]) if not np.isfinite(at_rest) else at_rest
+def _of_machine(test: MachineTest, curve: Curve) -> np.ndarray:
+    """What a bare machine shows: reading at rest, by how much it returns elsewhere, and that of the
+    known weight (N), displacements (mm) on loading from the first of its forces on; NaN: what a
+    curve does not show."""
+    force, before = test.force, force_before_contact(curve.force_n)
+    at_rest = before if np.isfinite(before) else float(curve.force_n[0])
+    after = force_before_contact(curve.force_n[::-1])  # in the air again
+    weighed = np.nan if test.reads is None else test.reads
     top = int(np.argmax(curve.force_n)) + 1
     way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top])
     places = np.interp(force * np.array([FROM, *SHARES]), up, way)
-    return np.array([at_rest, *(places[1:] - places[0])])
+    return np.array([at_rest, after - before, weighed, *(places[1:] - places[0])])
 
 
-def machine_alone(d: Linearised, force: float, repeats: int) -> FurtherTest:
-    """Loading on a steel block or the bare base to a force (N)."""
+def machine_alone(
+    d: Linearised, force: float, repeats: int, loading: float = 60.0, weight: float = 0.0
+) -> FurtherTest:
+    """Loading on a steel block or the bare base to a force (N) within `loading` (s) and back, and a
+    known weight (N) on the load cell."""
     forces = jnp.asarray([FROM * force, *(share * force for share in SHARES)])
     columns = {}
     for name in (COMPLIANCE, GAP):
         way = 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(forces))
-        columns[name] = np.array([0.0, *(way[1:] - way[0])])
-    columns[OFFSET] = np.array([1.0, *np.zeros(len(SHARES))])
-    labels = [f"displacement at {share * force:g} N, mm" for share in SHARES]
-    sd = np.array([AT_REST_SD, *[BLOCK_SD] * len(SHARES)])
-    found = _without_soil(
-        d, "steel block in the machine", 1.0, ["reading at rest, N", *labels], columns, sd, repeats
-    )
+        columns[name] = way[1:] - way[0]
+    still = np.zeros(len(SHARES))
+    columns = {name: np.array([0.0, 0.0, 0.0, *way]) for name, way in columns.items()}
+    columns[OFFSET] = np.array([1.0, 0.0, 1.0, *still])
+    columns[DRIFT] = np.array([0.0, 2 * loading, 0.0, *still])
+    columns[GAIN] = np.array([0.0, 0.0, weight, *still])
+    labels = [
+        "reading at rest, N", "change of it by the test, N", f"reading of {weight:g} N, N",
+        *(f"displacement at {share * force:g} N, mm" for share in SHARES),
+    ]  # fmt: skip
+    once = WEIGHT_SD * np.sqrt(repeats)  # it is laid on once
+    sd = np.array([AT_REST_SD, RETURN_SD, once, *[BLOCK_SD] * len(SHARES)])
+    what = "steel block and a known weight" if weight else "steel block"
+    found = _without_soil(d, f"{what} in the machine", 1.0, labels, columns, sd, repeats)
+    mean = np.array([0.0, 0.0, weight, *still])
     entries = {"type": MachineTest.type_name, "name": found.name, "force": f"{force:g} N"}
-    return replace(found, entries=entries)
+    entries |= {"weight": f"{weight:g} N", "reads": ""} if weight else {}
+    return replace(found, response=replace(found.response, mean=mean), entries=entries)
 
 
 def _without_soil(d, name: str, cost: float, labels, columns, sd, repeats: int) -> FurtherTest:
@@ -303,7 +327,9 @@ def answer_file(lab: Lab, proposal: Proposal) -> str:
         given |= {n: f"{getattr(first, n):g} N" for n in ("force_low", "force_high")}
     size = {"diameter": 1e3 * lab.specimen.diameter, "height": 1e3 * lab.specimen.height}
     entries = "\n".join(f"{key} = {_toml(value)}" for key, value in given.items())
+    filled = ', fill in `reads = ""`' if given.get("reads") == "" else ""
     head = HEAD.format(
+        filled=filled,
         command="calibrate next", name=proposal.name, file=ANSWER, soil=lab.name.replace('"', "'"),
         entries=entries, **size,
     )  # fmt: skip

@@ -104,7 +104,7 @@ _CALLED = (
     ("height over diameter", "specimen"),
     ("the largest stress in kPa", f"{TESTS[0]}.force_high"),
 )
-_REPAIR = "make a library for this lab: calibrate library LAB.toml --out FILE"
+_REPAIR = "make a library for this lab: calibrate library LAB.toml --centred --out FILE"
 
 
 def _in_words(axis: int, cylinder: Cylinder) -> float:
