@@ -258,16 +258,6 @@ def machine_alone(
 ) -> FurtherTest:
     """Loading on a steel block or the bare base to a force (N) within `loading` (s) and back, and a
     known weight (N) on the load cell."""
-    forces = jnp.asarray([FROM * force, *(share * force for share in SHARES)])
-    columns = {}
-    for name in (COMPLIANCE, GAP):
-        way = 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(forces))
-        columns[name] = way[1:] - way[0]
-    still = np.zeros(len(SHARES))
-    columns = {name: np.array([0.0, 0.0, 0.0, *way]) for name, way in columns.items()}
-    columns[OFFSET] = np.array([1.0, 0.0, 1.0, *still])
-    columns[DRIFT] = np.array([0.0, 2 * loading, 0.0, *still])
-    columns[GAIN] = np.array([0.0, 0.0, weight, *still])
     labels = [
         "reading at rest, N", "change of it by the test, N", f"reading of {weight:g} N, N",
         *(f"displacement at {share * force:g} N, mm" for share in SHARES),
@@ -275,20 +265,39 @@ def machine_alone(
     once = WEIGHT_SD * np.sqrt(repeats)  # it is laid on once
     sd = np.array([AT_REST_SD, RETURN_SD, once, *[BLOCK_SD] * len(SHARES)])
     what = "steel block and a known weight" if weight else "steel block"
-    found = _without_soil(d, f"{what} in the machine", 1.0, labels, columns, sd, repeats)
-    mean = np.array([0.0, 0.0, weight, *still])
+    mean = np.array([0.0, 0.0, weight, *np.zeros(len(SHARES))])
+    columns = _slopes_of_machine(force, loading, weight)
+    found = _without_soil(d, f"{what} in the machine", 1.0, labels, columns, sd, repeats, mean)
     entries = {"type": MachineTest.type_name, "name": found.name, "force": f"{force:g} N"}
     entries |= {"weight": f"{weight:g} N", "reads": ""} if weight else {}
-    return replace(found, response=replace(found.response, mean=mean), entries=entries)
+    return replace(found, entries=entries)
 
 
-def _without_soil(d, name: str, cost: float, labels, columns, sd, repeats: int) -> FurtherTest:
+def _slopes_of_machine(force: float, loading: float, weight: float) -> dict[str, np.ndarray]:
+    """What one unit of each effect changes in such a run (m,)."""
+    forces = jnp.asarray([FROM * force, *(share * force for share in SHARES)])
+    still = np.zeros(len(SHARES))
+    columns = {
+        OFFSET: np.array([1.0, 0.0, 1.0, *still]),
+        DRIFT: np.array([0.0, 2 * loading, 0.0, *still]),
+        GAIN: np.array([0.0, 0.0, weight, *still]),
+    }
+    for name in (COMPLIANCE, GAP):
+        way = 1e3 * np.asarray(OF_NAME[name](1.0).travel_error(forces))
+        columns[name] = np.array([0.0, 0.0, 0.0, *(way[1:] - way[0])])
+    return columns
+
+
+def _without_soil(
+    d, name: str, cost: float, labels, columns, sd, repeats: int, mean: np.ndarray | None = None
+) -> FurtherTest:
     m = len(labels)
+    mean = np.zeros(m) if mean is None else mean
     slopes = np.zeros((m, len(d.effects)))
     for k, effect in enumerate(d.effects):
         if effect.name in columns:
             slopes[:, k] = columns[effect.name] * effect.typical
-    response = LinearResponse(np.zeros(m), np.zeros((m, len(d.prior_sd))), slopes)
+    response = LinearResponse(mean, np.zeros((m, len(d.prior_sd))), slopes)
     noise = np.diag(np.broadcast_to(np.asarray(sd, float) ** 2, (m,)))
     return FurtherTest(name, cost, tuple(labels), response, noise, repeats)
 
