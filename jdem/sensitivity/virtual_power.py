@@ -46,7 +46,7 @@ class VirtualPower(AbstractTraced):
 
     `first` names the segment from which on the motion is frozen; `carried` as in
     `FrozenMotion`; `cost` is that of one tangent in forward runs
-    (docs/decisions/2026-11-21-calibration.md).
+    (docs/decisions/2026-11-21-slopes-for-fits.md).
     """
 
     first: str = eqx.field(static=True, default="crushing")
