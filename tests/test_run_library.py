@@ -1,6 +1,7 @@
 """The library: its design, its emulator on formulas, its file, and what a lab becomes in it."""
 
 import csv
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,15 @@ def emulator() -> FeatureEmulator:
     """Fitted to the formula with packings that scatter by 15 %."""
     scatter = np.exp(PACKING_SD * RNG.normal(size=(ROWS // EACH, 1)))[PACKING]
     return fit_emulator(X, S, PACKING, formula(X, S) * scatter, SCALE)
+
+
+def test_an_emulator_that_was_used_goes_to_another_process(emulator):
+    """With the points that it keeps left behind, and the same answers."""
+    x, s = X[3], S[3]
+    known = emulator.variances(x, s)
+    other = pickle.loads(pickle.dumps(emulator))
+    assert np.array_equal(other.variances(x, s), known)
+    assert emulator.variances(x, s) is known  # still kept here
 
 
 def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():

@@ -6,6 +6,7 @@ whose path says "sealed", whoever asks for it and by whatever call.
 
 import ast
 import json
+import pickle
 import shutil
 import sys
 from collections.abc import Iterator
@@ -157,6 +158,12 @@ def test_all_cases_are_judged_in_whatever_process(tmp_path, count):
     beyond = [tmp_path / "absent" / str(number) for number in range(max(count, 1))]
     with pytest.raises(FileNotFoundError):
         list(trial._in_processes(Path.touch, beyond))
+
+
+def test_what_cannot_go_to_another_process_is_an_error_and_no_endless_wait(tmp_path):
+    cases = [tmp_path / str(number) for number in range(3)]
+    with pytest.raises((AttributeError, pickle.PicklingError)):
+        list(trial._in_processes(lambda case: case.touch(), cases))
 
 
 def test_a_diagnosis_runs_while_the_seal_cannot_be_opened(sealed_case, judge):

@@ -5,6 +5,7 @@ The verdict holds all that scoring needs, so that scoring can neither change it 
 
 import json
 import multiprocessing
+import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -32,6 +33,7 @@ from calibrate.io.lab import load_lab
 from calibrate.simulation.executors import cores
 
 DRAWS, TRAINING = 300, 1200
+_of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
 SAMPLED = 9  # cases among which a typical one is sought
 
 
@@ -210,19 +212,31 @@ def _judge(
 
 
 def _in_processes(one: Callable[[Path], None], cases: Sequence[Path]) -> Iterator[None]:
-    """one(case) of all, one process a core: threads would wait for one interpreter."""
+    """one(case) of all, one process a core: threads would wait for one interpreter.  Each is given
+    `one`, which holds hundreds of megabytes, as it begins and not with every case; what cannot be
+    handed over is an error here, before any begins."""
     workers = min(cores(), len(cases))
     if workers < 2:
         yield from map(one, cases)
         return
     apart = multiprocessing.get_context("spawn")  # threads of JAX do not survive a fork
-    with ProcessPoolExecutor(workers, apart, runtime.configure) as pool:
+    with ProcessPoolExecutor(workers, apart, _begin, (pickle.dumps(one),)) as pool:
         try:
-            for done in as_completed([pool.submit(one, case) for case in cases]):
+            for done in as_completed([pool.submit(_go_on, case) for case in cases]):
                 yield done.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _begin(one: bytes) -> None:
+    """What a worker does first: it keeps what it is to do with each case."""
+    runtime.configure()
+    _of_worker.append(pickle.loads(one))
+
+
+def _go_on(case: Path) -> None:
+    _of_worker[0](case)
 
 
 def read_verdicts(out: Path) -> dict[str, dict]:

@@ -238,6 +238,10 @@ class FeatureEmulator:
 
         return at
 
+    def __getstate__(self) -> dict:
+        """Without the kept points, so that it goes to other processes."""
+        return {name: value for name, value in self.__dict__.items() if name != "_variances"}
+
     def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Standardised components (c,) at a point."""
         return self._processes(x, self._every(s))[0]
