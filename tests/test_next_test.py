@@ -95,8 +95,7 @@ def test_a_bare_machine_shows_what_its_response_predicts(name, strength, known):
     told = known_weight.response(np.zeros(len(d.prior_sd)), np.array([strength]))[0]
     found = _of_machine(test, block(np.concatenate([in_air[0], curve, in_air[1]])))
     assert found == pytest.approx(told, abs=0.02 if name == "load_cell_offset" else 2e-3)
-    plain = np.array([0.0, 0.0, 200.0, *np.zeros(len(SHARES))])
-    assert np.abs(told - plain).max() > 0.02
+    assert np.abs(told).max() > 0.02
 
 
 def test_a_machine_test_without_a_weight_or_a_return_tells_the_rest(known, lab, place):
@@ -349,7 +348,7 @@ def test_a_bare_machine_answers_with_its_faults(known, lab, tmp_path):
     cylinder = toy_library.library().cylinder
     (found,), _ = outcomes(lab, [answer], cylinder, d, comparison.noise)
     stretch = 1e3 * 1e-6 * 400 * (np.array(SHARES) - FROM)
-    assert found.found[:3] == pytest.approx([6.0, 0.02 * 120, 200 * 1.03 + 6.0], abs=1.5)
+    assert found.found[:3] == pytest.approx([6.0, 0.02 * 120, 200 * 0.03 + 6.0], abs=1.5)
     assert found.found[3:] == pytest.approx(stretch, abs=0.02)
 
 

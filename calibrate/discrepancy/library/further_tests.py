@@ -240,17 +240,17 @@ def _scale(longer: float, wider: float) -> np.ndarray:
 
 
 def _of_machine(test: MachineTest, curve: Curve) -> np.ndarray:
-    """What a bare machine shows: reading at rest, by how much it returns elsewhere, and that of the
-    known weight (N), displacements (mm) on loading from the first of its forces on; NaN: what a
-    curve does not show."""
+    """What a bare machine shows: reading at rest, by how much it returns elsewhere, and by how much
+    that of the known weight is off (N), displacements (mm) on loading from the first of its forces
+    on; NaN: what a curve does not show."""
     force, before = test.force, force_before_contact(curve.force_n)
     at_rest = before if np.isfinite(before) else float(curve.force_n[0])
     after = force_before_contact(curve.force_n[::-1])  # in the air again
-    weighed = np.nan if test.reads is None else test.reads
+    off = np.nan if test.reads is None or test.weight is None else test.reads - test.weight
     top = int(np.argmax(curve.force_n)) + 1
     way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top])
     places = np.interp(force * np.array([FROM, *SHARES]), up, way)
-    return np.array([at_rest, after - before, weighed, *(places[1:] - places[0])])
+    return np.array([at_rest, after - before, off, *(places[1:] - places[0])])
 
 
 def machine_alone(
@@ -259,15 +259,14 @@ def machine_alone(
     """Loading on a steel block or the bare base to a force (N) within `loading` (s) and back, and a
     known weight (N) on the load cell."""
     labels = [
-        "reading at rest, N", "change of it by the test, N", f"reading of {weight:g} N, N",
+        "reading at rest, N", "change of it by the test, N", f"error at {weight:g} N of weights, N",
         *(f"displacement at {share * force:g} N, mm" for share in SHARES),
     ]  # fmt: skip
     once = WEIGHT_SD * np.sqrt(repeats)  # it is laid on once
     sd = np.array([AT_REST_SD, RETURN_SD, once, *[BLOCK_SD] * len(SHARES)])
     what = "steel block and a known weight" if weight else "steel block"
-    mean = np.array([0.0, 0.0, weight, *np.zeros(len(SHARES))])
     columns = _slopes_of_machine(force, loading, weight)
-    found = _without_soil(d, f"{what} in the machine", 1.0, labels, columns, sd, repeats, mean)
+    found = _without_soil(d, f"{what} in the machine", 1.0, labels, columns, sd, repeats)
     entries = {"type": MachineTest.type_name, "name": found.name, "force": f"{force:g} N"}
     entries |= {"weight": f"{weight:g} N", "reads": ""} if weight else {}
     return replace(found, entries=entries)
@@ -288,16 +287,13 @@ def _slopes_of_machine(force: float, loading: float, weight: float) -> dict[str,
     return columns
 
 
-def _without_soil(
-    d, name: str, cost: float, labels, columns, sd, repeats: int, mean: np.ndarray | None = None
-) -> FurtherTest:
+def _without_soil(d, name: str, cost: float, labels, columns, sd, repeats: int) -> FurtherTest:
     m = len(labels)
-    mean = np.zeros(m) if mean is None else mean
     slopes = np.zeros((m, len(d.effects)))
     for k, effect in enumerate(d.effects):
         if effect.name in columns:
             slopes[:, k] = columns[effect.name] * effect.typical
-    response = LinearResponse(mean, np.zeros((m, len(d.prior_sd))), slopes)
+    response = LinearResponse(np.zeros(m), np.zeros((m, len(d.prior_sd))), slopes)
     noise = np.diag(np.broadcast_to(np.asarray(sd, float) ** 2, (m,)))
     return FurtherTest(name, cost, tuple(labels), response, noise, repeats)
 
