@@ -242,13 +242,13 @@ def _scale(longer: float, wider: float) -> np.ndarray:
 def _of_machine(test: MachineTest, curve: Curve) -> np.ndarray:
     """What a bare machine shows: reading at rest, by how much it returns elsewhere, and by how much
     that of the known weight is off (N), displacements (mm) on loading from the first of its forces
-    on; NaN: what a curve does not show."""
+    on, which count from the reading at rest; NaN: what a curve does not show."""
     force, before = test.force, force_before_contact(curve.force_n)
     at_rest = before if np.isfinite(before) else float(curve.force_n[0])
     after = force_before_contact(curve.force_n[::-1])  # in the air again
     off = np.nan if test.reads is None or test.weight is None else test.reads - test.weight
     top = int(np.argmax(curve.force_n)) + 1
-    way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top])
+    way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top] - at_rest)
     places = np.interp(force * np.array([FROM, *SHARES]), up, way)
     return np.array([at_rest, after - before, off, *(places[1:] - places[0])])
 
