@@ -99,18 +99,19 @@ def test_a_bare_machine_shows_what_its_response_predicts(name, strength, known):
 
 
 def test_a_machine_test_without_a_weight_or_a_return_tells_the_rest(known, lab, place):
-    """A curve that ends at its largest force, and no known weight."""
+    """A curve that ends at its largest force, and no known weight; the load cell is so far from
+    zero that it shows the first of the forces in the air already."""
     d, _, comparison = known
     folder = place / "no_weight"
     folder.mkdir()
-    write_block(folder, 7.0)
+    write_block(folder, 12.0)
     cylinder = toy_library.library().cylinder
     ((outcome,), unused) = outcomes(
         lab, [load_lab(folder / "block.toml")], cylinder, d, comparison.noise
     )
     assert outcome.test.name == "steel block in the machine" and not unused
     assert len(outcome.found) == 1 + len(SHARES) == len(outcome.test.labels)
-    assert outcome.found[0] == pytest.approx(7.0)
+    assert outcome.found == pytest.approx([12.0, *np.zeros(len(SHARES))])
     slopes = outcome.test.response(np.zeros(len(d.prior_sd)), np.zeros(len(d.effects)))[2]
     assert slopes.shape == (1 + len(SHARES), len(d.effects))
 
