@@ -255,6 +255,7 @@ def test_the_design_is_orthogonal():
     np.testing.assert_array_equal(design.T @ design, 12 * np.eye(len(FACTORS)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corner", range(12))
 def test_extreme_soils_give_numbers_and_tangents(packing, corner):
     """One tangent along all seven factors at once; a corner may fail, but not be NaN."""

@@ -23,6 +23,7 @@ from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence
 from jdem.packing.composite import prepare
 
+pytestmark = pytest.mark.slow
 SEATED = 1.0  # N; the servo's tolerance is 0.75 N
 
 

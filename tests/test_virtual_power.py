@@ -125,6 +125,7 @@ def test_given_motion_makes_virtual_power_exact(cycle):
         assert error <= 1e-5 * largest[number] + 1e-9, name
 
 
+@pytest.mark.slow
 def test_what_has_no_influence_has_no_slope(cycle):
     """Nothing slides or rolls here."""
     idle = [NAMES.index(name) for name in ("static_friction", "rolling_friction")]

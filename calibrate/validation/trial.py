@@ -5,7 +5,6 @@ The verdict holds all that scoring needs, so that scoring can neither change it 
 
 import json
 import multiprocessing
-import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -220,7 +219,7 @@ def _in_processes(one: Callable[[Path], None], cases: Sequence[Path]) -> Iterato
         yield from map(one, cases)
         return
     apart = multiprocessing.get_context("spawn")  # threads of JAX do not survive a fork
-    with ProcessPoolExecutor(workers, apart, _begin, (pickle.dumps(one),)) as pool:
+    with ProcessPoolExecutor(workers, apart, _begin, (one,)) as pool:
         try:
             for done in as_completed([pool.submit(_go_on, case) for case in cases]):
                 yield done.result()
@@ -229,10 +228,10 @@ def _in_processes(one: Callable[[Path], None], cases: Sequence[Path]) -> Iterato
             raise
 
 
-def _begin(one: bytes) -> None:
+def _begin(one: Callable[[Path], None]) -> None:
     """What a worker does first: it keeps what it is to do with each case."""
     runtime.configure()
-    _of_worker.append(pickle.loads(one))
+    _of_worker.append(one)
 
 
 def _go_on(case: Path) -> None:
