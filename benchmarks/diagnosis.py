@@ -171,7 +171,7 @@ def stratum_of(kind: str, snr: float) -> str:
 
 
 def of_sealed() -> Iterator[Row]:
-    own = sealed("withheld_second")
+    own = sealed(further_tests.SET)
     yield from of_cases(own, "sealed")
     for spheres in sorted({c["spheres"] for c in own}):
         some = [c["verdict"] != NONE for c in own if (c["kind"], c["spheres"]) == (NONE, spheres)]

@@ -32,8 +32,8 @@ from calibrate.io.lab import load_lab
 from calibrate.simulation.executors import cores
 
 DRAWS, TRAINING = 300, 1200
-_of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
 SAMPLED = 9  # cases among which a typical one is sought
+_of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
 
 
 @dataclass(frozen=True, eq=False)
