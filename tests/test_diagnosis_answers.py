@@ -14,22 +14,25 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from calibrate.discrepancy.comparison import fits, next_test
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
 from calibrate.discrepancy.comparison.examples import generated_case
-from calibrate.discrepancy.comparison.fits import covariance_at, fitted_base
+from calibrate.discrepancy.comparison.fits import HOPELESS, covariance_at, fitted_base
 from calibrate.discrepancy.comparison.further import (
     FurtherTest,
     LinearResponse,
     Prediction,
     predicted,
+    predicted_by_unknown,
     stacked,
 )
 from calibrate.discrepancy.comparison.generated import plan_of
 from calibrate.discrepancy.comparison.linear import EffectCandidate, simple
 from calibrate.discrepancy.comparison.localise import localise
 from calibrate.discrepancy.comparison.next_test import Explanation, Outcome, next_tests, updated
+from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
 from calibrate.discrepancy.comparison.reduction import (
     distortions,
@@ -37,7 +40,7 @@ from calibrate.discrepancy.comparison.reduction import (
     feature_weights,
     shrinkage,
 )
-from calibrate.discrepancy.comparison.refit import local_minima, refit, start_at
+from calibrate.discrepancy.comparison.refit import local_minima, refit, start_at, weighed
 from calibrate.discrepancy.comparison.repeats import from_targets, from_vectors
 from calibrate.discrepancy.comparison.verdict import as_json, effect_estimates, status
 from calibrate.labtests.diagnosis.confined import NAME as CONFINED
@@ -217,8 +220,9 @@ def test_a_fit_follows_a_bent_valley_to_its_end():
     assert found.strengths[2] == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_way():
-    """A one-sided effect that acts as e^2 - e: at strength 0 its slope points away."""
+def first_the_other_way():
+    """A description whose one-sided effect 2 acts as e^2 - e: at strength 0 its slope points
+    away."""
     column = 30 * KNOWN.effect_slopes[:, 2]
 
     def at(delta, strengths):
@@ -228,14 +232,38 @@ def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_
         return KNOWN.base_slopes @ delta + column * value, KNOWN.base_slopes, slopes
 
     positive = tuple(replace(effect, one_sided=True) for effect in KNOWN.effects)
-    bent = replace(KNOWN, emulator=Formula(at), effects=positive)
-    truth = at(np.zeros(5), np.eye(generator.EFFECTS)[2] * 2.0)[0]
+    return replace(KNOWN, emulator=Formula(at), effects=positive)
+
+
+def test_the_best_of_several_starts_finds_a_strength_that_first_pulls_the_other_way():
+    bent = first_the_other_way()
+    truth = bent.at(np.zeros(5), np.eye(generator.EFFECTS)[2] * 2.0)[0]
     near, far = start_at(bent), start_at(bent, effect=2, strength=3.0)
     stuck = refit(bent, truth, generator.scatter(), [2], near)
     found, other = local_minima(bent, truth, generator.scatter(), [2], [near, far, far])
     assert stuck.strengths[2] == other.strengths[2] == 0.0
     assert found.strengths[2] == pytest.approx(2.0, abs=0.1)
     assert found.objective < 0.5 * stuck.objective
+
+
+def test_a_fit_that_begins_less_likely_and_ends_likelier_is_found(monkeypatch: pytest.MonkeyPatch):
+    """By the noise at its centre a fit stops short of the minimum by the noise where it ends, and
+    is the less likely one there."""
+    bent, noise = first_the_other_way(), generator.scatter()
+    truth = bent.at(np.zeros(5), np.eye(generator.EFFECTS)[2] * 2.0)[0]
+    stuck = refit(bent, truth, noise, [2], start_at(bent))
+
+    def short(by: float):
+        point = start_at(bent, by * bent.prior_sd, 2, 2.0)
+        first = replace(stuck, delta=point[0], strengths=point[1], values=bent.at(*point)[0])
+        return weighed(bent, truth, noise, first)
+
+    by = brentq(lambda by: short(by).objective - stuck.objective - HOPELESS / 2, 0.0, 1e3)
+    monkeypatch.setattr(fits, "local_minima", lambda *_: [stuck, short(by)])
+    alone = Noise(noise, noise, {}, {})
+    found = fits._Fitter(bent, truth, alone, 1.0).likeliest((2,), [])
+    assert short(by).objective > stuck.objective > 2 * found.objective
+    assert found.strengths[2] == pytest.approx(2.0, abs=0.1)
 
 
 def test_a_fit_far_away_is_weighed_by_what_the_emulator_is_wrong_by_there():
@@ -480,6 +508,22 @@ def test_an_emulator_errs_again_as_it_erred_at_first():
     assert np.abs(first - told.mean).max() < 0.1 * wrong.max()
     assert np.abs(first - fit.values).max() > 0.5 * wrong.max()
     assert told.covariance.trace() < 0.05 * (wrong**2).sum()
+
+
+def test_what_a_fit_leaves_may_come_again_and_hardly_speaks_against_it():
+    """However much is left: an outcome that shows it all again speaks for "unknown" by a factor
+    below two, one that shows none of it against "unknown"."""
+    found, _, blind, _ = offered()
+    values = found.base.values
+    response = replace(blind.response, mean=values[:1])
+    again = replace(blind, response=response, rows=np.zeros(1, int))
+    plain = replace(KNOWN, wrong=np.zeros((len(values), 0)))
+    for left in (30.0, 3e3):
+        data = values + left * np.eye(len(values))[0]
+        every = [p(again, plain, found.base, data) for p in (predicted, predicted_by_unknown)]
+        named, unknown = ([float(p.log_density(y)) for y in (data[:1], values[:1])] for p in every)
+        assert 0.3 < unknown[0] - named[0] < np.log(2)
+        assert unknown[1] - named[1] < -1.0
 
 
 @dataclass(frozen=True, eq=False)

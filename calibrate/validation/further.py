@@ -11,9 +11,12 @@ Every answer is kept; a test is made once, whoever asks for it.  Fresh specimens
 case holds back, in turn.
 """
 
+import abc
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -54,38 +57,77 @@ HOLDING = np.linspace(0.0, 1.0, 61)  # share of a hold at which it is read
 LOADING_MM = 2.0  # of travel before a hold, which says nothing
 
 
-@dataclass(frozen=True, eq=False)
-class FurtherLaboratory:
-    """Makes further tests of cases; answers lie in `folder`."""
+class Named(Protocol):
+    """A case, of which a name is known."""
 
-    laboratory: Laboratory
+    @property
+    def name(self) -> str: ...
+
+
+CaseT = TypeVar("CaseT", bound=Named)
+
+
+class AbstractFurtherLaboratory(abc.ABC, Generic[CaseT]):
+    """Makes further tests of cases of its kind; answers lie in `folder`."""
+
     folder: Path
 
-    def answer(self, case: WithheldCase, lab: Lab, asked: Proposal) -> Lab | None:
+    @abc.abstractmethod
+    def curves(self, case: CaseT, lab: Lab, asked: Proposal) -> list[np.ndarray] | None:
+        """Curves (readings, 2) of the repeats, mm and N; None if a specimen does not stand."""
+
+    @abc.abstractmethod
+    def reads(self, case: CaseT, asked: Proposal, weight: float) -> float:
+        """What the load cell reads (N) of a known weight (N)."""
+
+    def answer(self, case: CaseT, lab: Lab, asked: Proposal) -> Lab | None:
         """The lab file of a test, as `calibrate next` wrote it, with its curves; None if a specimen
         does not stand."""
         place = self.folder / case.name / re.sub(r"\W+", "_", asked.name)
         if not (place / ANSWER).exists():
-            curves = self._curves(case, lab, asked)
+            curves = self.curves(case, lab, asked)
             if curves is None:
                 return None
-            for number, curve in enumerate(curves, 1):
-                rows = "\n".join(f"{x:.3f},{f:.1f}" for x, f in curve)
-                name = CURVES.format(number=number)
-                write_text(place / name, f"displacement,force\n{rows}\n")
+            write_curves(place, curves)
             write_text(place / ANSWER, answer_file(lab, self._weighed(case, asked)))
         return load_lab(place / ANSWER)
 
-    def _curves(self, case: WithheldCase, lab: Lab, asked: Proposal) -> list[np.ndarray] | None:
-        """Curves (readings, 2) of the repeats, mm and N."""
-        kind = asked.entries["type"]
-        random = np.random.default_rng([case.seed, *asked.name.encode()])
+    def _weighed(self, case: CaseT, asked: Proposal) -> Proposal:
+        """The test with what the load cell reads of a known weight, if one is asked for."""
+        if "weight" not in asked.entries:
+            return asked
+        true = MachineTest.model_validate({**asked.entries, "reads": "1 N"}).weight or 0.0
+        reads = self.reads(case, asked, true)
+        return replace(asked, entries={**asked.entries, "reads": f"{reads:.1f} N"})
+
+
+def write_curves(place: Path, curves: Iterable[np.ndarray]) -> None:
+    """The file of each repeat's curve (readings, 2), mm and N."""
+    for number, curve in enumerate(curves, 1):
+        rows = "\n".join(f"{x:.3f},{f:.1f}" for x, f in curve)
+        write_text(place / CURVES.format(number=number), f"displacement,force\n{rows}\n")
+
+
+def variation_of(asked: Proposal) -> tuple[int, str, Variation]:
+    """A test again: its number among all variations, the test, and the variation."""
+    number = [variation.name for _, variation in VARIATIONS].index(asked.name)
+    return number, *VARIATIONS[number]
+
+
+@dataclass(frozen=True, eq=False)
+class FurtherLaboratory(AbstractFurtherLaboratory[WithheldCase]):
+    """The laboratory of this project's own simulator."""
+
+    laboratory: Laboratory
+    folder: Path
+
+    def curves(self, case: WithheldCase, lab: Lab, asked: Proposal) -> list[np.ndarray] | None:
+        kind, random = asked.entries["type"], noise_of(case, asked)
         if kind == MachineTest.type_name:
             return [self._bare(case, lab, random) for _ in range(REPEATS)]
         if kind == RelaxationTest.type_name:
             return [held(case, lab, random) for _ in range(REPEATS)]
-        number = [variation.name for _, variation in VARIATIONS].index(asked.name)
-        test, variation = VARIATIONS[number]
+        number, test, variation = variation_of(asked)
         condition = TEST_FEATURES[test].varied(variation.faster, variation.entries)
         held_back = len(case.packings) - SPECIMENS
         first = SPECIMENS + REPEATS * number % held_back
@@ -93,15 +135,11 @@ class FurtherLaboratory:
         made = self.laboratory.specimens(other, range(first, first + REPEATS))
         return None if made is None else [specimen.records[test] for specimen in made]
 
-    def _weighed(self, case: WithheldCase, asked: Proposal) -> Proposal:
-        """The test with what the load cell reads of a known weight, if one is asked for."""
-        if "weight" not in asked.entries:
-            return asked
-        random = np.random.default_rng([case.seed, *asked.name.encode(), 1])
-        true = MachineTest.model_validate({**asked.entries, "reads": "1 N"}).weight or 0.0
-        of_cell = (e.force_error(jnp.asarray(true), jnp.asarray(0.0)) for e in of_machine(case))
-        reads = true + float(sum(of_cell)) + FORCE_SD * random.standard_normal()
-        return replace(asked, entries={**asked.entries, "reads": f"{reads:.1f} N"})
+    def reads(self, case: WithheldCase, asked: Proposal, weight: float) -> float:
+        random = noise_of(case, asked, 1)
+        at = jnp.asarray(weight), jnp.asarray(0.0)
+        of_cell = sum(float(effect.force_error(*at)) for effect in of_machine(case))
+        return weight + of_cell + FORCE_SD * random.standard_normal()
 
     def _bare(self, case: WithheldCase, lab: Lab, random: np.random.Generator) -> np.ndarray:
         """A curve of the machine without soil, to the largest force of the lab's first test."""
@@ -111,6 +149,11 @@ class FurtherLaboratory:
         (reading,) = BareMachine(TestSequence((press,)), of_machine(case)).run().values()
         way, reads = points_of(reading.curve).T
         return read_in_time(way, reads, strength_of(case, OFFSET), random, reads[-1])
+
+
+def noise_of(case: WithheldCase, asked: Proposal, *more: int) -> np.random.Generator:
+    """The noise of a test of a case."""
+    return np.random.default_rng([case.seed, *asked.name.encode(), *more])
 
 
 def of_machine(case: WithheldCase) -> tuple[AbstractEffect, ...]:
@@ -137,11 +180,17 @@ def held(case: WithheldCase, lab: Lab, random: np.random.Generator) -> np.ndarra
     """A curve of loading in the mould to the largest force and a hold there."""
     force = lab.pair().compression.force_high
     after = np.log10(1 + HOLDING * (10**DECADES_OF_A_HOLD - 1))  # decades slower
-    lost = force * strength_of(case, RATE) * after
-    reads = force - lost + strength_of(case, DRIFT) * HOLD * HOLDING
+    change = strength_of(case, DRIFT) * HOLD * HOLDING - force * strength_of(case, RATE) * after
+    return at_rest_after(force, change, strength_of(case, OFFSET), random)
+
+
+def at_rest_after(
+    force: float, change: np.ndarray, at_rest: float, random: np.random.Generator
+) -> np.ndarray:
+    """A curve of loading to a force (N) and a hold in which the reading changes by this (n,)."""
     up = np.linspace(0.0, 1.0, 40)[:-1]
-    way = np.concatenate([LOADING_MM * up**0.5, np.full(len(reads), LOADING_MM)])
-    return read_in_time(way, np.concatenate([force * up, reads]), strength_of(case, OFFSET), random)
+    way = np.concatenate([LOADING_MM * up**0.5, np.full(len(change), LOADING_MM)])
+    return read_in_time(way, np.concatenate([force * up, force + change]), at_rest, random)
 
 
 def read_in_time(

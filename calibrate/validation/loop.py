@@ -14,7 +14,7 @@ from calibrate.discrepancy.comparison.further import FurtherTest
 from calibrate.discrepancy.comparison.next_test import Proposal, next_tests, updated, why_stop
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
-from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
@@ -36,8 +36,11 @@ class Asking:
     answer: Answer
 
     @staticmethod
-    def of(lab: Lab, emulated: EmulatedLibrary, setup: InferenceSetup, answer: Answer) -> "Asking":
-        _, d, measured = described(lab, emulated, 0)
+    def of(
+        lab: Lab, emulated: EmulatedLibrary, setup: InferenceSetup, answer: Answer,
+        discrepancy: ModelDiscrepancy | None = None,
+    ) -> "Asking":  # fmt: skip
+        _, d, measured = described(lab, emulated, 0, discrepancy)
         prepared = prepared_diagnosis(d, measured, 0, setup)
         first = compare(prepared, measured)
         offers = menu(d, first.noise, lab.pair().rates, Cylinder.of(lab).force_high)

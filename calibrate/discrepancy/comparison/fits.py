@@ -32,6 +32,8 @@ BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too,
 ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
 MOVES = 2  # of a fit, at most, to where the noise at its location leads
 MINIMA = 3  # different fits of one explanation that are weighed by their own noise
+HOPELESS = 12.0  # above the likeliest before any moves; minus twice the log density, as below
+SETTLED = 0.1  # fall in a move after which there is no other
 
 Fits = dict[tuple[int, ...], Refit]
 
@@ -113,20 +115,28 @@ class _Fitter:
     def likeliest(
         self, key: tuple[int, ...], starts: Iterable[Start], parts: Sequence[Refit] = ()
     ) -> Refit:
-        """The likeliest of the best fits from some starts and of those of its parts, with fewer
-        effects, each weighed by the noise at its own location, and moved to where this leads while
-        that is likelier: it never ends below its parts."""
+        """The likeliest of the best fits from some starts, each weighed by the noise at its own
+        location and moved to where this leads, and of the fits of its parts, with fewer effects:
+        it never ends below these."""
         covariance = self.inflation * self.noise.mean
         found = local_minima(self.d, self.measured, covariance, key, starts)[:MINIMA]
-        found += [replace(part, chosen=key) for part in parts]
-        best = min((self._weighed(fit) for fit in found), key=self._unlikely)
+        every = [self._weighed(fit) for fit in found]
+        of_parts = [self._weighed(replace(part, chosen=key)) for part in parts]
+        least = min(map(self._unlikely, [*every, *of_parts]))
+        hopeful = [fit for fit in every if self._unlikely(fit) <= least + HOPELESS]
+        best = min([*map(self._moved, hopeful), *of_parts], key=self._unlikely)
+        return self._moved(best) if best in of_parts else best
+
+    def _moved(self, fit: Refit) -> Refit:
+        """The fit, moved to where the noise at its location leads while that is likelier."""
         for _ in range(MOVES if self.d.emulator is not None else 0):
-            start, own = (best.delta, best.strengths), self.inflation * best.covariance
-            moved = self._weighed(refit(self.d, self.measured, own, key, start))
-            if self._unlikely(moved) >= self._unlikely(best):
+            start, own = (fit.delta, fit.strengths), self.inflation * fit.covariance
+            moved = self._weighed(refit(self.d, self.measured, own, fit.chosen, start))
+            gain = self._unlikely(fit) - self._unlikely(moved)
+            fit = moved if gain > 0 else fit
+            if gain < SETTLED:
                 break
-            best = moved
-        return best
+        return fit
 
     def _weighed(self, fit: Refit) -> Refit:
         """The same point, weighed by the noise there."""

@@ -1,16 +1,17 @@
 """A further test, and what an explanation predicts for it from the data at hand.
 
-    y | h ~ f(delta, e) + W u + t(S/n + (J, W) C (J, W)', FREEDOM)
+    y | h ~ f(delta, e) + W u + r/2 + t(S/n + (J, W) C (J, W)' + r r'/4, FREEDOM)
 
 (delta, e) is the best fit of explanation h to the data at hand, W directions in which simulations
 may be wrong, u what the data say of these errors, C the covariance of delta, e and u there
-(Laplace's), J the slopes of the further test, S the scatter of one specimen, n repeats.  The
-multivariate t has heavy tails, so that a test that nothing foresees decides less than a normal
-density would say (Lange, Little and Taylor 1989).
+(Laplace's), J the slopes of the further test, S the scatter of one specimen, n repeats, r what is
+left of the data at hand.  The multivariate t has heavy tails, so that a test that nothing foresees
+decides less than a normal density would say (Lange, Little and Taylor 1989).
 
-What has no name yet ("unknown") is still there in a further test of soil: it predicts what base fit
-and errors leave of the same features now, give or take half of that, and nothing for a machine by
-itself.
+What an explanation leaves is partly scatter, which goes, and partly what the simulator is wrong by,
+which stays: half of it is expected again in a test of the same soil, give or take half.  What has
+no name yet ("unknown") is still there: it predicts all that base fit and errors leave of the same
+features, give or take half of that, and nothing for a machine by itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,8 @@ from calibrate.discrepancy.comparison.linear import Emulator, Linearised
 from calibrate.discrepancy.comparison.refit import STRENGTH_SD, Refit
 
 FREEDOM = 5.0
-CHANGES = 0.5  # share of an unknown gap by which it may differ in a further test
+STAYS = 0.5  # share of what an explanation leaves that is expected again in a further test
+CHANGES = 0.5  # share of it by which this may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,34 +135,42 @@ def known(d: Linearised, fit: Refit, measured: np.ndarray) -> Known:
     return Known(np.diag(prior) - (told + told.T) / 2, wrong.T @ left)
 
 
-def predicted(test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray) -> Prediction:
+def predicted(
+    test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray, stays: float = STAYS
+) -> Prediction:
     """What an explanation, by its fit to the data at hand, predicts for a further test; measured
-    (m,): means of these data.  Where the emulator errs for a soil it errs in the same way when the
-    test is made again."""
+    (m,): means of these data; stays: share of what the fit leaves of them that comes again.  Where
+    the emulator errs for a soil it errs in the same way when the test is made again."""
     values, base, effects = test.response(fit.delta, fit.strengths)
     of_data = known(d, fit, measured)
     wrong = widened(test.response.wrong(fit.delta, fit.strengths), len(of_data.errors))
     slopes = np.hstack([base, effects[:, list(fit.chosen)], wrong])
-    spread = slopes @ of_data.covariance @ slopes.T
-    return Prediction(values + wrong @ of_data.errors, test.noise + spread)
+    left = unexplained(test, d, fit, measured, of_data)
+    spread = slopes @ of_data.covariance @ slopes.T + CHANGES**2 * np.outer(left, left)
+    return Prediction(values + wrong @ of_data.errors + stays * left, test.noise + spread)
 
 
-def widened(wrong: np.ndarray, count: int) -> np.ndarray:
-    """Directions (m, count) of errors; none (m, 0) of what is no emulator's are zeros."""
-    return wrong if wrong.shape[1] else np.zeros((len(wrong), count))
+def unexplained(
+    test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray, of_data: Known
+) -> np.ndarray:
+    """What a fit and the emulator's errors leave of a further test's features (m,) in the data at
+    hand; nothing of those that these do not show."""
+    if test.rows is None:
+        return np.zeros(len(test.labels))
+    left = measured - fit.values - d.wrong_at(fit.delta, fit.strengths) @ of_data.errors
+    return np.where(test.rows < 0, 0.0, left[test.rows])
 
 
 def predicted_by_unknown(
     test: FurtherTest, d: Linearised, base: Refit, measured: np.ndarray
 ) -> Prediction:
     """What a cause of no name predicts; measured (m,): means of the data at hand."""
-    plain = predicted(test, d, base, measured)
-    if test.rows is None:
-        return plain
-    errors = d.wrong_at(base.delta, base.strengths) @ known(d, base, measured).errors
-    unexplained = measured - base.values - errors
-    left = np.where(test.rows < 0, 0.0, unexplained[test.rows])
-    return Prediction(plain.mean + left, plain.covariance + CHANGES**2 * np.outer(left, left))
+    return predicted(test, d, base, measured, stays=1.0)
+
+
+def widened(wrong: np.ndarray, count: int) -> np.ndarray:
+    """Directions (m, count) of errors; none (m, 0) of what is no emulator's are zeros."""
+    return wrong if wrong.shape[1] else np.zeros((len(wrong), count))
 
 
 def stacked(tests: Sequence[FurtherTest]) -> FurtherTest:
