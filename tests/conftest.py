@@ -33,6 +33,9 @@ THOROUGH = (
     *("sensitivity", "smooth", "machine_alone"),
 )
 
+# Fixtures that take longer than ten seconds on one core, by module: what asks for one is slow.
+SLOW = {"lab": "outcome", "protocol": "outcome", "beds": "grown", "report": "folders"}
+
 
 def pytest_collection_modifyitems(items):
     place = {f"test_{name}": number for number, name in enumerate(THOROUGH)}
@@ -40,6 +43,8 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.path.stem in place:
             item.add_marker(pytest.mark.thorough)
+        if SLOW.get(item.path.stem.removeprefix("test_")) in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture

@@ -76,6 +76,7 @@ def test_a_campaign_survives_the_death_of_a_worker(dask, place, tmp_path):
     assert again.simulated == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_kills_every_worker_is_a_labelled_row(dask, place, tmp_path, monkeypatch):
     """A row; whatever is asked for afterwards is simulated all the same.
 

@@ -152,6 +152,7 @@ def test_an_effect_of_a_users_own(base, packing, time_step):
 # ------------------------------------------------------------------ instruments
 
 
+@pytest.mark.slow
 def test_compliance_flattens_slopes_by_the_closed_form(outcome):
     """1/S' = 1/S + 1/K on every chord of both curves; forces stay."""
     compliance = 3e-7

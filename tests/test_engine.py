@@ -244,6 +244,7 @@ def test_the_base_carries_the_weight_of_what_rests_on_it():
     assert record.state.motion.position.z[3] > 2 * RADIUS  # still on top
 
 
+@pytest.mark.slow
 def test_a_turned_bed_moves_as_the_bed_turned():
     """By 90 degrees about the cylinder's axis; what differs is the order of additions."""
     bed = bed_of(spheres_of(4, 0.1), cohesive_soil(), smoothing=Smoothing())

@@ -77,6 +77,7 @@ def test_values_and_gradients_are_finite_through_every_kink(exponent, smoothing)
     assert np.any(by_soil.plasticity_ratio)  # the path does feel its parameters
 
 
+@pytest.mark.slow
 @every_exponent
 @every_smoothing
 def test_tangents_equal_central_differences_away_from_kinks(exponent, smoothing):

@@ -150,7 +150,7 @@ def verdict_in(folder: Path, out: str, judge: trial.TrainedBaselines) -> dict:
     return json.loads((folder / out / "0abcd.json").read_text())
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("count", [0, 1, pytest.param(3, marks=pytest.mark.slow)])
 def test_all_cases_are_judged_in_whatever_process(tmp_path, count):
     cases = [tmp_path / str(number) for number in range(count)]
     assert list(trial._in_processes(Path.touch, cases)) == [None] * count
