@@ -114,19 +114,26 @@ def _calibration(cases: Sequence[dict], words: str) -> Iterator[Row]:
 
 
 def of_further() -> Iterator[Row]:
-    found = result("further_tests")
+    found, words = result("further_tests"), "opened, effects above 1"
     single = [row for row in found.get("cases", []) if row["kind"] == "single"]
-    words = "sealed, effects above 1"
     for called, way in further_tests.WAYS.items():
-        right = [further_tests.right_after(row, way)[-1] for row in single]
         asked = "at least 90 %" if way == "asked" else ""
-        yield line(f"named after at most three further tests, {called}", asked, right, words)
+        yield _named_after(single, called, way, asked, words)
     if single:
         value, low, high = found["ratio"]
         yield (
             "tests until named, asked for over at random", "below 1", f"{value:.2f}",
             f"{low:.2f} to {high:.2f}", words,
         )  # fmt: skip
+    rows = result("withheld_liggghts").get("further", {}).get("cases", [])
+    others = [row for row in rows if row["kind"] == "single"]
+    words = "opened, LIGGGHTS, effects above 1"
+    yield _named_after(others, "asked for", "asked", "at least 75 %", words)
+
+
+def _named_after(rows: Sequence[dict], called: str, way: str, asked: str, words: str) -> Row:
+    right = [further_tests.right_after(row, way)[-1] for row in rows]
+    return line(f"named after at most three further tests, {called}", asked, right, words)
 
 
 def of_infill() -> Iterator[Row]:

@@ -15,7 +15,8 @@ from test_diagnose_verb import call
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison import next_test
 from calibrate.discrepancy.comparison.compare import compare
-from calibrate.discrepancy.comparison.next_test import Proposal, next_tests
+from calibrate.discrepancy.comparison.further import LinearResponse, predicted
+from calibrate.discrepancy.comparison.next_test import UNFORESEEN, Proposal, next_tests
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.further_tests import (
@@ -96,6 +97,30 @@ def test_a_bare_machine_shows_what_its_response_predicts(name, strength, known):
     found = _of_machine(test, block(np.concatenate([in_air[0], curve, in_air[1]])))
     assert found == pytest.approx(told, abs=0.02 if name == "load_cell_offset" else 2e-3)
     assert np.abs(told).max() > 0.02
+
+
+def test_a_seat_that_closes_otherwise_than_its_formula_is_still_foreseen(known):
+    """A bilinear seat that closes at 40 N, and by a third more than the first tests told; both
+    repeats of a frame bend alike."""
+    d, measured, comparison = known
+    gap = replace(d.effects[0], name="seating_gap", typical=1e-3)
+    alone = replace(d, effects=(gap,), effect_slopes=0 * d.effect_slopes[:, :1], emulator=None)
+    unseen = np.zeros((len(d.mean), 1))  # by the first tests
+    fit = replace(comparison.base, chosen=(0,), strengths=np.array([0.9]), effect_slopes=unseen)
+    test = machine_alone(alone, 400.0, 2)
+    forces = 400.0 * np.array([FROM, *SHARES])
+    way = 1.2 * np.clip(forces / 40.0, 0.0, 1.0)
+    found = np.array([0.0, 0.0, 0.0, *(way[1:] - way[0])])
+    told = predicted(test, alone, fit, measured.mean)
+    without_seat = predicted(test, alone, replace(fit, strengths=np.zeros(1)), measured.mean)
+    assert told.p_value(found) > UNFORESEEN
+    assert without_seat.p_value(found) < 1e-3 * UNFORESEEN
+    bends = replace(gap, name="load_frame_compliance", typical=1e-6)
+    frame = replace(alone, effects=(bends,))
+    stiff = machine_alone(frame, 400.0, 2).response
+    assert isinstance(stiff, LinearResponse)
+    scatter = stiff.scatter(np.ones(1))
+    assert np.count_nonzero(scatter - np.diag(np.diag(scatter))) == 0 < scatter.max()
 
 
 def test_a_machine_test_without_a_weight_or_a_return_tells_the_rest(known, lab, place):

@@ -15,8 +15,8 @@ nothing hidden or with an effect that the library lacks.  Up to three tests a ca
     hold            the force of spheres at rest stays, its reading drifts
 
 Both tests of an hour at once are scored too; tests at random are not, for each needs specimens of
-its own.  Answers and verdicts are kept in --work, so that a stopped run goes on.  `diagnosis.py`
-makes the page.
+its own.  Answers and verdicts are kept in --work, so that a stopped run goes on; the rows join
+results/withheld_liggghts.json.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -64,7 +64,7 @@ from calibrate.validation.loop import Asking
 from calibrate.validation.scores import truth_of
 from calibrate.validation.seal import open_seal
 
-RESULT = "further_liggghts"
+RESULT, FURTHER = "withheld_liggghts", "further"
 LOADING = 60.0  # s to the largest force on the block, and as long back
 POINTS = 200  # each way
 HOUR = 3600.0
@@ -219,8 +219,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     runtime.configure()
-    judged = json.loads(reporting.file_of("withheld_liggghts").read_text(encoding="utf-8"))["rows"]
-    snr = {row["case"]: row["snr_simulated"] for row in judged}
+    result = json.loads(reporting.file_of(RESULT).read_text(encoding="utf-8"))
+    snr = {row["case"]: row["snr_simulated"] for row in result["rows"]}
     labels, progress = chosen(open_seal(given.given), snr, given.others), for_terminal()
     progress.start("asking for further tests", len(labels))
     one = partial(loop, given.given, given.discrepancy, given.work)
@@ -235,7 +235,8 @@ def main() -> None:
         right = np.sum([further_tests.right_after(row, "asked") for row in some], axis=0)
         cheap = sum(row["cheap"]["verdict"] == row["truth"] for row in some)
         print(f"{kind}: {right.tolist()} of {len(some)} after 0, 1, ... tests; {cheap} after both")
-    reporting.write_content(RESULT, {"cases": rows, **reporting.provenance()})
+    made = {"cases": rows, **reporting.provenance()}
+    reporting.write_content(RESULT, {**result, FURTHER: made})
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
 from calibrate.simulation.executors import cores
 
-DRAWS, TRAINING = 300, 1200
+DRAWS, TRAINING = 1200, 1200  # null distributions share their noise
 SAMPLED = 9  # cases among which a typical one is sought
 _of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
 

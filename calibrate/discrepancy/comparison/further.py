@@ -9,14 +9,16 @@ left of the data at hand.  The multivariate t has heavy tails, so that a test th
 decides less than a normal density would say (Lange, Little and Taylor 1989).
 
 What an explanation leaves is partly scatter, which goes, and partly what the simulator is wrong by,
-which stays: half of it is expected again in a test of the same soil, give or take half.  What has
-no name yet ("unknown") is still there: it predicts all that base fit and errors leave of the same
-features, give or take half of that, and nothing for a machine by itself.
+which stays: half of it is expected again in a test of the same soil, give or take half.  What an
+effect does may differ from repeat to repeat, and from its formula (`Uneven`).  What has no name yet
+("unknown") is still there: it predicts all that base fit and errors leave of the same features,
+give or take half of that, and nothing for a machine by itself.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -33,11 +35,14 @@ CHANGES = 0.5  # share of it by which this may differ
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """A response that is linear: mean (m,), slopes (m, p) and (m, k)."""
+    """A response that is linear: mean (m,), slopes (m, p) and (m, k); shares (k,) of what each
+    effect does by which it may differ, as a whole and in each feature by itself."""
 
     mean: np.ndarray
     base_slopes: np.ndarray
     effect_slopes: np.ndarray
+    as_a_whole: np.ndarray | None = None
+    by_feature: np.ndarray | None = None
 
     def __call__(self, delta: np.ndarray, strengths: np.ndarray):
         values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
@@ -45,10 +50,33 @@ class LinearResponse:
 
     def of_rows(self, keep: np.ndarray) -> "LinearResponse":
         """The response of some of the features."""
-        return LinearResponse(self.mean[keep], self.base_slopes[keep], self.effect_slopes[keep])
+        return replace(
+            self, mean=self.mean[keep], base_slopes=self.base_slopes[keep],
+            effect_slopes=self.effect_slopes[keep],
+        )  # fmt: skip
 
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         return np.zeros((len(self.mean), 0))
+
+    def scatter(self, strengths: np.ndarray) -> np.ndarray:
+        done, none = self.effect_slopes * strengths, np.zeros_like(strengths)
+        whole = done * (none if self.as_a_whole is None else self.as_a_whole)
+        apart = done * (none if self.by_feature is None else self.by_feature)
+        return whole @ whole.T + np.diag((apart**2).sum(axis=1))
+
+
+@runtime_checkable
+class Uneven(Protocol):
+    """A response whose effects differ from what their formulas say: covariance (m, m) of the mean
+    of the repeats by that."""
+
+    def scatter(self, strengths: np.ndarray) -> np.ndarray: ...
+
+
+def scatter_of(response: Emulator, strengths: np.ndarray, count: int) -> np.ndarray:
+    """The same (count, count), nothing for a response that is not uneven."""
+    even = np.zeros((count, count))
+    return response.scatter(strengths) if isinstance(response, Uneven) else even
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +175,8 @@ def predicted(
     slopes = np.hstack([base, effects[:, list(fit.chosen)], wrong])
     left = unexplained(test, d, fit, measured, of_data)
     spread = slopes @ of_data.covariance @ slopes.T + CHANGES**2 * np.outer(left, left)
-    return Prediction(values + wrong @ of_data.errors + stays * left, test.noise + spread)
+    noise = test.noise + scatter_of(test.response, fit.strengths, len(values))
+    return Prediction(values + wrong @ of_data.errors + stays * left, noise + spread)
 
 
 def unexplained(
@@ -176,9 +205,10 @@ def widened(wrong: np.ndarray, count: int) -> np.ndarray:
 def stacked(tests: Sequence[FurtherTest]) -> FurtherTest:
     """Several further tests as one, whose outcomes share the soil and the effects."""
     rows = [np.full(len(t.labels), -1) if t.rows is None else t.rows for t in tests]
+    response = _Stacked([t.response for t in tests], [len(t.labels) for t in tests])
     return FurtherTest(
         " and ".join(t.name for t in tests), sum(t.cost for t in tests),
-        tuple(label for t in tests for label in t.labels), _Stacked([t.response for t in tests]),
+        tuple(label for t in tests for label in t.labels), response,
         np.asarray(block_diag(*(t.noise for t in tests))), 1, sum(t.specimens for t in tests),
         np.concatenate(rows),
     )  # fmt: skip
@@ -186,9 +216,10 @@ def stacked(tests: Sequence[FurtherTest]) -> FurtherTest:
 
 @dataclass(frozen=True, eq=False)
 class _Stacked:
-    """Responses one below the other."""
+    """Responses one below the other, each of so many features."""
 
     parts: Sequence[Emulator]
+    counts: Sequence[int]
 
     def __call__(self, delta, strengths):
         found = zip(*(part(delta, strengths) for part in self.parts), strict=True)
@@ -198,3 +229,7 @@ class _Stacked:
     def wrong(self, delta, strengths):
         found = [part.wrong(delta, strengths) for part in self.parts]
         return np.vstack([widened(each, max(w.shape[1] for w in found)) for each in found])
+
+    def scatter(self, strengths):
+        each = zip(self.parts, self.counts, strict=True)
+        return np.asarray(block_diag(*(scatter_of(part, strengths, m) for part, m in each)))

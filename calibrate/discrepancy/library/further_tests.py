@@ -54,6 +54,8 @@ STILL_MM = 0.01  # within which a platen stands still
 BEGINNING = 10  # of the readings of a hold, one in so many tells the force that it begins with
 REPEATS = 2
 RATE, GAP, COMPLIANCE = "rate_dependence", "seating_gap", "load_frame_compliance"
+# A loose seat closes by another way each time, and not by its formula; a frame bends nearly so.
+SEATING_SD, SHAPE_SD = 0.35, {GAP: 0.2, COMPLIANCE: 0.1}  # shares of the way; assumed
 OFFSET, DRIFT, GAIN = "load_cell_offset", "load_cell_drift", "load_cell_gain"
 ANSWER = "next_lab.toml"
 CURVES = "next_{number}.csv"  # of repeats, from 1 on
@@ -293,7 +295,10 @@ def _without_soil(d, name: str, cost: float, labels, columns, sd, repeats: int) 
     for k, effect in enumerate(d.effects):
         if effect.name in columns:
             slopes[:, k] = columns[effect.name] * effect.typical
-    response = LinearResponse(np.zeros(m), np.zeros((m, len(d.prior_sd))), slopes)
+    names, still = d.effect_names, np.zeros((m, len(d.prior_sd)))
+    whole = np.array([SEATING_SD / np.sqrt(repeats) if name == GAP else 0.0 for name in names])
+    apart = np.array([SHAPE_SD.get(name, 0.0) for name in names])
+    response = LinearResponse(np.zeros(m), still, slopes, whole, apart)
     noise = np.diag(np.broadcast_to(np.asarray(sd, float) ** 2, (m,)))
     return FurtherTest(name, cost, tuple(labels), response, noise, repeats)
 
