@@ -43,7 +43,8 @@ OF_WRONG = ("hidden", "signal-to-noise", "verdict", "stated", "by scatter alone"
 OF_FURTHER = ("hidden", "signal-to-noise", "at first", "tests")
 NOTES = (
     "Open cases served development. Their answers are told by cross-validation. Sealed cases were "
-    "judged once, those of LIGGGHTS by what the diagnosis was then. Cases with infill runs are the "
+    "judged once, by what the diagnosis was then. Further tests were asked for by today's, on sets "
+    "that had been opened, but that taught it no probabilities. Cases with infill runs are the "
     "first that were simulated; of these the films above 6 are "
     "mostly those that the library alone misses. Signal-to-noise is what calibration leaves of an "
     "effect, over scatter and errors; in LIGGGHTS what two specimens that were simulated without "
