@@ -132,6 +132,7 @@ def test_what_has_no_influence_has_no_slope(cycle):
     assert np.all(slopes(cycle)[:, idle] == 0.0)
 
 
+@pytest.mark.slow
 def test_a_stage_before_it_is_part_of_the_effect():
     """A servo stops at 0.1 N, at an overlap that depends on the soil; then the motion is given.
 
