@@ -192,6 +192,7 @@ def test_a_time_step_that_is_too_large_is_named(tmp_path):
     assert np.isfinite(list(run.observables.values())).all()
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_no_number_is_named(tmp_path):
     work = tiny_campaign(tmp_path)
     soil = eqx.tree_at(lambda s: s.surface_energy, BASE, jnp.asarray(np.nan))
