@@ -43,14 +43,15 @@ OF_WRONG = ("hidden", "signal-to-noise", "verdict", "stated", "by scatter alone"
 OF_FURTHER = ("hidden", "signal-to-noise", "at first", "tests")
 NOTES = (
     "Open cases served development. Their answers are told by cross-validation. Sealed cases were "
-    "judged once, by what the diagnosis was then. Further tests were asked for by today's, on sets "
-    "that had been opened, but that taught it no probabilities. Cases with infill runs are the "
-    "first that were simulated; of these the films above 6 are "
-    "mostly those that the library alone misses. Signal-to-noise is what calibration leaves of an "
-    "effect, over scatter and errors; in LIGGGHTS what two specimens that were simulated without "
-    "the effect tell, of the machine's errors what equations do. Stated: the probability that the "
-    "diagnosis gives its verdict. By scatter alone: the share of laboratories without any gap "
-    "whose curves would miss the model as much."
+    "judged once, by what the diagnosis was then. Further tests were asked for by today's, on "
+    "sets that had been opened, but that taught it no probabilities. Lines about infill runs and "
+    "about LIGGGHTS' cases with nothing hidden in them are of the state before fits were compared "
+    "where they end. Cases with infill runs are the first that were simulated; of these the films "
+    "above 6 are mostly those that the library alone misses. Signal-to-noise is what calibration "
+    "leaves of an effect, over scatter and errors; in LIGGGHTS what two specimens that were "
+    "simulated without the effect tell, of the machine's errors what equations do. Stated: the "
+    "probability that the diagnosis gives its verdict. By scatter alone: the share of "
+    "laboratories without any gap whose curves would miss the model as much."
 )
 
 

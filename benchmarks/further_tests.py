@@ -74,6 +74,19 @@ def loop(case: Path) -> dict:
     return json.loads(kept.read_text())
 
 
+def row_of(case: str, label: dict, snr: float, found: dict) -> dict:
+    """A line of the results file, by a label in our words; probabilities of all explanations stay
+    in the folder."""
+    said = {way: found[way] for way in (*WAYS.values(), "cheap") if way in found}
+    for one in (*said["asked"], *said.get("random", []), said["cheap"]):
+        one.pop("by_class")
+    hidden = TOGETHER.join(one["name"] for one in label["hidden"])
+    truth = truth_of(label, found["classes"])
+    return {
+        "case": case, "kind": label["kind"], "snr": snr, "hidden": hidden, "truth": truth, **said
+    }  # fmt: skip
+
+
 def chosen_cases(work: Path, snr: dict[str, float], most: int, others: int) -> list[Path]:
     """Single effects above `VISIBLE`, and others, in the order of their meaningless names."""
     kinds: dict[str, list[Path]] = {"single": [], NONE: [], "outside": []}
@@ -128,11 +141,7 @@ def main() -> None:
         for case, found in zip(cases, workers.map(loop, cases), strict=True):
             true = run.planned_case(WORK, case.name)
             label = {"kind": true.kind, "hidden": [{"name": h.name} for h in true.hidden]}
-            rows.append({
-                "case": case.name, "kind": true.kind, "snr": snr[case.name],
-                "hidden": TOGETHER.join(h.name for h in true.hidden),
-                "truth": truth_of(label, found["classes"]), **found,
-            })  # fmt: skip
+            rows.append(row_of(case.name, label, snr[case.name], found))
             progress.advance()
     progress.finish()
     written(rows)
@@ -149,10 +158,6 @@ def written(rows: Sequence[dict]) -> None:
             else:
                 right = np.sum([right_after(row, way) for row in some], axis=0).tolist()
             print(f"{kind}, {way}: {right} of {len(some)} after 0, 1, ... tests")
-    for row in rows:  # probabilities of all explanations stay in the folder
-        for said in (*row["asked"], *row["random"], row["cheap"]):
-            said.pop("by_class")
-        row.pop("classes")
     content = {"ratio": ratio(single), "cases": list(rows), **reporting.provenance()}
     reporting.write_content("further_tests", content)
 

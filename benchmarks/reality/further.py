@@ -43,7 +43,6 @@ from twins import case_of
 from calibrate.core import runtime
 from calibrate.core.files import write_json
 from calibrate.core.progress import for_terminal
-from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.next_test import Proposal
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.library.further_tests import HOLD, REPEATS
@@ -61,7 +60,6 @@ from calibrate.validation.further import (
 )
 from calibrate.validation.labels import CONVERSIONS, normalised
 from calibrate.validation.loop import Asking
-from calibrate.validation.scores import truth_of
 from calibrate.validation.seal import open_seal
 
 RESULT, FURTHER = "withheld_liggghts", "further"
@@ -196,20 +194,6 @@ def chosen(labels: dict[str, dict], snr: dict[str, float], others: int) -> list[
     return [*kinds["single"], *kinds[NONE][:others], *kinds["outside"][:others]]
 
 
-def row_of(label: dict, found: dict, snr: float) -> dict:
-    """A line of the results file."""
-    ours = normalised(label)
-    hidden = TOGETHER.join(one["name"] for one in ours["hidden"])
-    row = {
-        "case": label["case"], "kind": ours["kind"], "snr": snr, "hidden": hidden,
-        "truth": truth_of(ours, found["classes"]), **found,
-    }  # fmt: skip
-    for said in (*row["asked"], row["cheap"]):
-        said.pop("by_class")  # stay in the folder
-    row.pop("classes")
-    return row
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--given", type=Path, required=True, help="the opened set")
@@ -227,7 +211,8 @@ def main() -> None:
     apart, rows = multiprocessing.get_context("spawn"), []
     with ProcessPoolExecutor(given.jobs, apart, runtime.configure) as workers:
         for label, found in zip(labels, workers.map(one, labels), strict=True):
-            rows.append(row_of(label, found, snr[label["case"]]))
+            case = label["case"]
+            rows.append(further_tests.row_of(case, normalised(label), snr[case], found))
             progress.advance()
     progress.finish()
     for kind in dict.fromkeys(row["kind"] for row in rows):

@@ -31,7 +31,8 @@ from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
 from calibrate.simulation.executors import cores
 
-DRAWS, TRAINING = 1200, 1200  # null distributions share their noise
+DRAWS = 1200  # of null distributions, whose noise all cases share
+TRAINING = 1200
 SAMPLED = 9  # cases among which a typical one is sought
 _of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
 
