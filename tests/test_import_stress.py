@@ -19,11 +19,12 @@ from calibrate.core.errors import InputError
 from calibrate.inference.problem import pose
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import read_export
+from calibrate.instrument_import.headings import split_heading
 from calibrate.instrument_import.measured import Units
 from calibrate.instrument_import.preamble import read_preamble
 from calibrate.instrument_import.sizes import Size, initial_void_ratios
 from calibrate.instrument_import.steps import ends_of_steps, turning_rows
-from calibrate.instrument_import.vocabulary import TESTS, kind_of, split_unit
+from calibrate.instrument_import.vocabulary import TESTS, kind_of
 from calibrate.instrument_import.vocabulary import test_named_in as named_in
 from calibrate.io.lab import load_lab
 
@@ -184,7 +185,7 @@ def test_a_file_with_force_and_travel_is_read_by_them(tmp_path):
     ],
 )
 def test_kinds_of_columns(heading, kind):
-    assert kind_of(split_unit(heading)[0])[0] == kind
+    assert kind_of(split_heading(heading).name)[0] == kind
 
 
 def test_test_types_are_told_by_their_words():
@@ -382,8 +383,8 @@ def test_few_points_from_contact_on_start_at_contact(tmp_path):
     lines = [f"{a:.1f};{b:.1f}".replace(".", ",") for a, b in rows]
     path = written(tmp_path, "\n".join(["Axial strain (%);Stress (kPa)", *lines]))
     texts = [finding.text for finding in only(path, size=TALL).findings]
-    assert "the record starts at contact" in texts
-    assert not any("starts under a load" in text for text in texts)
+    assert any("holds no reading before contact" in text for text in texts)
+    assert not any("first contact is missing" in text for text in texts)
 
 
 def test_trumao_strengths(calibrate, tmp_path):

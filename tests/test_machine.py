@@ -14,9 +14,10 @@ from machine_files import EXPORTS, HEADING, NAMES, columns, curves, only, text_o
 from calibrate.inference.problem import pose
 from calibrate.instrument_import.cells import number
 from calibrate.instrument_import.convert import read_export
+from calibrate.instrument_import.headings import split_heading
 from calibrate.instrument_import.preamble import read_preamble
 from calibrate.instrument_import.textfile import decode
-from calibrate.instrument_import.vocabulary import kind_of, split_unit
+from calibrate.instrument_import.vocabulary import kind_of
 from calibrate.io.lab import load_lab
 
 
@@ -74,12 +75,12 @@ def test_export_with_troubles_is_read_and_says_them(calibrate, tmp_path):
     assert said == {
         "clipped": ["saturation"],
         "with gap": ["sampling gap"],
-        "kN as N": ["unit slip"],
+        "kN as N": ["size of the numbers"],
         "good": [],
     }
     assert out.count("WARNING") == 3
     lab = load_lab(tmp_path / "o/trouble.toml")
-    assert [curve.test for curve in lab.curves] == ["confined", "confined", "unconfined"]
+    assert [curve.test for curve in lab.curves] == ["confined", "unconfined"]  # 0.4 N is no curve
 
 
 @pytest.mark.parametrize(
@@ -205,8 +206,9 @@ def test_what_is_no_number(text):
     ],
 )
 def test_headings(heading, kind, unit):
-    name, found = split_unit(heading)
-    assert (found[1] if found else None) == unit
+    found = split_heading(heading)
+    name = found.name
+    assert (found.unit.name if found.unit else None) == (None if kind == "other" else unit)
     if "máxima" not in heading:
         assert kind_of(name)[0] == kind
     else:

@@ -14,6 +14,7 @@ from calibrate.core.errors import InputError
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import read_export
 from calibrate.instrument_import.recordings import Units
+from calibrate.instrument_import.unittext import unit_of
 
 # ------------------------------------------------------------------ what can be wrong with a curve
 
@@ -22,26 +23,40 @@ def findings(path, kind, **choices):
     return [f for f in only(path, **choices).findings if f.kind == kind]
 
 
-def test_kilonewtons_taken_for_newtons(tmp_path):
-    """As written, 400 N would be 0.4 N on 50 mm: less than the soil's own weight."""
+def test_a_written_unit_is_never_overruled(tmp_path):
+    """0.4 N on 50 mm is less than the soil's own weight: said, and kept."""
     curve = columns()
     path = written(tmp_path, text_of(curve, HEADING, scale={"f": 1e-3}))
-    specimen = only(path)
-    assert specimen.force_n.max() == pytest.approx(curve["f"].max(), rel=1e-3)
-    (found,) = findings(path, "unit slip")
-    assert found.fault and "--force-unit" in found.text
-    kept = only(path, units=Units(force="N"))
-    assert kept.force_n.max() == pytest.approx(curve["f"].max() / 1000, rel=1e-2)
+    assert only(path).force_n.max() == pytest.approx(curve["f"].max() / 1000, rel=1e-3)
+    (found,) = findings(path, "size of the numbers")
+    assert found.fault and "--force-unit" in found.text and "ASSUMED" in found.text
+    right = only(path, units=Units(force=unit_of("kN")))
+    assert right.force_n.max() == pytest.approx(curve["f"].max(), rel=1e-3)
 
 
-def test_newtons_taken_for_kilonewtons_and_metres_for_millimetres(tmp_path):
+def test_what_a_size_would_make_possible_is_said(tmp_path):
+    """200 MPa on 50 mm, and a strain of 7e-5."""
     heading = ("Time (s)", "Extension (mm)", "Load (kN)")
     path = written(tmp_path, text_of(columns(), heading, scale={"x": 1e-3}))
-    texts = [found.text for found in findings(path, "unit slip")]
-    assert [text.split()[0] for text in texts] == ["force", "displacement"]  # 200 MPa, 7e-5
-    specimen = only(path)
-    assert specimen.force_n.max() == pytest.approx(400, rel=0.01)
-    assert specimen.displacement_mm.max() == pytest.approx(6.2, abs=0.5)
+    texts = [found.text for found in findings(path, "size of the numbers")]
+    assert [text.split()[0] for text in texts] == ["force", "displacement"]
+    assert only(path).force_n.max() == pytest.approx(400e3, rel=0.01)
+    assert "160 mm" in texts[0]  # sqrt(4 x 400 kN/(20 MPa pi))
+
+
+@pytest.mark.parametrize(
+    ("heading", "scale", "option"),
+    [
+        ("Extension (mm);Load", {"f": 1e-3}, "--force-unit kN"),
+        ("Extension;Load (N)", {"x": 1e-3}, "--displacement-unit m"),
+        ("Extension (mm);Load", {"f": 1e3}, "--force-unit"),
+    ],
+)
+def test_a_unit_that_nobody_wrote_and_cannot_be_is_refused(tmp_path, heading, scale, option):
+    path = written(tmp_path, text_of(columns(), [heading], scale=scale, order="xf"))
+    with pytest.raises(InputError) as refused:
+        read_export(path)
+    assert "has no unit" in str(refused.value) and option in str(refused.value)
 
 
 def test_force_clipped_at_the_limit_of_the_load_cell(tmp_path):
@@ -107,7 +122,7 @@ def test_rows_out_of_order_in_time(tmp_path):
 def test_a_record_that_starts_under_load(tmp_path):
     curve = {name: values[30:] for name, values in columns().items()}
     (found,) = findings(written(tmp_path, text_of(curve, HEADING)), "start of contact")
-    assert found.fault and "under a load" in found.text
+    assert found.fault and "begins under" in found.text
 
 
 def test_missing_values_are_counted(tmp_path):

@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibrate.core.errors import COMMAND_LINE, BadValue, InputError
+from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
 
 if TYPE_CHECKING:
-    from calibrate.core.units import Kind
     from calibrate.instrument_import.convert import Export
     from calibrate.instrument_import.measured import Units
     from calibrate.instrument_import.sizes import Size
     from calibrate.instrument_import.specimens import Specimen
     from calibrate.instrument_import.strengths import Strengths
+    from calibrate.instrument_import.unittext import Unit
 
 
 def register(app: typer.Typer) -> None:
@@ -22,7 +22,10 @@ def register(app: typer.Typer) -> None:
 
 
 def convert_command(
-    export: Annotated[Path, typer.Argument(metavar="EXPORT", help=".csv, .txt or .xlsx file.")],
+    exports: Annotated[
+        list[Path],
+        typer.Argument(metavar="EXPORT...", help=".csv, .txt or .xlsx files of one soil."),
+    ],
     test: Annotated[
         str | None,
         typer.Option("--test", help="Its type (calibrate.labtests); default: found out."),
@@ -64,9 +67,9 @@ def convert_command(
     ),
     json: Annotated[Path | None, typer.Option("--json", help="Write what was found here.")] = None,
 ) -> None:
-    """Turn a testing machine's export into clean curves and a lab file for `calibrate fit`."""
+    """Turn exports of testing machines into clean curves and a lab file for `calibrate fit`."""
     from calibrate.core.files import check_writable, write_json
-    from calibrate.instrument_import.convert import read_export
+    from calibrate.instrument_import.convert import joined, read_export
     from calibrate.instrument_import.vocabulary import TESTS
 
     check_writable(json)
@@ -75,7 +78,7 @@ def convert_command(
         raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
     units = _units(force_unit, displacement_unit, stress_unit, strain_unit, time_unit)
     size = _size(diameter, height, void_ratio, settlement)
-    read = read_export(export, test, units, size, points)
+    read = joined([read_export(export, test, units, size, points) for export in exports])
     lab = _write(read, out)
     result = summary(read, lab)
     write_json(out / "convert.json", result)
@@ -148,6 +151,8 @@ def _row(specimen: "Specimen", file: str) -> dict:
         "rate_m_s": specimen.rate,
         "contact_mm": specimen.contact_mm,
         "zero_force_n": specimen.zero_n,
+        "begins_at_n": specimen.begins_n,
+        "reading_before_contact": specimen.approach,
         "unloading_mm": specimen.unloading_mm,
         "saturated": specimen.clipped,
         "assumed": [f.text for f in specimen.findings if not f.fault],
@@ -179,31 +184,26 @@ def _units(
     time: str | None,
 ) -> "Units":
     """The units that the user insists on, each of its kind."""
-    from calibrate.core import units
     from calibrate.instrument_import.measured import Units
 
     return Units(
-        force=_checked(force, units.FORCE, "--force-unit"),
-        displacement=_checked(displacement, units.MILLIMETRES, "--displacement-unit"),
-        stress=_checked(stress, units.STRESS, "--stress-unit"),
-        strain="" if strain == "-" else _checked(strain, units.STRAIN, "--strain-unit"),
-        time=_checked(time, units.TIME, "--time-unit"),
+        force=_checked(force, "force", "kN"),
+        displacement=_checked(displacement, "displacement", "mm"),
+        stress=_checked(stress, "stress", "kPa"),
+        strain=_checked(strain, "strain", "%"),
+        time=_checked(time, "time", "min"),
     )
 
 
-def _checked(unit: str | None, kind: "Kind", option: str) -> str | None:
-    """A unit from the command line as pint knows it, refused if it is none of this kind."""
-    from calibrate.core.units import unit_factor
-    from calibrate.instrument_import.vocabulary import unit_of
+def _checked(text: str | None, kind: str, example: str) -> "Unit | None":
+    """A unit from the command line, refused if it is none of this kind."""
+    from calibrate.instrument_import.unittext import doubt, unit_of
 
-    if unit is None:
-        return None
-    known = unit_of(unit)
-    try:
-        unit_factor(unit if known is None else known[1], kind)
-    except BadValue as bad:
-        raise bad.at(COMMAND_LINE, option) from None
-    return unit if known is None else known[1]
+    unit = None if text is None else unit_of(text)
+    if text is None or (unit is not None and unit.kind == kind):
+        return unit
+    problem = f"{shown(text, 20)} {doubt(text) or f'is not a unit of {kind}'}"
+    raise InputError(COMMAND_LINE, f"--{kind}-unit", problem, f"use a unit such as {example}")
 
 
 def _size(

@@ -11,18 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.core.errors import BadValue, shown
-from calibrate.instrument_import.tables import FEWEST_ROWS, Heading, Table
+from calibrate.instrument_import.headings import NAMED_BY_UNIT, Heading
+from calibrate.instrument_import.tables import FEWEST_ROWS, Table
+from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRAIN, STRESS, TIME
 from calibrate.instrument_import.vocabulary import (
     CONSOLIDATION,
-    DISPLACEMENT,
-    FORCE,
     OTHER,
     ROOT_TIME,
     SHEAR_STRENGTH,
-    STRAIN,
     STRENGTH,
-    STRESS,
-    TIME,
     VOID_RATIO,
     kind_of,
 )
@@ -31,19 +28,9 @@ LOADS = (FORCE, STRESS)  # the first that a table holds is taken
 TRAVELS = (DISPLACEMENT, STRAIN, VOID_RATIO, CONSOLIDATION)
 TRAVELS_OF_STRESS = (STRAIN, DISPLACEMENT, VOID_RATIO, CONSOLIDATION)
 TIMES = (TIME, ROOT_TIME)
+BY_UNIT = 50  # rank of a column of which only the unit says what it holds
 STRENGTHS = (STRENGTH, SHEAR_STRENGTH)
 
-_NAMED_BY_UNIT = {  # what a name may mean once its unit is known
-    (STRAIN, DISPLACEMENT): DISPLACEMENT,
-    (DISPLACEMENT, STRAIN): STRAIN,
-    (FORCE, STRESS): STRESS,
-    (STRESS, FORCE): FORCE,
-    (VOID_RATIO, STRAIN): VOID_RATIO,
-    (CONSOLIDATION, STRAIN): CONSOLIDATION,
-    (ROOT_TIME, TIME): ROOT_TIME,
-    (STRENGTH, STRESS): STRENGTH,
-    (SHEAR_STRENGTH, STRESS): SHEAR_STRENGTH,
-}
 _BY_UNIT_ELSE = (VOID_RATIO, ROOT_TIME, *STRENGTHS)  # "E (MPa)" is no void ratio
 
 
@@ -113,6 +100,10 @@ def explain_missing(tables: list[Table]) -> BadValue:
     headings = [h for table in tables for h in table.headings if h.name or h.unit]
     if not headings:
         problem = "its columns of numbers have no names"
+        above = [cell.strip() for table in tables for row in table.preamble[-1:] for cell in row]
+        if sum(bool(cell) for cell in above) > 1:
+            names = ", ".join(shown(cell, 20) for cell in above[:8] if cell)
+            problem = f"its columns of numbers have no names that are understood ({names})"
         return BadValue(problem, "put a line such as time_s;force_N;displacement_mm above them")
     kinds = {c.kind for h in headings if (c := _channel(h, 0)) is not None}
     wanted = ((FORCE, LOADS), (DISPLACEMENT, TRAVELS))
@@ -129,13 +120,13 @@ def explain_missing(tables: list[Table]) -> BadValue:
 def _channel(heading: Heading, column: int) -> Channel | None:
     """What the column holds by name and unit; None if neither says so."""
     kind, rank = kind_of(heading.name) if heading.name else (None, 0)
-    unit_kind = heading.unit[0] if heading.unit else None
+    unit_kind = heading.unit.kind if heading.unit else None
     if kind is None:
-        kind, rank = unit_kind, 50
+        kind, rank = (unit_kind if _tells(heading) else None), BY_UNIT
     elif unit_kind is not None and unit_kind != kind:
         if kind == OTHER:
             return None
-        known = _NAMED_BY_UNIT.get((kind, unit_kind))
+        known = NAMED_BY_UNIT.get((kind, unit_kind))
         if known is None and kind in _BY_UNIT_ELSE:
             return None
         if known is None:
@@ -143,6 +134,13 @@ def _channel(heading: Heading, column: int) -> Channel | None:
             raise BadValue(problem, "correct the name or the unit in the heading")
         kind, rank = known, rank + 20
     return None if kind in (None, OTHER) else Channel(kind, rank, heading, column)
+
+
+def _tells(heading: Heading) -> bool:
+    """Whether a unit says what a column of an unknown name holds: a mass may be a specimen's, and
+    a share may be of anything."""
+    unit = heading.unit
+    return unit is not None and not unit.by_weight and (unit.kind != STRAIN or not heading.name)
 
 
 def _without_number(name: str) -> str:
@@ -158,7 +156,7 @@ def _repeats(channels: list[Channel], table: Table, bare=_without_number) -> boo
     """Whether these columns are one quantity of several specimens, not several quantities:
     same name but for a number, same unit, and not one in multiples of another."""
     names = {bare(c.heading.name) for c in channels}
-    units = {c.heading.unit for c in channels}
+    units = {(c.heading.unit, c.heading.not_understood) for c in channels}
     return len(names) == 1 and len(units) == 1 and not _proportional(channels, table)
 
 
@@ -189,12 +187,16 @@ def _chosen(
     named_by: Channel | None = None,
 ) -> Channels:
     """The best ranked column of each kind; the specimen is named by its load unless said."""
-    load = min(loads, key=lambda c: c.rank)
-    travel = min(travels, key=lambda c: c.rank)
-    time = min(times, key=lambda c: c.rank, default=None)
+    load, travel = min(loads, key=_preference), min(travels, key=_preference)
+    time = min(times, key=_preference, default=None)
     others = tuple(c for c in (*loads, *travels) if c not in (load, travel))
     naming = named_by or load
     return Channels(time, load, travel, naming.heading.label or _number_in(naming), others)
+
+
+def _preference(channel: Channel) -> tuple[bool, int]:
+    """Columns whose unit is understood first, then by rank."""
+    return bool(channel.heading.not_understood), channel.rank
 
 
 def _number_in(channel: Channel) -> str:

@@ -1,7 +1,7 @@
 """An export of a testing machine, read whole: `read_export` gives its clean specimens."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibrate.core.errors import BadValue, InputError, one_line
@@ -10,11 +10,11 @@ from calibrate.instrument_import.loadsteps import step_specimen
 from calibrate.instrument_import.measured import Units
 from calibrate.instrument_import.recordings import Choices, Recording, recordings_in
 from calibrate.instrument_import.sizes import Size
+from calibrate.instrument_import.specimen_rows import unlike
 from calibrate.instrument_import.specimens import Specimen, specimen_from
 from calibrate.instrument_import.strengths import Strengths, strengths_in
 from calibrate.instrument_import.textfile import text_sheet
 from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS, plain
-from calibrate.instrument_import.whose import unlike
 from calibrate.instrument_import.workbook import is_workbook, workbook_sheets
 
 LARGEST = 100_000_000  # bytes of an export
@@ -73,6 +73,25 @@ def read_export(
         raise InputError(str(path), "", one_line(bad.problem), bad.repair) from None
     skipped = tuple(one_line(f"left out: {bad.problem}; {bad.repair}") for bad in refused)
     return Export(str(path), sheets[0].layout, tuple(specimens), skipped)
+
+
+def joined(exports: list[Export]) -> Export:
+    """Several exports of one soil as one; specimens of the same name get a number."""
+    first = exports[0]
+    if len(exports) == 1:
+        return first
+    for one in exports:
+        if one.strengths is not None:
+            problem = "it holds strengths and no curve, which cannot be joined with other files"
+            raise InputError(one.file, "", problem, "convert it alone")
+    specimens = [s for one in exports for s in one.specimens]
+    names = unlike([s.label for s in specimens])
+    return replace(
+        first,
+        layout="; ".join(f"{Path(one.file).name}: {one.layout}" for one in exports),
+        specimens=tuple(replace(s, label=n) for s, n in zip(specimens, names, strict=True)),
+        skipped=tuple(f"{Path(one.file).name}: {t}" for one in exports for t in one.skipped),
+    )
 
 
 def _recordings_or_strengths(sheets: list[Sheet], choices: Choices) -> list[Recording] | Strengths:

@@ -26,7 +26,7 @@ def step_specimen(recording: Recording, test: str | None, label: str) -> Specime
     """
     findings = [Finding("assumed", text) for text in recording.assumed]
     findings += [Finding("missing values", text, True) for text in recording.warnings]
-    check_steps(recording.force_n, FEWEST_STEPS, label)
+    check_steps(recording.force_n, recording.displacement_mm, FEWEST_STEPS, label)
     kind = test or recording.stated.test or LOAD_STEPS
     if test is None and recording.stated.test is None:
         text = f"{kind} test, because its rows are load steps"
@@ -49,6 +49,8 @@ def step_specimen(recording: Recording, test: str | None, label: str) -> Specime
         clipped=False,
         contact_mm=0.0,
         zero_n=0.0,
+        begins_n=float(force[0]),
+        approach=False,
         place=recording.place,
         findings=tuple(findings),
         raw=recording,

@@ -10,42 +10,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.core.errors import BadValue, shown
-from calibrate.core.units import FORCE as FORCES
-from calibrate.core.units import MILLIMETRES, UNITS, Kind
-from calibrate.core.units import STRAIN as STRAINS
-from calibrate.core.units import STRESS as STRESSES
-from calibrate.core.units import TIME as TIMES
-from calibrate.core.units import VOID_RATIO as VOID_RATIOS
 from calibrate.instrument_import.columns import Channel
+from calibrate.instrument_import.headings import refused_unit
 from calibrate.instrument_import.sizes import Column
 from calibrate.instrument_import.tables import Table
-from calibrate.instrument_import.vocabulary import (
-    CONSOLIDATION,
+from calibrate.instrument_import.unittext import (
     DISPLACEMENT,
     FORCE,
-    ROOT_TIME,
-    SHEAR_STRENGTH,
+    GRAVITY,
     STRAIN,
-    STRENGTH,
     STRESS,
     TIME,
+    Unit,
+)
+from calibrate.instrument_import.vocabulary import (
+    CONSOLIDATION,
+    ROOT_TIME,
+    SHEAR_STRENGTH,
+    STRENGTH,
     VOID_RATIO,
 )
 
-KINDS: dict[str, Kind] = {
-    FORCE: FORCES,
-    STRESS: STRESSES,
-    STRENGTH: STRESSES,
-    SHEAR_STRENGTH: STRESSES,
-    DISPLACEMENT: MILLIMETRES,
-    STRAIN: STRAINS,
-    CONSOLIDATION: STRAINS,
-    VOID_RATIO: VOID_RATIOS,
-    TIME: TIMES,
-    ROOT_TIME: TIMES,
+_USUAL = {
+    FORCE: Unit(FORCE, "N", 1.0),
+    DISPLACEMENT: Unit(DISPLACEMENT, "mm", 1.0),
+    TIME: Unit(TIME, "s", 1.0),
+    ROOT_TIME: Unit(TIME, "min", 60.0),
+    **dict.fromkeys((STRESS, STRENGTH, SHEAR_STRENGTH), Unit(STRESS, "kPa", 1.0)),
 }
-_USUAL = {FORCE: "N", DISPLACEMENT: "mm", TIME: "s", ROOT_TIME: "min"}
-_USUAL |= dict.fromkeys((STRESS, STRENGTH, SHEAR_STRENGTH), "kPa")
 _WHOLE = 1e-6  # a degree of consolidation ends at 1 (or 100 %) within this
 _STEP = re.compile(
     r"(\d+(?:\.\d+)?)\s*(?:-|–|→|->|to|bis|a|à)\s*(\d+(?:\.\d+)?)(?!\d)", re.IGNORECASE
@@ -54,28 +46,25 @@ _STEP = re.compile(
 
 @dataclass(frozen=True)
 class Units:
-    """Units that the user insists on, as pint knows them; None: as the file says.
+    """Units that the user insists on; None: as the file says."""
 
-    `strain` may be "", a pure number.
-    """
+    force: Unit | None = None
+    displacement: Unit | None = None
+    stress: Unit | None = None
+    strain: Unit | None = None
+    time: Unit | None = None
 
-    force: str | None = None
-    displacement: str | None = None
-    stress: str | None = None
-    strain: str | None = None
-    time: str | None = None
-
-    def of(self, kind: str) -> str | None:
+    def of(self, kind: str) -> Unit | None:
         """The unit that the user gave for a column of this kind."""
         same = {STRENGTH: STRESS, SHEAR_STRENGTH: STRESS, ROOT_TIME: TIME}
         given = {FORCE: self.force, DISPLACEMENT: self.displacement, STRESS: self.stress}
         given |= {STRAIN: self.strain, TIME: self.time}
         return given.get(same.get(kind, kind))
 
-    def fixed(self) -> frozenset[str]:
-        """The kinds of columns whose unit the user insists on."""
-        kinds = (FORCE, DISPLACEMENT, STRESS, STRAIN, TIME)
-        return frozenset(kind for kind in kinds if self.of(kind) is not None)
+    def assumed_of(self, *channels: Channel | None) -> frozenset[str]:
+        """The kinds of these columns whose unit neither the user nor the file gives."""
+        used = (c for c in channels if c is not None and c.heading.unit is None)
+        return frozenset(c.kind for c in used if self.of(c.kind) is None)
 
 
 def measured(table: Table, channel: Channel, units: Units) -> tuple[Column, str]:
@@ -118,7 +107,7 @@ def load_of_name(label: str, travel: Column, units: Units) -> tuple[Column, str]
         repair = 'add a column of stress, or name the specimens by their step: "25-50"'
         raise BadValue(problem, repair)
     written = units.of(STRESS)
-    per = _per(written, STRESS) if written is not None else 1.0
+    per = written.factor if written is not None else 1.0
     low, high = (float(text) * per for text in found.groups())
     values = np.full(len(travel.values), high)
     values[:1] = low
@@ -132,24 +121,20 @@ def load_of_name(label: str, travel: Column, units: Units) -> tuple[Column, str]
 def _factor(channel: Channel, values: np.ndarray, units: Units) -> tuple[float, str]:
     """Kept units in one unit of the column, and what was assumed."""
     wanted, heading = units.of(channel.kind), channel.heading
-    if wanted is not None:
-        return _per(wanted, channel.kind), ""
-    if heading.unit is not None:
-        return _per(heading.unit[1], channel.kind), ""
-    name = shown(heading.name, 30)
+    if wanted is None and heading.not_understood and channel.kind != VOID_RATIO:
+        raise refused_unit(heading, channel.kind)
+    unit, name = wanted or heading.unit, shown(heading.name, 30)
+    if unit is not None:
+        text = f"{unit.name} of column {name} is a weight: mass times {GRAVITY} m/s2"
+        return unit.factor, text if unit.by_weight else ""
     if channel.kind == VOID_RATIO:
         return 1.0, ""
     if channel.kind == STRAIN:
         largest = float(np.nanmax(np.abs(values)))
-        unit, word = ("%", "%") if largest > 1 else ("", "a fraction")
-        return _per(unit, STRAIN), f"column {name} has no unit: taken as {word}"
+        per, word = (0.01, "%") if largest > 1 else (1.0, "a fraction")
+        return per, f"column {name} has no unit: taken as {word}"
     usual = _USUAL[channel.kind]
-    return _per(usual, channel.kind), f"column {name} has no unit: taken as {usual}"
-
-
-def _per(unit: str, kind: str) -> float:
-    """Kept units of this kind in one `unit`; "" is a pure number."""
-    return float(UNITS.Quantity(1.0, unit).to(KINDS[kind].unit).magnitude)
+    return usual.factor, f"column {name} has no unit: taken as {usual.name}"
 
 
 def _degrees(words: str, values: np.ndarray) -> tuple[Column, str]:

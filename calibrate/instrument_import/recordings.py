@@ -2,7 +2,7 @@
 
 Stated units are converted; missing ones are taken as N, kPa, mm and s and said so.  Stress,
 strain and void ratio are converted with the specimen's size (`sizes`).  Compression is turned
-to be positive.  A table whose time starts again holds several specimens.
+to be positive.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ import numpy as np
 
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.cells import Sheet
-from calibrate.instrument_import.columns import Channels, channels_of, explain_missing
+from calibrate.instrument_import.columns import BY_UNIT, Channels, channels_of, explain_missing
 from calibrate.instrument_import.measured import (
     Units,
     is_degree,
@@ -21,21 +21,23 @@ from calibrate.instrument_import.measured import (
     measured,
     time_in_seconds,
 )
+from calibrate.instrument_import.other_tests import refuse, signs_of_other_tests
 from calibrate.instrument_import.preamble import Stated, read_preamble
-from calibrate.instrument_import.sizes import Converted, Size, check_counts, converted
+from calibrate.instrument_import.sizes import Column, Converted, Size, check_counts, converted
+from calibrate.instrument_import.specimen_rows import (
+    Rows,
+    are_only_numbered,
+    by_specimen,
+    clock_starts_again,
+)
 from calibrate.instrument_import.steps import are_steps
 from calibrate.instrument_import.tables import FEWEST_ROWS, FEWEST_STEPS, Table, tables_in
-from calibrate.instrument_import.vocabulary import (
-    CONSOLIDATION,
-    DISPLACEMENT,
-    FORCE,
-    VOID_RATIO,
-    test_named_in,
-)
-from calibrate.instrument_import.whose import by_specimen
+from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE
+from calibrate.instrument_import.vocabulary import CONSOLIDATION, VOID_RATIO, test_named_in
 
 MINOR = 0.1  # tables with fewer rows than this share of the longest are no recordings
 MOST_SPECIMENS = 60
+FEW = 0.03  # of the rows; more that are left out are a warning
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class Recording:
     """One specimen in file order, arrays of shape (points,); `time_s` is None if not recorded.
 
     `place` says where in the file it stands; `stated` holds what its preamble says, the user's
-    sizes in place; `units_fixed` the kinds of columns whose unit the user insists on; `assumed`
-    and `warnings` are sentences.  `load` and `travel` are the kinds of columns that were
+    sizes in place; `units_assumed` the kinds of columns whose unit nobody wrote; `assumed` and
+    `warnings` are sentences.  `load` and `travel` are the kinds of columns that were
     recorded, `points` whether the rows are load steps, `size` what was converted with.
     """
 
@@ -67,7 +69,7 @@ class Recording:
     displacement_mm: np.ndarray
     force_n: np.ndarray
     stated: Stated
-    units_fixed: frozenset[str]
+    units_assumed: frozenset[str]
     assumed: tuple[str, ...]
     warnings: tuple[str, ...]
     load: str
@@ -89,21 +91,17 @@ class Source:
     rows: np.ndarray
     channels: Channels
     label: str
+    notes: tuple[str, ...] = ()
 
 
 def recordings_in(sheets: list[Sheet], choices: Choices) -> list[Recording]:
     """All specimens of a file; `BadValue` if there is none, or far too many."""
     tables = [table for page in sheets for table in tables_in(page)]
-    sources = _sources(tables, FEWEST_ROWS)
+    sources = _sources(tables, FEWEST_ROWS, choices)
     if sources:
-        found = _recordings(sources, choices, len(sheets) > 1)
-        parts = [part for recording in found for part in _split(recording)]
-        _check_number(len(parts))
-        if not parts:
-            raise _nothing()
-        return parts
+        return _recordings(sources, choices, len(sheets) > 1)
     few = [table for page in sheets for table in tables_in(page, FEWEST_STEPS, 1)]
-    sources = _sources(few, FEWEST_STEPS)
+    sources = _sources(few, FEWEST_STEPS, choices)
     if not sources:
         raise explain_missing(tables) if tables else _nothing()
     found = [r for r in _recordings(sources, choices, len(sheets) > 1) if r.points]
@@ -113,7 +111,7 @@ def recordings_in(sheets: list[Sheet], choices: Choices) -> list[Recording]:
     return found
 
 
-def _sources(tables: list[Table], fewest: int) -> list[Source]:
+def _sources(tables: list[Table], fewest: int, choices: Choices) -> list[Source]:
     """All specimens of these tables, without tables that are minor beside the longest."""
     with_channels = [(t, channels) for t in tables if (channels := channels_of(t, fewest))]
     longest = max((len(table.numbers) for table, _ in with_channels), default=0)
@@ -121,22 +119,89 @@ def _sources(tables: list[Table], fewest: int) -> list[Source]:
         source
         for table, several in with_channels
         if len(table.numbers) >= MINOR * longest
-        for source in _sources_of(table, several)
+        for source in _sources_of(table, several, choices)
     ]
     _check_number(len(sources))
+    unused = [t for t in tables if t not in [table for table, _ in with_channels]]
+    if unused and sources:
+        names = dict.fromkeys(f"{t.sheet.name} from line {t.line}" for t in unused)
+        text = f"{len(unused)} table(s) without load and travel were passed over"
+        text += f" ({', '.join(shown(name, 30) for name in [*names][:4])})"
+        sources[0] = replace(sources[0], notes=(*sources[0].notes, text))
+    minor = [t for t, _ in with_channels if len(t.numbers) < MINOR * longest]
+    if minor and sources:
+        rows = ", ".join(f"{len(t.numbers)} rows from line {t.line}" for t in minor[:4])
+        text = f"{len(minor)} short table(s) beside the record were left out ({rows})"
+        sources[0] = replace(sources[0], notes=(*sources[0].notes, text))
     return sources
 
 
-def _sources_of(table: Table, several: list[Channels]) -> Iterator[Source]:
-    """The specimens of one table: groups of columns, each taken apart by the column of names."""
+def _sources_of(table: Table, several: list[Channels], choices: Choices) -> Iterator[Source]:
+    """The specimens of one table: groups of columns, each taken apart by the column of names, and
+    where travel or clock start again."""
     groups = by_specimen(table)
     for channels in several:
         parts = [table.numbers[rows, channels.travel.column] for _, rows in groups]
         if channels.load is None and is_degree(channels.travel, parts):
             degrees = replace(channels.travel, kind=CONSOLIDATION)
             channels = replace(channels, travel=degrees)
-        for label, rows in groups:
-            yield Source(table, rows, channels, f"{channels.label} {label}".strip())
+        named = groups
+        if len(groups) > 1 and are_only_numbered(table) and _is_one(table, channels, groups):
+            named = [("", np.ones(len(table.numbers), bool))]
+        for label, rows in named:
+            whole = Source(table, rows, channels, f"{channels.label} {label}".strip())
+            yield from _parts(whole, choices)
+
+
+def _rows_of(table: Table, channels: Channels, rows: np.ndarray) -> tuple[np.ndarray, Rows | None]:
+    """Which rows of the table hold load and travel, and what these are; None for too few."""
+    if channels.load is None:
+        return np.flatnonzero(rows), None
+    load, travel = (table.numbers[:, c.column] for c in (channels.load, channels.travel))
+    time = None if channels.time is None else table.numbers[:, channels.time.column]
+    held = np.flatnonzero(rows & np.isfinite(load) & np.isfinite(travel))
+    if len(held) < 2:
+        return held, None
+    if time is not None:
+        time = time[held] if np.isfinite(time[held]).all() else None
+    blocks = [int(np.searchsorted(held, block)) for block in table.blocks]
+    sign = -1.0 if channels.travel.kind == VOID_RATIO else 1.0
+    inside = tuple(block for block in blocks if 0 < block < len(held))
+    return held, Rows.of(time, load[held], sign * travel[held], inside)
+
+
+def _is_one(table: Table, channels: Channels, groups: list[tuple[str, np.ndarray]]) -> bool:
+    """Whether groups that are only numbered go on from each other: pages of one record."""
+    held, whole = _rows_of(table, channels, np.ones(len(table.numbers), bool))
+    if whole is None:
+        return False
+    number = np.argmax([rows[held] for _, rows in groups], axis=0)
+    edges = np.flatnonzero(np.diff(number)) + 1
+    return len(edges) == len(groups) - 1 and all(whole.goes_on(int(row)) for row in edges)
+
+
+def _parts(source: Source, choices: Choices) -> Iterator[Source]:
+    """The specimens below each other in these rows, each with its rows."""
+    table, channels = source.table, source.channels
+    held, rows = _rows_of(table, channels, source.rows)
+    if rows is None or channels.load is None:
+        yield source
+        return
+    named = choices.test or test_named_in(f"{table.sheet.name} {source.label}")
+    named = named or read_preamble(table.preamble).test
+    load = Column(channels.load.kind, "", rows.load)
+    travel = Column(channels.travel.kind, "", rows.travel)
+    starts = rows.starts(are_steps(load, travel, named, choices.points))
+    if not starts:
+        yield source
+        return
+    edges = [0, *(int(held[row]) for row in starts), len(source.rows)]
+    places = np.arange(len(source.rows))
+    for number, (first, last) in enumerate(pairwise(edges), start=1):
+        text = f"travel or clock start again in {len(starts)} row(s): {len(edges) - 1} specimens"
+        own = source.rows & (places >= first) & (places < last)
+        label = f"{source.label} part {number}" if source.label else f"specimen {number}"
+        yield replace(source, rows=own, label=label, notes=(*source.notes, text))
 
 
 def _check_number(specimens: int) -> None:
@@ -146,6 +211,7 @@ def _check_number(specimens: int) -> None:
 
 
 def _recordings(sources: list[Source], choices: Choices, many_sheets: bool) -> list[Recording]:
+    _check_number(len(sources))
     check_counts(choices.size, len(sources))
     return [_recording(source, choices, place, many_sheets) for place, source in enumerate(sources)]
 
@@ -170,18 +236,26 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
         load = load.of(own)
     time, time_note = time_in_seconds(table, channels.time, choices.units)
     time = None if time is None else time[own]
+    clock_note = ""
+    if time is not None and clock_starts_again(time[np.isfinite(time)]):
+        clock_note = "the clock starts again within the record: times are left out"
+        time = None
     rows = np.isfinite(load.values) & np.isfinite(travel.values)
     if time is not None and rows.any() and np.isfinite(time[rows]).mean() < 0.9:
         time = None
     if time is not None:
         rows &= np.isfinite(time)
     named = test_named_in(f"{table.sheet.name} {source.label}") or stated.test
-    warnings = _missing(rows, load.values, travel.values)
+    warnings = _missing(rows, load.values, travel.values) + _lost(table)
     load, travel = load.of(rows), travel.of(rows)
     points = are_steps(load, travel, choices.test or named, choices.points)
+    signs = signs_of_other_tests(table, own, source.label, points)
+    warnings += refuse(signs, choices.test is not None, named)
     size = converted(load, travel, stated, choices.size, place)
     page = f"sheet {shown(table.sheet.name, 30)}, " if many_sheets else ""
-    notes = (load_note, travel_note, time_note, _passed_over(channels), *size_notes)
+    notes = (load_note, travel_note, time_note, clock_note, _passed_over(channels))
+    warnings += _by_unit(channels)
+    notes = (*notes, *source.notes, *size_notes)
     recording = Recording(
         label=source.label or stated.label or (table.sheet.name if many_sheets else ""),
         place=f"{page}rows from {table.line + int(np.argmax(own))}, {_columns_in_words(channels)}",
@@ -189,7 +263,7 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
         displacement_mm=size.displacement_mm,
         force_n=size.force_n,
         stated=replace(stated, test=named),
-        units_fixed=choices.units.fixed(),
+        units_assumed=choices.units.assumed_of(channels.load, channels.travel),
         assumed=tuple(note for note in notes if note) + stated.assumed + size.sentences,
         warnings=warnings,
         load=load.kind,
@@ -221,13 +295,28 @@ def _missing(rows: np.ndarray, force, travel) -> tuple[str, ...]:
     return (f"{lost} rows with a missing value were left out",) if lost else ()
 
 
+def _lost(table: Table) -> tuple[str, ...]:
+    """A warning about lines among the rows that hold no numbers, if they are more than a few."""
+    share = table.lost / (table.lost + len(table.numbers))
+    text = f"{table.lost} lines among the rows hold no numbers and were left out"
+    return (f"{text} ({100 * share:.0f} %)",) if share > FEW else ()
+
+
+def _by_unit(channels: Channels) -> tuple[str, ...]:
+    """A warning about columns that only their unit tells."""
+    used = (c for c in (channels.time, channels.load, channels.travel) if c is not None)
+    told = [f"{shown(c.heading.words(), 30)} is {c.kind}" for c in used if c.rank >= BY_UNIT]
+    text = "the name is not known, so its unit alone says that"
+    return (f"{text} {', '.join(told)}",) if told else ()
+
+
 def _compressive(recording: Recording) -> Recording:
     """Force and displacement turned so that compression is positive."""
     force, travel, notes = recording.force_n, recording.displacement_mm, []
     if len(force) < FEWEST_ROWS:
         return recording
-    top = int(np.argmax(np.abs(force - np.median(force[:5]))))
-    if force[top] < np.median(force[:5]):
+    top = int(np.argmax(np.abs(force - force[0])))
+    if force[top] < force[0]:
         force, top = -force, int(np.argmin(force))
         notes.append("compressive force is negative in the file: its sign was turned")
     if travel[top] < travel[0]:
@@ -252,35 +341,3 @@ def _pressed(recording: Recording) -> Recording:
         notes.append("travel falls while the load rises: its sign was turned")
     assumed = recording.assumed + tuple(notes)
     return replace(recording, force_n=force, displacement_mm=travel, assumed=assumed)
-
-
-def _split(recording: Recording) -> Iterator[Recording]:
-    """The parts of a record whose time starts again; short parts are no specimens."""
-    if recording.points:
-        yield recording
-        return
-    time = recording.time_s
-    cuts = [] if time is None or len(time) < 2 else _restarts(time)
-    edges = [0, *cuts, len(recording.force_n)]
-    parts = [slice(a, b) for a, b in pairwise(edges)]
-    parts = [part for part in parts if part.stop - part.start >= FEWEST_ROWS]
-    for number, part in enumerate(parts, start=1):
-        label = f"{recording.label} part {number}".strip() if len(parts) > 1 else recording.label
-        yield replace(
-            recording,
-            label=label,
-            time_s=None if time is None else time[part],
-            displacement_mm=recording.displacement_mm[part],
-            force_n=recording.force_n[part],
-        )
-
-
-def _restarts(time: np.ndarray) -> list[int]:
-    """Rows where the clock jumps back by more than half of what it had reached."""
-    cuts, begun = [], 0
-    for row in range(1, len(time)):
-        reached = time[begun:row].max() - time[begun] if row - begun >= FEWEST_ROWS else 0.0
-        if reached > 0 and time[row] < time[row - 1] - 0.5 * reached:
-            cuts.append(row)
-            begun = row
-    return cuts

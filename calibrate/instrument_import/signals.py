@@ -1,8 +1,7 @@
 """What can be wrong with a recorded curve, found from its numbers alone.
 
 Each function looks at arrays of shape (points,) and knows nothing of files: start of contact,
-unloading, a force clipped at a limit, gaps in sampling, a clock that runs backwards, units
-that cannot be.
+unloading, a force clipped at a limit, gaps in sampling, a clock that runs backwards.
 """
 
 from dataclasses import dataclass
@@ -30,8 +29,12 @@ class Start:
     approach: bool
 
 
-def start_of_contact(force: np.ndarray) -> Start:
-    """Where the force, averaged over a few readings, leaves its baseline on the way to its peak."""
+def start_of_contact(force: np.ndarray, travel: np.ndarray) -> Start:
+    """Where the force, averaged over a few readings, leaves its baseline on the way to its peak.
+
+    The baseline is an approach only where the platen moves along it: one that stands still under
+    a constant force holds a preload, and says nothing of the zero of the force.
+    """
     peak_row = int(np.argmax(force))
     if np.ptp(force[:5]) > LEAD * np.ptp(force):  # a few readings, the first of them at contact
         return Start(0, 0.0, 0.0, False)
@@ -46,8 +49,13 @@ def start_of_contact(force: np.ndarray) -> Start:
     threshold = max(NOISE_WIDTHS * noise / np.sqrt(width), 1e-3 * rise)
     quiet = np.flatnonzero(averaged[: len(lead)] <= first + threshold)
     row = int(quiet[-1]) if len(quiet) else 0
-    approach = row >= 10
-    zero = float(np.median(force[: row // 2 + 1])) if approach else 0.0
+    steps_on = np.abs(np.diff(travel[: len(force)]))
+    usual = float(np.median(steps_on[steps_on > 0])) if np.any(steps_on > 0) else 0.0
+    moved = abs(float(travel[row] - travel[0])) > 0.2 * usual * row > 0
+    approach = row >= 10 and moved
+    if not approach:
+        return Start(0, 0.0, noise, False)
+    zero = float(np.median(force[: row // 2 + 1]))
     shifted = abs(zero) > max(3 * noise, 1e-3 * float(force[peak_row]))
     return Start(row, zero if shifted else 0.0, noise, approach)
 
@@ -58,6 +66,20 @@ def turning_row(travel: np.ndarray) -> int | None:
     span = float(travel[row] - travel[0])
     back = float(travel[row] - travel[row:].min())
     return row if span > 0 and back > 0.02 * span and len(travel) - row > 3 else None
+
+
+def reversals(travel: np.ndarray) -> list[int]:
+    """Rows at which the platen turns: greatest travels before it comes back by a tenth of all that
+    it travels, and least ones before it goes on again by as much."""
+    back, found, row, up = 0.1 * float(np.ptp(travel)), [], 0, True
+    for i, value in enumerate(travel):
+        ahead = value > travel[row] if up else value < travel[row]
+        if ahead:
+            row = i
+        elif abs(value - travel[row]) > back > 0:
+            found.append(row)
+            row, up = i, not up
+    return found
 
 
 def clipped_run(travel: np.ndarray, force: np.ndarray) -> tuple[int, int] | None:
@@ -99,17 +121,6 @@ def backward_rows(time: np.ndarray) -> np.ndarray:
     """Rows whose time lies before the latest time so far."""
     latest = np.maximum.accumulate(time)
     return np.flatnonzero(time < latest)
-
-
-def unit_slip(value: float, plausible: tuple[float, float]) -> float | None:
-    """1000 or 0.001 where only that factor makes the value plausible."""
-    low, high = plausible
-    if not np.isfinite(value) or low <= value <= high:
-        return None
-    for factor in (1e3, 1e-3):
-        if low <= value * factor <= high:
-            return factor
-    return None
 
 
 def has_softening(travel: np.ndarray, force: np.ndarray) -> bool:

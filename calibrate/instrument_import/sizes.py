@@ -13,9 +13,10 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.core.units import LENGTH, STRAIN, VOID_RATIO, number_or_quantity, quantity
 from calibrate.instrument_import.preamble import Stated
-from calibrate.instrument_import.vocabulary import CONSOLIDATION, DISPLACEMENT, FORCE
-from calibrate.instrument_import.vocabulary import STRAIN as STRAINS
-from calibrate.instrument_import.vocabulary import STRESS as STRESSES
+from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE
+from calibrate.instrument_import.unittext import STRAIN as STRAINS
+from calibrate.instrument_import.unittext import STRESS as STRESSES
+from calibrate.instrument_import.vocabulary import CONSOLIDATION
 from calibrate.instrument_import.vocabulary import VOID_RATIO as VOID_RATIOS
 
 FIRST = "first"  # e0 is the void ratio of a specimen's first load step

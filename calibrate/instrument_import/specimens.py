@@ -1,6 +1,6 @@
 """From a recording to the clean curve of one specimen, with everything that was noticed.
 
-    order in time -> units that cannot be -> clipped top -> contact -> test -> the part that counts
+    order in time -> sizes that cannot be -> clipped top -> contact -> test -> the part that counts
 
 A curve that stiffens keeps its unloading; one that softens ends where the platen turns back.
 Displacement counts from contact, force from its reading before contact.
@@ -14,18 +14,12 @@ from calibrate.core.errors import BadValue
 from calibrate.instrument_import import signals
 from calibrate.instrument_import.recordings import Recording
 from calibrate.instrument_import.tables import FEWEST_ROWS
-from calibrate.instrument_import.vocabulary import (
-    DISPLACEMENT,
-    FORCE,
-    LOAD_STEPS,
-    SOFTENS,
-    STIFFENS,
-    STRESS,
-)
+from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRESS
+from calibrate.instrument_import.vocabulary import LOAD_STEPS, SOFTENS, STIFFENS
 
 DIAMETER, HEIGHT = 0.05, 0.10  # m; assumed where the file does not say
 LEAD_SHARE = 0.1  # of the travel from contact to the peak; kept before contact
-SLIPS = (FORCE, STRESS, DISPLACEMENT)  # columns whose unit may be wrong by 1000
+CHECKED = {FORCE: "kN", STRESS: "MPa", DISPLACEMENT: "m"}  # columns whose size is looked at
 COARSE = 20  # points on loading below which a curve is called coarse
 
 
@@ -62,6 +56,8 @@ class Specimen:
     clipped: bool
     contact_mm: float  # of the recorded displacement
     zero_n: float  # of the recorded force
+    begins_n: float  # the recorded force at the first row
+    approach: bool  # whether the record shows the platen before contact
     place: str
     findings: tuple[Finding, ...]
     raw: Recording = field(repr=False)
@@ -76,10 +72,10 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
     findings = [Finding("assumed", text) for text in recording.assumed]
     findings += [Finding("missing values", text, True) for text in recording.warnings]
     recording = _in_order(recording, findings)
-    recording = _plausible(recording, findings)
     _check_curve(recording, label)
+    _check_sizes(recording, findings, label)
     top = signals.clipped_run(recording.displacement_mm, recording.force_n)
-    start = signals.start_of_contact(recording.force_n)
+    start = signals.start_of_contact(recording.force_n, recording.displacement_mm)
     if recording.force_n.max() <= _threshold(recording, start):
         problem = f"specimen '{label}': its force does not rise above its noise"
         raise BadValue(problem, "check which columns were exported")
@@ -103,6 +99,8 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
         clipped=top is not None,
         contact_mm=float(recording.displacement_mm[start.row]),
         zero_n=start.zero,
+        begins_n=begins_at(recording),
+        approach=start.approach,
         place=recording.place,
         findings=tuple(findings),
         raw=recording,
@@ -127,27 +125,50 @@ def _in_order(recording: Recording, findings: list[Finding]) -> Recording:
     )
 
 
-def _plausible(recording: Recording, findings: list[Finding]) -> Recording:
-    """The record with force or travel multiplied by 1000 or 0.001 where nothing else can be."""
-    size, load, travel = recording.size, recording.load, recording.travel
-    area = np.pi / 4 * (size.diameter or DIAMETER) ** 2
-    pressure = float(np.ptp(recording.force_n)) / area
-    strain = 1e-3 * float(np.ptp(recording.displacement_mm)) / (size.height or HEIGHT)
-    for kind, name, value, plausible, words in (
-        (load, "force_n", pressure, signals.PRESSURE, f"a pressure of {pressure / 1e3:.3g} kPa"),
-        (travel, "displacement_mm", strain, signals.STRAIN, f"a strain of {strain:.2g}"),
-    ):
-        factor = signals.unit_slip(value, plausible)
-        if factor is None or kind in recording.units_fixed or kind not in SLIPS:
-            continue
-        times = "1000 times larger" if factor > 1 else "1000 times smaller"
-        text = (
-            f"{kind} as written means {words}, which cannot be: taken as {times} "
-            f"(give --{kind}-unit if the file is right)"
-        )
-        findings.append(Finding("unit slip", text, True))
-        recording = replace(recording, **{name: getattr(recording, name) * factor})
-    return recording
+def _check_sizes(recording: Recording, findings: list[Finding], label: str) -> None:
+    """A warning where pressure or strain cannot be; refused where that rests on a unit which
+    nobody wrote.  What the file writes is never overruled."""
+    size = recording.size
+    diameter, height = size.diameter or DIAMETER, size.height or HEIGHT
+    force, travel = (
+        float(np.ptp(recording.force_n)),
+        1e-3 * float(np.ptp(recording.displacement_mm)),
+    )
+    pressure, strain = force / (np.pi / 4 * diameter**2), travel / height
+    low, high = signals.PRESSURE
+    if recording.load in CHECKED and not low <= pressure <= high:
+        possible = np.sqrt(4 * force / np.pi / (high if pressure > high else low))
+        words = f"a pressure of {pressure / 1e3:.3g} kPa"
+        _tell_size(recording, recording.load, words, "diameter", possible, findings, label)
+    low, high = signals.STRAIN
+    if recording.travel in CHECKED and not low <= strain <= high:
+        words = f"a strain of {strain:.2g}"
+        possible = travel / (high if strain > high else low)
+        _tell_size(recording, recording.travel, words, "height", possible, findings, label)
+
+
+def _tell_size(
+    recording: Recording,
+    kind: str,
+    words: str,
+    name: str,
+    possible: float,
+    findings: list[Finding],
+    label: str,
+) -> None:
+    """Says that a column means what cannot be, and which size or unit would make it possible."""
+    given = getattr(recording.size, name)
+    usual = {"diameter": DIAMETER, "height": HEIGHT}[name]
+    means = f"{kind} as written means {words} on a {name} of {1e3 * (given or usual):.4g} mm"
+    if kind in recording.units_assumed:
+        problem = f"{recording.place}: {kind} has no unit, and {means}"
+        raise BadValue(problem, f"give --{kind}-unit, such as --{kind}-unit {CHECKED[kind]}")
+    assumed = "" if given is not None else ", which is ASSUMED"
+    text = (
+        f"{means}{assumed}: possible with {1e3 * possible:.3g} mm (--{name}), or in another unit "
+        f"(--{kind}-unit)"
+    )
+    findings.append(Finding("size of the numbers", text, True))
 
 
 def _check_curve(recording: Recording, label: str) -> None:
@@ -166,22 +187,28 @@ def _check_curve(recording: Recording, label: str) -> None:
 
 
 def _tell_start(recording: Recording, start: signals.Start, findings: list[Finding]) -> None:
-    """What was found about contact and the zero of force."""
+    """Where the record begins, and what was found about contact and the zero of force."""
     peak = float(recording.force_n.max())
-    travel = recording.displacement_mm
-    first = float(min(np.median(recording.force_n[:5]), recording.force_n[0]))
+    travel, first = recording.displacement_mm, begins_at(recording)
     ran = travel[start.row] - travel[0]
-    if first > 0.02 * peak and not start.approach:
-        text = f"the record starts under a load of {first:.3g} N: the first contact is missing"
-        findings.append(Finding("start of contact", text, True))
-    elif ran > 0:
+    if not start.approach:
+        begins = "at contact" if abs(first) < 2e-3 * peak else f"under {first:.3g} N"
+        text = f"the record begins {begins} and holds no reading before contact: the zero of the "
+        text += "force is as the file writes it, travel counts from its first row"
+        if first > 0.02 * peak:
+            text += "; the first contact is missing"
+        findings.append(Finding("start of contact", text, first > 0.02 * peak))
+    else:
         text = f"contact {ran:.3g} mm after the start of the record: displacement counts from there"
         findings.append(Finding("start of contact", text))
-    else:
-        findings.append(Finding("start of contact", "the record starts at contact"))
     if start.zero != 0:
         text = f"the force reads {start.zero:.3g} N before contact: subtracted"
         findings.append(Finding("zero of force", text))
+
+
+def begins_at(recording: Recording) -> float:
+    """The force (N) under which a record begins, as recorded."""
+    return float(min(np.median(recording.force_n[:5]), recording.force_n[0]))
 
 
 def _test(
@@ -224,6 +251,13 @@ def _counted(
     first = int(np.argmax(travel >= travel[start.row] - reach))
     turn = signals.turning_row(travel)
     last = len(force)
+    turns = signals.reversals(travel)
+    if len(turns) > 1:
+        text = f"the platen turns {len(turns)} times: a cyclic record"
+        if kind == SOFTENS:
+            turn = turns[0]
+            text += f", of which the first loading counts, {turn + 1} of {len(force)} rows"
+        findings.append(Finding("cycles", text, True))
     if turn is not None:
         text = f"unloading from {travel[turn] - travel[start.row]:.4g} mm on"
         kept = "left out" if kind == SOFTENS else "kept"

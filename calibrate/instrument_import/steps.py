@@ -7,7 +7,8 @@ import numpy as np
 
 from calibrate.core.errors import BadValue
 from calibrate.instrument_import.sizes import Column
-from calibrate.instrument_import.vocabulary import CONSOLIDATION, LOAD_STEPS, STRESS, VOID_RATIO
+from calibrate.instrument_import.unittext import STRESS
+from calibrate.instrument_import.vocabulary import CONSOLIDATION, LOAD_STEPS, VOID_RATIO
 
 MOST_STEPS = 40  # rows; more are a curve unless the load stands still in most of them
 _EQUAL = 5e-3  # of the largest load; what a load keeps to while it stands still
@@ -51,13 +52,15 @@ def against_the_load(load: np.ndarray, travel: np.ndarray, height: float) -> lis
     return [int(row) + 1 for row in np.flatnonzero(rises & (np.diff(travel) < -2e-3 * height))]
 
 
-def check_steps(load: np.ndarray, fewest: int, label: str) -> None:
-    """Refuses what cannot be load steps: too few rows, or a load that never changes."""
+def check_steps(load: np.ndarray, travel: np.ndarray, fewest: int, label: str) -> None:
+    """Refuses what cannot be load steps: too few rows, or load or travel that never change."""
     name = f"specimen '{label}': "
     if len(load) < fewest:
         raise BadValue(f"{name}only {len(load)} load steps", f"give at least {fewest}")
     if not np.ptp(load) > 0:
         raise BadValue(f"{name}its load never changes", "check which columns were exported")
+    if not np.ptp(travel) > 0:
+        raise BadValue(f"{name}its travel never changes", "check which columns were exported")
 
 
 def _stands_still(load: np.ndarray) -> bool:

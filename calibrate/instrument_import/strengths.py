@@ -15,9 +15,10 @@ from calibrate.instrument_import.measured import measured
 from calibrate.instrument_import.preamble import read_preamble
 from calibrate.instrument_import.recordings import MOST_SPECIMENS, Choices
 from calibrate.instrument_import.sizes import Column, converted
+from calibrate.instrument_import.specimen_rows import names_of_rows, unlike
 from calibrate.instrument_import.tables import FEWEST_STEPS, Table, tables_in
-from calibrate.instrument_import.vocabulary import DISPLACEMENT, SHEAR_STRENGTH, SOFTENS, STRESS
-from calibrate.instrument_import.whose import names_of_rows, unlike
+from calibrate.instrument_import.unittext import DISPLACEMENT, STRESS
+from calibrate.instrument_import.vocabulary import SHEAR_STRENGTH, SOFTENS
 
 
 @dataclass(frozen=True, eq=False)

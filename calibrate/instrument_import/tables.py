@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.core.errors import BadValue, shown
-from calibrate.core.units import UNITS
 from calibrate.instrument_import.cells import Sheet, number
-from calibrate.instrument_import.vocabulary import kind_of, names_specimens, split_unit, unit_of
+from calibrate.instrument_import.headings import Heading, heading_of, split_heading
+from calibrate.instrument_import.preamble import read_preamble
+from calibrate.instrument_import.unittext import unit_of
+from calibrate.instrument_import.vocabulary import kind_of, names_specimens
 
 FEWEST_ROWS = 8
 FEWEST_STEPS = 3  # rows of a table of load steps, or of strengths
@@ -21,19 +22,6 @@ _TALLEST = 4  # rows of a heading
 _LONGEST_PREAMBLE = 200  # rows looked at for the specimen's data
 
 Row = list[str]
-
-
-@dataclass(frozen=True, eq=False)
-class Heading:
-    """What stands above one column: its name, its unit as (kind, pint name) if written, and
-    the label of a group of columns ("Specimen 2") if there is one."""
-
-    name: str
-    unit: tuple[str, str] | None
-    label: str
-
-    def words(self) -> str:
-        return f"{self.name} [{self.unit[1]}]" if self.unit else self.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,27 +37,38 @@ class Table:
     numbers: np.ndarray
     texts: list[Row]
     line: int  # of the first row, counted from 1
+    blocks: tuple[int, ...] = ()  # rows above which the heading stood again
+    lost: int = 0  # lines among the rows that hold no numbers
 
 
 def tables_in(sheet: Sheet, fewest: int = FEWEST_ROWS, numeric: int = 2) -> list[Table]:
-    """The tables of a sheet of at least `fewest` rows, with at least `numeric` numbers a row;
-    rows that follow without a heading continue the table before."""
+    """The tables of a sheet of at least `fewest` rows, with at least `numeric` numbers a row.
+
+    Rows that follow without a heading, or under the same heading and no other specimen's data,
+    continue the table before.
+    """
     tables: list[Table] = []
-    begun = 0
-    for first, last in _runs(sheet, fewest, numeric):
+    begun, before = 0, 0  # where the lines above this table begin, and those above the last one
+    for first, last in _runs(sheet, numeric):
         above = sheet.texts[max(begun, first - _LONGEST_PREAMBLE) : first]
         headings, used = _headings(above, sheet.numbers.shape[1])
-        numbers, texts = sheet.numbers[first:last], sheet.texts[first:last]
-        if not used and tables and _same_columns(tables[-1].numbers, numbers):
-            tables[-1] = _continued(tables[-1], numbers, texts)
-        else:
-            preamble = above[: len(above) - used]
-            tables.append(Table(sheet, preamble, headings, numbers, texts, first + 1))
-        begun = last
-    return tables
+        between, rows = above[: len(above) - used], slice(first, last)
+        if tables and _continues(tables[-1], sheet.numbers[rows], headings, used, between, fewest):
+            tables[-1] = _continued(tables[-1], rows, bool(used), between)
+            begun = last
+            continue
+        if tables and len(tables[-1].numbers) < fewest:  # a few numbers above a table, no table
+            tables.pop()
+            begun = before
+            between = sheet.texts[max(begun, first - _LONGEST_PREAMBLE) : first - used]
+        if last - first >= fewest or used:
+            numbers, texts = sheet.numbers[rows], sheet.texts[rows]
+            tables.append(Table(sheet, between, headings, numbers, texts, first + 1))
+            before, begun = begun, last
+    return [table for table in tables if len(table.numbers) >= fewest]
 
 
-def _runs(sheet: Sheet, fewest: int, least: int) -> list[tuple[int, int]]:
+def _runs(sheet: Sheet, least: int) -> list[tuple[int, int]]:
     """First and last+1 of every run of rows of numbers; blank rows do not end a run."""
     numeric = np.isfinite(sheet.numbers).sum(axis=1)
     filled = np.array([sum(bool(cell.strip()) for cell in row) for row in sheet.texts])
@@ -82,10 +81,38 @@ def _runs(sheet: Sheet, fewest: int, least: int) -> list[tuple[int, int]]:
         ends = not is_row[row] or place == len(kept) - 1
         if start is not None and ends:
             stop = place + 1 if is_row[row] else place
-            if stop - start >= fewest:
-                runs.append((int(kept[start]), int(kept[stop - 1]) + 1))
+            runs.append((int(kept[start]), int(kept[stop - 1]) + 1))
             start = None
     return runs
+
+
+def _continues(
+    table: Table,
+    numbers: np.ndarray,
+    headings: list[Heading],
+    used: int,
+    between: list[Row],
+    fewest: int,
+) -> bool:
+    """Whether a run of rows belongs to the table before it."""
+    if not used:
+        if not _same_columns(table.numbers, numbers):
+            return False
+        return len(numbers) >= fewest or _goes_on(table.numbers, numbers)
+    same = [h.words() for h in headings] == [h.words() for h in table.headings]
+    stated, before = read_preamble(between), read_preamble(table.preamble)
+    told = (stated.label, stated.test, stated.quantities)
+    return same and told in (("", None, {}), (before.label, before.test, before.quantities))
+
+
+def _goes_on(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether every column goes on within a few of its steps: results below a table do not."""
+    used = _used(before)
+    steps = np.abs(np.diff(before[:, used], axis=0))
+    if not len(steps) or np.isnan(steps).all(axis=0).any():
+        return False
+    jump = np.abs(after[0, used] - before[-1, used])
+    return bool(np.all(jump <= 3 * np.nanmax(steps, axis=0)))
 
 
 def _headings(above: list[Row], columns: int) -> tuple[list[Heading], int]:
@@ -95,13 +122,32 @@ def _headings(above: list[Row], columns: int) -> tuple[list[Heading], int]:
     names, units, labels = [], [], []
     for row in rows:
         cells = [cell.strip() for cell in row] + [""] * (width - len(row))
-        if _count_units(cells) >= 2 or (_count_units(cells) and not _count_named(cells)):
+        if _is_of_units(cells):
             units.append(cells)
         elif _count_named(cells):
             names.append(cells)
         else:
             labels.append(_filled_forward(cells))
     return [_heading(names, units, labels, j) for j in range(columns)], taken
+
+
+def _heading(names: list[Row], units: list[Row], labels: list[Row], j: int) -> Heading:
+    label = " ".join(dict.fromkeys(row[j] for row in labels if row[j]))
+    name = " ".join(row[j] for row in names if row[j])
+    return heading_of(name, [row[j] for row in units], label)
+
+
+def _is_of_units(cells: Row) -> bool:
+    """Whether a row holds units rather than names: "m" and "h" among names are names."""
+    filled = [cell for cell in cells if cell]
+    units = _count_units(filled)
+    named = sum(1 for cell in filled if _is_channel(cell) and not _is_long_unit(cell))
+    others = sum(1 for cell in filled if not unit_of(cell) and not _is_channel(cell))
+    return units > 0 and units > named + others
+
+
+def _is_long_unit(cell: str) -> bool:
+    return unit_of(cell) is not None and len(cell.strip("[]() ")) > 1
 
 
 def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
@@ -122,6 +168,8 @@ def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
 
 def _is_heading(row: Row, below_known: bool) -> bool:
     """A row of names or units, or, above such a row, of labels over groups of columns."""
+    if below_known and any(cell.strip().endswith((":", "：")) for cell in row):
+        return False  # "Time: 320 s" above a heading states something
     named = _count_named(row)
     if named and not below_known:
         named += sum(names_specimens(cell) for cell in row)
@@ -137,10 +185,11 @@ def _count_named(row: Row) -> int:
 
 
 def _is_channel(cell: str) -> bool:
-    name, unit = split_unit(cell)
-    if not any(c.isalpha() for c in name):
+    heading = split_heading(cell)
+    if not any(c.isalpha() for c in heading.name):
         return False  # "500 N" is a value
-    return unit is not None or (len(cell) < 60 and kind_of(name)[0] is not None)
+    known = heading.unit is not None and not heading.unit.by_weight
+    return known or (len(cell) < 60 and kind_of(heading.name)[0] is not None)
 
 
 def _count_units(row: Row) -> int:
@@ -156,22 +205,6 @@ def _filled_forward(row: Row) -> Row:
     return filled
 
 
-def _heading(names: list[Row], units: list[Row], labels: list[Row], j: int) -> Heading:
-    name, unit = split_unit(" ".join(row[j] for row in names if row[j]))
-    below = [found for row in units if (found := unit_of(row[j]))]
-    if unit and below and not _same_unit(unit, below[0]):
-        problem = f"column {shown(name, 40)} has two units, {unit[1]} and {below[0][1]}"
-        raise BadValue(problem, "correct the unit in the heading")
-    label = " ".join(dict.fromkeys(row[j] for row in labels if row[j]))
-    return Heading(name, below[0] if below else unit, label)
-
-
-def _same_unit(one: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether two written units are of one kind and size."""
-    sizes = [UNITS.Quantity(1.0, unit).to_base_units().magnitude for _, unit in (one, other)]
-    return one[0] == other[0] and bool(np.isclose(*sizes))
-
-
 def _same_columns(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(np.array_equal(_used(one), _used(other)))
 
@@ -180,6 +213,15 @@ def _used(numbers: np.ndarray) -> np.ndarray:
     return np.isfinite(numbers).mean(axis=0) > 0.5
 
 
-def _continued(table: Table, numbers: np.ndarray, texts: list[Row]) -> Table:
-    joined = np.concatenate([table.numbers, numbers])
-    return replace(table, numbers=joined, texts=[*table.texts, *texts])
+def _continued(table: Table, rows: slice, headed: bool, between: list[Row]) -> Table:
+    """The table with further rows of its sheet; lines between that could be rows are counted."""
+    numbers, texts = table.sheet.numbers[rows], table.sheet.texts[rows]
+    width = int(_used(table.numbers).sum())
+    lost = [] if headed else [r for r in between if sum(bool(c.strip()) for c in r) >= width]
+    return replace(
+        table,
+        numbers=np.concatenate([table.numbers, numbers]),
+        texts=[*table.texts, *texts],
+        blocks=(*table.blocks, len(table.numbers)) if headed else table.blocks,
+        lost=table.lost + len(lost),
+    )

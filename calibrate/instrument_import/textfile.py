@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 from calibrate.core.errors import BadValue
 from calibrate.instrument_import.cells import Sheet, is_grouped, number, sheet
-from calibrate.instrument_import.vocabulary import FORCE, STRESS, kind_of
+from calibrate.instrument_import.unittext import FORCE, STRESS, unit_of
+from calibrate.instrument_import.vocabulary import kind_of
 
 MOST_LINES = 1_000_000
 _SAMPLE = 150  # lines looked at for the layout, from each of two places
@@ -23,6 +24,7 @@ _DELIMITERS = {
     "  ": "two or more blanks",
     " ": "blanks",
 }
+_COMMENT = re.compile(r"\s*(?:#+|//+|%+(?= )|!+|\*+(?=\s))\s*(\S.*)")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -58,12 +60,32 @@ class Layout:
 def text_sheet(data: bytes, name: str) -> Sheet:
     """The one sheet of a text file; `BadValue` where it is no text or holds no table."""
     text, encoding = decode(data)
-    lines = text.splitlines()
+    lines = _uncommented(text.splitlines())
     if len(lines) > MOST_LINES:
         raise BadValue(f"it has {len(lines)} lines", f"export at most {MOST_LINES} of them")
     layout = find_layout(lines)
     rows = [layout.cells(line) for line in lines]
     return sheet(name, rows, layout.decimal, f"encoding {encoding}, {layout.words()}")
+
+
+def _uncommented(lines: list[str]) -> list[str]:
+    """The lines, those of words without the sign of a comment before them: "# t u F" names
+    columns.  "% s mm" are units, unless another line shows that % begins comments."""
+    found = [_COMMENT.fullmatch(line) for line in lines]
+    rests = [m[1] if m and _is_of_words(m[1]) else "" for m in found]
+    per_cent = [line.lstrip().startswith("%") for line in lines]
+    units = [all(unit_of(word) for word in rest.split()) for rest in rests]
+    comments = any(rest and p and not u for rest, p, u in zip(rests, per_cent, units, strict=True))
+    return [
+        rest if rest and (not p or comments) else line
+        for line, rest, p in zip(lines, rests, per_cent, strict=True)
+    ]
+
+
+def _is_of_words(text: str) -> bool:
+    """Whether a line names something; numbers that are commented out stay so."""
+    first = text.split(None, 1)[0].rstrip(",;")
+    return any(c.isalpha() for c in text) and number(first, ".") != number(first, ".")
 
 
 def decode(data: bytes) -> tuple[str, str]:

@@ -1,8 +1,7 @@
-"""The words of testing machines: what a column is called, in which unit, and of which test.
+"""The words of testing machines: what a column is called, and of which test.
 
-Names are compared without accents and case; they are English, German, Spanish, French,
-Italian, Portuguese and Chinese.  Where a name and a unit are both written, the dimension of
-the unit decides between a length and a strain, or a force and a stress.
+Names are compared without accents and case, as words however they were joined (snake_case,
+camelCase); they are English, German, Spanish, French, Italian, Portuguese and Chinese.
 
 `TESTS` lists the types of tests (`calibrate.labtests`) that a file can be of.
 """
@@ -10,10 +9,10 @@ the unit decides between a length and a strain, or a force and a stress.
 import re
 import unicodedata
 
+from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRAIN, STRESS, TIME
 from calibrate.labtests.composite import TYPES
 
-TIME, FORCE, DISPLACEMENT = "time", "force", "displacement"
-STRESS, STRAIN, OTHER = "stress", "strain", "other"
+OTHER = "other"
 VOID_RATIO, CONSOLIDATION = "void ratio", "degree of consolidation"
 ROOT_TIME = "root of time"
 STRENGTH, SHEAR_STRENGTH = "compressive strength", "undrained shear strength"
@@ -24,10 +23,26 @@ _PARTS: dict[str, tuple[str, ...]] = {
     OTHER: (
         *("rate", "speed", "geschwindigkeit", "velocidad", "vitesse", "速度", "速率"),
         *("temperat", "energ", "arbeit", "work", "modul", "cycle", "zyklus", "温度"),
+        *("setpoint", "set point", "command", "demand", "sollwert", "consigna", "consigne"),
         *("max", "peak", "bruch", "break", "mean", "mittel", "average", "最大", "平均"),
         *("pore pressure", "pore water", "porenwasser", "poros", "interstit", "back pressure"),
-        *("cell pressure", "zelldruck", "confining", "shear stress", "schubspannung"),
-        *("radial strain", "lateral strain", "volumetric strain", "shear strain"),
+        *("cell pressure", "zelldruck", "confining", "confinamiento", "confinement", "radial"),
+        *("chamber pressure", "camara", "lateral", "horizontal", "sigma 3", "σ3", "sigma3"),
+        *("shear stress", "schubspannung", "scherspannung", "shear force", "scherkraft"),
+        *("shear load", "shear displacement", "shear strain", "volumetric", "volume", "围压"),
+        *(
+            "孔压",
+            "孔隙水压",
+            "反压",
+            "diameter",
+            "durchmesser",
+            "diametr",
+            "cortante",
+            "cisaillement",
+            "moment",
+            "torque",
+            "dilat",
+        ),
     ),
     SHEAR_STRENGTH: (
         *("undrained shear strength", "undrained strength", "scherfestigkeit"),
@@ -71,53 +86,27 @@ _PARTS: dict[str, tuple[str, ...]] = {
 _WHOLE: dict[str, tuple[str, ...]] = {  # names that are too short to be searched for
     FORCE: ("f", "fn", "fz", "last", "p"),
     TIME: ("t", "tid"),
-    DISPLACEMENT: ("s", "x", "z", "u", "dl", "l", "d", "disp", "ext", "pos"),
-    SHEAR_STRENGTH: ("su", "s_u", "cu", "c_u"),
-    STRENGTH: ("ucs", "qu", "q_u"),
+    DISPLACEMENT: ("s", "x", "z", "u", "dl", "l", "d", "dz", "uz", "disp", "ext", "pos"),
+    SHEAR_STRENGTH: ("su", "s u", "cu", "c u"),
+    STRENGTH: ("ucs", "qu", "q u"),
 }
 _VOID_RATIO = re.compile(r"e|e[\s_]*\(\w{1,12}\)|e[\s_]+[a-z]{0,4}\d{1,3}|e[1-9]\d?")
 _STEP = ("step", "stage", "load step", "load stage", "stufe", "laststufe", "escalon", "palier")
-_SPECIMENS = (
-    *("sample", "specimen", "sample id", "specimen id", "sample no", "specimen no"),
-    *("sample name", "specimen name", "sample number", "specimen number", "probe", "probe nr"),
-    *("proben nr", "probennummer", "probekorper", "muestra", "probeta", "ensayo"),
-    *("echantillon", "eprouvette", "campione", "provino", "amostra", "试样", "试件"),
+NAMED = (  # what a specimen is called; a column of these names holds names
+    *("sample", "specimen", "probe", "proben", "probekorper", "muestra", "probeta", "core"),
+    *("echantillon", "eprouvette", "campione", "provino", "amostra", "cylinder", "prufkorper"),
+    *("试样", "试件"),
 )
-
-_UNITS: dict[str, dict[str, str]] = {  # as machines write them -> as pint knows them
-    FORCE: {
-        **dict.fromkeys(("n", "newton", "newtons", "牛", "牛顿"), "N"),
-        **dict.fromkeys(("kn", "kilonewton", "千牛"), "kN"),
-        **{"dan": "daN", "kgf": "kgf", "kp": "kgf", "gf": "gram_force"},
-        **dict.fromkeys(("lbf", "lb", "lbs"), "lbf"),
-    },
-    DISPLACEMENT: {
-        **dict.fromkeys(("mm", "毫米", "millimeter", "millimetre", "millimeters"), "mm"),
-        **dict.fromkeys(("um", "µm", "μm", "微米", "micron"), "um"),
-        **dict.fromkeys(("in", "inch", "inches"), "inch"),
-        **{"cm": "cm", "m": "m", "厘米": "cm", "米": "m", "meter": "m"},
-    },
-    TIME: {
-        **dict.fromkeys(("s", "sec", "secs", "sek", "seg", "second", "seconds", "秒"), "s"),
-        **dict.fromkeys(("min", "分", "分钟"), "min"),
-        **{"ms": "ms", "h": "hour", "hh:mm:ss": "s", "毫秒": "ms"},
-    },
-    STRESS: {
-        **{"pa": "Pa", "kpa": "kPa", "mpa": "MPa", "gpa": "GPa", "psi": "psi"},
-        **dict.fromkeys(("n/mm2", "n/mm²", "n/mm^2", "mn/m2", "mn/m²", "mn/m^2"), "MPa"),
-        **dict.fromkeys(("kn/m2", "kn/m²", "kn/m^2", "千帕"), "kPa"),
-        **dict.fromkeys(("kg/cm2", "kg/cm²", "kg/cm^2", "kgf/cm2", "kgf/cm²"), "kgf/cm^2"),
-        **dict.fromkeys(("kgf/cm^2", "kp/cm2", "kp/cm²"), "kgf/cm^2"),
-        **{"bar": "bar", "mbar": "mbar", "兆帕": "MPa"},
-    },
-    STRAIN: {"%": "%", "mm/mm": "", "m/m": ""},
-}
-_EXACT = {"MN": (FORCE, "MN"), "mN": (FORCE, "mN")}  # case tells them apart
-_DIMENSION = {unit: (kind, name) for kind, units in _UNITS.items() for unit, name in units.items()}
-_PURE = ("-", "1")  # how a pure number is written in brackets
-_BRACKETS = re.compile(r"[\[(（【<]\s*([^\[\]()（）【】<>]{1,12})\s*[\])）】>]")
-_PERCENT = re.compile(r"%\s*([^\W\d].*)|(.*[^\W\d])%")  # "%settlement", "strain%"
-_TAIL = re.compile(r"(.+?)(?:\s+in\s+|[\s_,/;:-]+)(\S{1,12})")
+_NUMBERED = (  # what is done with specimens; a column of these names may number anything
+    *("replicate", "rep", "repeat", "repetition", "replica", "repeticion", "wiederholung"),
+    *("run", "test", "trial", "versuch", "ensayo", "essai", "prova", "ensaio"),
+)
+_SPECIMENS = frozenset(
+    name
+    for word in (*NAMED, *_NUMBERED)
+    for name in (word, *(f"{word} {end}" for end in ("id", "no", "nr", "number", "name", "#")))
+) | {"probennummer", "编号", "试样编号", "试件编号", "id", "samples", "specimens"}
+_STATISTICS = frozenset(("min", "max", "avg", "sd", "std", "mean", "average", "peak"))
 
 
 def plain(text: str) -> str:
@@ -126,46 +115,40 @@ def plain(text: str) -> str:
     return " ".join("".join(c for c in letters if not unicodedata.combining(c)).split())
 
 
-def unit_of(text: str) -> tuple[str, str] | None:
-    """(kind, pint name) of a text that is a unit and nothing else, perhaps in brackets."""
-    inner = text.strip().strip("[]()（）【】<>").strip()
-    return _EXACT.get(inner) or _DIMENSION.get(inner.casefold())
-
-
-def split_unit(text: str) -> tuple[str, tuple[str, str] | None]:
-    """A column's heading without its unit, and the unit: "Load (kN)", "Kraft in N", "F/N"."""
-    percent = _PERCENT.fullmatch(text.strip())
-    if percent:
-        return percent[1] or percent[2], unit_of("%")
-    for match in _BRACKETS.finditer(text):
-        unit = (STRAIN, "") if match[1].strip() in _PURE else unit_of(match[1])
-        if unit is not None:
-            return (text[: match.start()] + text[match.end() :]).strip(), unit
-    match = _TAIL.fullmatch(text.strip())
-    unit = unit_of(match[2]) if match else None
-    return (match[1].strip(), unit) if match and unit else (text.strip(), None)
+def words_of(name: str) -> str:
+    """A name as words with blanks, however it was written: snake_case, camelCase, with dots."""
+    spaced = re.sub(r"(?<=[a-zß-ÿ])(?=[A-Z])", " ", name)
+    return plain(re.sub(r"[_.\\-]+", " ", spaced))
 
 
 def kind_of(name: str) -> tuple[str | None, int]:
     """What a column of this name holds, and its rank among columns of that kind (0 is best)."""
-    words = plain(name)
+    words = words_of(name)
     if words in _STEP:
         return None, 0
-    if _VOID_RATIO.fullmatch(words):
+    if _VOID_RATIO.fullmatch(plain(name)):
         return VOID_RATIO, len(_PARTS[VOID_RATIO])
+    if _STATISTICS.intersection(words.split()):
+        return OTHER, 0
     for kind, parts in _PARTS.items():
         for rank, part in enumerate(parts):
-            if part in words:
+            if part in words or (" " in part and part.replace(" ", "") in words):
                 return kind, rank
     for kind, names in _WHOLE.items():
-        if words.rstrip("0123456789 _.#") in names:
+        if words.rstrip("0123456789 #") in names:
             return kind, len(_PARTS[kind])
     return None, 0
 
 
+def ends_with_a_name(text: str) -> bool:
+    """Whether the text ends with a whole word for what a column holds: "axialLoad"."""
+    words = words_of(text)
+    return any(words.endswith(part) for parts in _PARTS.values() for part in parts)
+
+
 def names_specimens(name: str) -> bool:
     """Whether a column of this name says to which specimen a row belongs."""
-    return plain(name).strip(" .:#_-").replace("_", " ") in _SPECIMENS
+    return words_of(name).strip(" :#") in _SPECIMENS
 
 
 # Test type -> words that name it; later types first, since their words hold those of earlier ones.

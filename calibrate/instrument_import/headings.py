@@ -1,0 +1,243 @@
+"""What stands above a column, taken apart: its name, its unit, the label of its specimen.
+
+    Load (kN)   Kraft in N   F/N   axial_load_kN   forceKN   "Load" over "kN"   Load (lbs.)
+
+A unit may stand in brackets, at the end after a blank or another sign, at the beginning, or in a
+row of its own.  What stands in the place of a unit and is none is kept as `not_understood`: who
+uses such a column has to refuse it.
+"""
+
+import re
+from dataclasses import dataclass
+
+from calibrate.core.errors import BadValue, shown
+from calibrate.instrument_import.unittext import (
+    DISPLACEMENT,
+    FORCE,
+    STRAIN,
+    STRESS,
+    TIME,
+    Unit,
+    doubt,
+    unit_of,
+)
+from calibrate.instrument_import.vocabulary import (
+    CONSOLIDATION,
+    OTHER,
+    ROOT_TIME,
+    SHEAR_STRENGTH,
+    STRENGTH,
+    VOID_RATIO,
+    ends_with_a_name,
+    kind_of,
+)
+
+NAMED_BY_UNIT = {  # what a name may mean once its unit is known
+    (STRAIN, DISPLACEMENT): DISPLACEMENT,
+    (DISPLACEMENT, STRAIN): STRAIN,
+    (FORCE, STRESS): STRESS,
+    (STRESS, FORCE): FORCE,
+    (VOID_RATIO, STRAIN): VOID_RATIO,
+    (CONSOLIDATION, STRAIN): CONSOLIDATION,
+    (ROOT_TIME, TIME): ROOT_TIME,
+    (STRENGTH, STRESS): STRENGTH,
+    (SHEAR_STRENGTH, STRESS): SHEAR_STRENGTH,
+}
+_BRACKETS = re.compile(r"[\[(（【<{]\s*([^\[\]()（）【】<>{}]{1,40})\s*[\])）】>}]")
+_PERCENT = re.compile(r"%\s*([^\W\d].*)|(.*[^\W\d])%")  # "%settlement", "strain%"
+_LABEL = re.compile(
+    r"#?\s*(?:[A-Za-z]{0,3}[-_ ]?\d{1,3}|[A-UW-Z])"
+)  # of a specimen: (1), (M2), (B)
+_GLUED = re.compile(
+    r"(.*?[a-z])((?:[kKMG]|da)?N|[kKMGh]?P[aA]|mm|cm|um|in|sec|min|kgf?|lbf?s?|psi|kips?)"
+)
+_NEW_WORD = re.compile(r"(?<=[a-zß-ÿ])(?=[A-Z0-9‰%])|(?<=[^\W\d_a-zA-Z])(?=[A-Za-z‰%])")
+_NUMBERED = re.compile(r"(.*[^\W\d])[\s_.#-]+(\d{1,3})")  # "displacement_mm_1"
+_TIMES = re.compile(r"(?:\d+[ .,/^-]\s?\d+|[x×*]\s?\d+|\d{2,})$", re.IGNORECASE)  # 0.01, 10
+_MOST = 4  # words of a unit: "kg per sq cm"
+_IN = ("in", "en")  # before a unit
+_ALONE = ("in", "min", "bar", "day", "std", "pa")  # words that are no units before a name
+_OTHER_UNITS = frozenset(  # none of force, stress, length, strain, time: not to be passed over
+    (
+        *("mv", "mv/v", "volt", "volts", "ma", "hz", "khz", "bit", "bits", "count", "counts"),
+        *("steps", "deg", "°", "°c", "°f", "nm", "n.m", "n*m", "n·m", "kn.m", "knm", "kn/m", "n/m"),
+        *("n/mm", "kn/mm", "lb/in", "lb/ft", "kip/ft", "g/cm3", "kg/m3", "kj", "div", "divs"),
+        *("division", "divisions"),
+    )
+)
+_LETTERS = ("V", "A")  # volts and amperes, if written so
+_LABELLED = (VOID_RATIO, CONSOLIDATION)  # kinds whose brackets hold labels: "void ratio (A)"
+
+
+@dataclass(frozen=True, eq=False)
+class Heading:
+    """What stands above one column: its name, its unit if written, the label of a group of
+    columns ("Specimen 2") if there is one, and what stands in the place of a unit and is none."""
+
+    name: str
+    unit: Unit | None
+    label: str = ""
+    not_understood: str = ""
+
+    def words(self) -> str:
+        written = self.unit.name if self.unit else self.not_understood
+        return f"{self.name} [{written}]" if self.unit or written else self.name
+
+
+def split_heading(text: str) -> Heading:
+    """A column's heading without its unit, and the unit: "Load (kN)", "Kraft in N", "F/N"."""
+    text = " ".join(text.split())
+    percent = _PERCENT.fullmatch(text)
+    if percent:
+        return Heading(percent[1] or percent[2], unit_of("%"))
+    brackets = list(_BRACKETS.finditer(text))
+    if kind_of(text)[0] == ROOT_TIME:
+        return Heading(text, _of_root([match[1] for match in brackets]))
+    for match in brackets:
+        unit, name = unit_of(match[1]), _without(text, match)
+        sure = unit is not None and not unit.by_weight and match[1].strip() != "1"
+        if unit is not None and (sure or fits(name, unit)):
+            return Heading(name, unit)
+    strange = [m for m in brackets if not _LABEL.fullmatch(m[1].strip())]
+    bare = _BRACKETS.sub(" ", text).strip() if brackets else text
+    number = _NUMBERED.fullmatch(bare)
+    bare = number[1] if number else bare
+    found = _at_the_end(bare) or _at_the_beginning(bare) or _glued(bare) or _behind_a_stroke(bare)
+    times = _TIMES.search(found[0]) if found else None
+    if found is not None and times:
+        return Heading(text, None, "", f"{times[0].strip()} {found[1].name}")
+    if found is not None:
+        label = [number[2]] if number else [match[0] for match in brackets[:1]]
+        return Heading(" ".join([found[0].strip(" -,:;"), *label]), found[1])
+    if strange and kind_of(bare)[0] not in _LABELLED:
+        return Heading(_without(text, strange[0]), None, "", strange[0][1].strip())
+    return Heading(text, None, "", _strange_end(text))
+
+
+def _of_root(written: list[str]) -> Unit | None:
+    """The unit of time in brackets of a root of time: "sqrt(min)", "root time (min^0.5)"."""
+    bare = (re.sub(r"√|\^?\(?0[.,]5\)?$|½$", "", text.strip()) for text in written)
+    units = [unit for text in bare if (unit := unit_of(text)) and unit.kind == TIME]
+    return units[-1] if units else None
+
+
+def heading_of(name: str, cells: list[str], label: str) -> Heading:
+    """The heading of one column from its name and the cells of rows of units under or over it."""
+    head = split_heading(name)
+    written = [cell for cell in cells if cell]
+    units = [unit for cell in written if (unit := unit_of(cell))]
+    if head.unit and units and not _same(head.unit, units[0]):
+        problem = f"column {shown(name, 40)} has two units, {head.unit.name} and {units[0].name}"
+        raise BadValue(problem, "correct the unit in the heading")
+    unit = units[0] if units else head.unit
+    strange = "" if unit else next(iter(written), head.not_understood)
+    return Heading(head.name, unit, label, strange.strip("[]() "))
+
+
+def refused_unit(heading: Heading, kind: str) -> BadValue:
+    """Why a column whose unit is not understood cannot be used, and the option that settles it."""
+    written = heading.not_understood
+    problem = f"unit {shown(written, 20)} of column {shown(heading.name, 30)} is not known"
+    why = doubt(written)
+    if why:
+        problem = f"unit {shown(written, 20)} of column {shown(heading.name, 30)} {why}"
+    option = {STRENGTH: STRESS, SHEAR_STRENGTH: STRESS, ROOT_TIME: TIME}.get(kind, kind)
+    example = {FORCE: "kN", STRESS: "kPa", DISPLACEMENT: "mm", STRAIN: "%", TIME: "min"}[option]
+    return BadValue(problem, f"give --{option}-unit, such as --{option}-unit {example}")
+
+
+def _same(one: Unit, other: Unit) -> bool:
+    """Whether two written units are of one kind and size."""
+    return one.kind == other.kind and abs(one.factor / other.factor - 1) < 1e-5
+
+
+def fits(name: str, unit: Unit) -> bool:
+    """Whether a column of this name can have this unit."""
+    kind = kind_of(name)[0]
+    return kind == unit.kind or (kind, unit.kind) in NAMED_BY_UNIT
+
+
+def _without(text: str, match: re.Match) -> str:
+    return " ".join((text[: match.start()] + " " + text[match.end() :]).split())
+
+
+def _at_the_end(text: str) -> tuple[str, Unit] | None:
+    """Name and unit of "Load kN", "stress_N_mm2", "Kraft in N", "F/N", "strain, mm per mm"."""
+    words = re.split(r"[\s_,;:]+|(?<=[^\W\d])\.(?=[^\W\d])|(?<=[^\W\d]{2})-(?=[^\W\d])", text)
+    words = [word for word in words if word]
+    for count in range(min(_MOST, len(words) - 1), 0, -1):
+        name, tail = _name(words[:-count]), words[-count:]
+        ways = (" ".join(tail), "/".join(tail), "".join(tail))
+        preposition = tail[0].casefold() in _IN and len(set(tail)) > 1
+        for joined in dict.fromkeys(ways[:1] if preposition else ways):
+            unit = _unit_at_the_end(joined, name, count)
+            if unit is not None:
+                return name, unit
+    return None
+
+
+def _behind_a_stroke(text: str) -> tuple[str, Unit] | None:
+    """Name and unit of "F/N"."""
+    before, slash, after = text.rpartition("/")
+    unit = unit_of(after) if slash else None
+    return (before.strip(), unit) if unit and before and _may_be(unit, after, before) else None
+
+
+def _name(words: list[str]) -> str:
+    """The words before a unit; "in" and "en" belong to neither."""
+    words = words[:-1] if len(words) > 1 and words[-1].casefold() in _IN else words
+    return " ".join(words)
+
+
+def _unit_at_the_end(text: str, name: str, count: int) -> Unit | None:
+    if text[0] in "-–—" or (text[0].isdigit() and not any(c.isalpha() for c in text)):
+        return None  # the number of a specimen, not a pure number
+    if count > 1 and text == "".join(text.split()) and "/" not in text and len(text) < 3:
+        return None
+    unit = unit_of(text)
+    if unit is not None and count > 1 and unit.kind == STRAIN and kind_of(name)[0] != STRAIN:
+        return None  # "Displacement in in"
+    return unit if unit is not None and _may_be(unit, text, name) else None
+
+
+def _may_be(unit: Unit, text: str, name: str) -> bool:
+    """Whether a word after a name is its unit: it fits the name, or is long enough not to be
+    anything else ("delta_h" is no time)."""
+    if fits(name, unit):
+        return True
+    short = len(text.strip(".()[]")) < 2 or text.casefold() in _ALONE
+    return kind_of(name)[0] in (None, OTHER) and not short
+
+
+def _at_the_beginning(text: str) -> tuple[str, Unit] | None:
+    """Name and unit of "kN Load", "mm_displacement"."""
+    first, _, rest = text.replace("_", " ").partition(" ")
+    unit = unit_of(first) if rest and len(first) > 1 and first.casefold() not in _ALONE else None
+    return (rest, unit) if unit is not None and fits(rest, unit) else None
+
+
+def _glued(text: str) -> tuple[str, Unit] | None:
+    """Name and unit of "forceKN", "cargaAxialKg", "displacementmm", "应变mm/mm"."""
+    for new in _NEW_WORD.finditer(text):
+        name, unit = text[: new.start()], unit_of(text[new.start() :])
+        if unit is not None and fits(name, unit):
+            return name, unit
+    lower = _GLUED.fullmatch(text)
+    unit = unit_of(lower[2]) if lower and ends_with_a_name(lower[1]) else None
+    return (lower[1], unit) if lower and unit is not None and fits(lower[1], unit) else None
+
+
+def _strange_end(text: str) -> str:
+    """The last word of a heading where it is a unit of something else: "Load mV", "Force_N/foo"."""
+    words = [word for word in re.split(r"[\s_,;:]+", text) if word]
+    if len(words) < 2 or kind_of(" ".join(words[:-1]))[0] in (None, OTHER):
+        return ""
+    last = words[-1]
+    if last.casefold().strip(".") in _OTHER_UNITS or last in _LETTERS or doubt(last):
+        return last
+    loads = kind_of(" ".join(words[:-1]))[0] in (STRESS, FORCE)
+    if loads and re.fullmatch(r"(?:[cdm]?m|in|ft)[\^]?[2²]", last.casefold()):
+        return " ".join(words[-2:])
+    parts = [part for part in re.split(r"[/^*]", last) if part]
+    looks = len(parts) > 1 and any(unit_of(part) for part in parts)
+    return last if looks else ""

@@ -1,0 +1,105 @@
+"""Signs that a file holds a test which is not simulated: triaxial, direct shear, CBR, tension, ...
+
+A specimen under a confining pressure is stronger than an unconfined one, so its strength must not
+become a crushing force.  Signs are columns of such pressures that are not zero, columns of shear,
+pressures above zero in the lines before the table, and names of tests there.
+"""
+
+import re
+
+import numpy as np
+
+from calibrate.core.errors import BadValue, shown
+from calibrate.instrument_import.cells import number
+from calibrate.instrument_import.tables import Table
+from calibrate.instrument_import.vocabulary import test_named_in, words_of
+
+_PRESSURES = (  # that confine a specimen, or stand inside it
+    *("confining", "cell pressure", "chamber pressure", "radial pressure", "radial stress"),
+    *("back pressure", "pore pressure", "pore water pressure", "lateral pressure", "sigma 3"),
+    *("sigma3", "σ3", "minor principal", "zelldruck", "seitendruck", "porenwasserdruck"),
+    *("presion de confinamiento", "presion de camara", "presion de celda", "presion de poros"),
+    *("pression de confinement", "pression cellulaire", "pression interstitielle"),
+    *("confp", "conf p", "conf stress", "pconf", "p conf", "cellp", "sigma conf"),
+    *("pressione di cella", "pressione di confinamento", "围压", "孔压", "孔隙水压", "反压"),
+)
+_COLUMNS = (  # whatever they hold
+    *("deviator", "shear stress", "shear force", "shear load", "horizontal displacement"),
+    *("shear displacement", "horizontal force", "horizontal load", "schubspannung", "scherweg"),
+    *("scherkraft", "scherspannung", "contrainte de cisaillement", "esfuerzo cortante"),
+    *("偏应力", "剪应力", "剪切位移", "torque", "drehmoment"),
+)
+_NAMES = (  # of tests, in the lines above a table, of a sheet, of a specimen
+    *("triax", "dreiax", "三轴", "direct shear", "shear box", "shearbox", "rahmenscher"),
+    *("ring shear", "simple shear", "corte directo", "cisaillement direct", "taglio diretto"),
+    *("直剪", "california bearing", "承载比", "proctor", "tensile", "tension test", "zugversuch"),
+    *("ensayo de traccion", "essai de traction", "prova di trazione", "拉伸", "brazilian"),
+    *("split tension", "splitting", "flexur", "bending", "biege", "vane", "flugelsonde"),
+    *("viga", "tenacidad", "toughness", "14651", "ctod", "cmod", "hydrostatic", "isotropic"),
+    *("penetrometer", "resilient modulus", "permeability", "atterberg", "durchlassigkeit"),
+)
+_WORDS = re.compile(r"(?<!\w)(?:cbr|uu test|cu test|cd test|ciu|cid|cau|spt|cpt)(?!\w)")
+_INVARIANTS = frozenset(("q", "p", "p'", "peff", "p'eff"))  # of stress, if both stand there
+_NOT = re.compile(r"\b(?:no|not|non|without|kein|keine|ohne|sin|sans|senza|un)\b")
+
+
+def signs_of_other_tests(table: Table, rows: np.ndarray, label: str, is_steps: bool) -> list[str]:
+    """Sentences, one a sign; `rows` (rows,) are the specimen's.  Load steps of an oedometer may
+    have a pore pressure beside them."""
+    found = [text for text in _columns(table, rows) if not (is_steps and "pore" in text.casefold())]
+    lines = [" ".join(cell for cell in row if cell.strip()) for row in table.preamble]
+    above = [line for line in lines if _names_another(words_of(line))]
+    found += [f"{shown(line.strip(), 50)} stands above the table" for line in above[:2]]
+    found += [] if is_steps else [text for line in lines if (text := _pressure(line))][:2]
+    for name in (table.sheet.name, label):
+        if _names_another(words_of(name)):
+            found.append(f"it is called {shown(name, 40)}")
+    return list(dict.fromkeys(found))
+
+
+def refuse(signs: list[str], insisted: bool, named: str | None) -> tuple[str, ...]:
+    """Warnings where the user insists on a test, or the file names one beside its signs; else the
+    refusal of a test that is not simulated."""
+    if not signs:
+        return ()
+    if insisted or (named is not None and not any("column" in sign for sign in signs)):
+        text = "a test that is not simulated shows in the file"
+        return (f"{text} ({'; '.join(signs[:3])}): its strength is none of a free specimen",)
+    problem = f"it is a test that is not simulated: {'; '.join(signs[:2])}"
+    raise BadValue(problem, "if it is one of free compression all the same, insist with --test")
+
+
+def _columns(table: Table, rows: np.ndarray) -> list[str]:
+    found = []
+    names = [words_of(heading.name).replace(" ", "") for heading in table.headings]
+    if len(_INVARIANTS.intersection(names)) > 1 or "peff" in names:
+        found.append("it has columns of the invariants p and q")
+    for column, heading in enumerate(table.headings):
+        name = words_of(heading.name)
+        values = table.numbers[rows, column] if column < table.numbers.shape[1] else rows[:0]
+        largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
+        if _holds(name, _COLUMNS):
+            found.append(f"it has a column {shown(heading.words(), 40)}")
+        elif _holds(name, _PRESSURES) and largest > 0:
+            found.append(f"column {shown(heading.words(), 40)} reads up to {largest:.4g}")
+    return found
+
+
+def _pressure(line: str) -> str:
+    """A pressure above zero that a line states."""
+    words = words_of(line)
+    if len(line) > 120 or not _holds(words, _PRESSURES):
+        return ""
+    values = [number(text.replace(",", "."), ".") for text in re.findall(r"\d+[.,]?\d*", line)]
+    return f"{shown(line.strip(), 50)} stands above the table" if any(v > 0 for v in values) else ""
+
+
+def _names_another(words: str) -> bool:
+    """Whether words name a test that is not simulated, and none that is."""
+    named = _holds(words, _NAMES) or bool(_WORDS.search(words))
+    return named and not _NOT.search(words) and test_named_in(words) is None
+
+
+def _holds(words: str, parts: tuple[str, ...]) -> bool:
+    glued = (part.replace(" ", "") for part in parts if " " in part)
+    return any(part in words for part in parts) or any(part in words for part in glued)
