@@ -26,7 +26,6 @@ BASE = {"color": DARK, "ls": "--", "marker": "s", "mfc": "white", "ms": 4.5, "lw
 BEST = {"color": MIDDLE, "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.3}
 TICKS = (5.0, 20.0, 100.0, 1e3, 1e4)  # of compressed scales
 FURTHER = 1.5  # times the largest force that is compared; a record beyond it is cut
-CALLED = {"200-400 N": "upper half"}  # on specimens of any size
 LOCATIONS = 8  # of a further test that are drawn
 STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
 Words = Callable[[str], str]
@@ -163,7 +162,7 @@ def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) ->
             )
         axis.axvline(end - 0.5, color="0.8", lw=0.6)
     axis.set_xticks([(s + e - 1) / 2 for s, e in zip(starts, ends, strict=True)])
-    shown = [CALLED.get(names[s], names[s]) for s in starts]
+    shown = [names[s] for s in starts]
     axis.set_xticklabels(shown, rotation=30, ha="right", fontsize=8)
     axis.tick_params(axis="x", length=0)
     for text, start in zip(axis.get_xticklabels(), starts, strict=True):
@@ -194,7 +193,7 @@ def probability_figure(found: DiagnosisRecord, words: Words, most: int = 6) -> F
     rows = lines.sum() - np.cumsum(lines) + lines / 2
     figure, axis = plt.subplots(figsize=(BARS[0], 0.9 + 0.17 * lines.sum()), layout="constrained")
     for row, e in zip(rows, shown, strict=False):
-        verdict, member = e.label == found.which.verdict, e.label in found.which.likely_set
+        verdict, member = found.names(e.label), e.label in found.which.likely_set
         colour = MIDDLE if verdict else DARK if member else LIGHT
         axis.barh(row, e.probability, 1.0, color=colour, hatch="///" * verdict, edgecolor="white")
         axis.text(e.probability + 0.015, row, _percent(e.probability), va="center", fontsize=8)

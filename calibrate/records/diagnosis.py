@@ -34,7 +34,7 @@ class SegmentRow(Record):
     z: Number
     outside_band: bool
     share: Number
-    share_interval: tuple[Number, Number]
+    share_interval: tuple[Number, Number] | None  # none where it does not hold the share
     share_by_chance: Number
 
 
@@ -60,9 +60,10 @@ class EffectRow(Record):
 
 
 class ComparisonRecord(Record):
-    """Verdict, probabilities, classes."""
+    """Verdict, probabilities, classes; `reason`: why the likeliest explanation is not named."""
 
     verdict: str
+    reason: str = ""
     probability: dict[str, Number]
     probability_by_class: dict[str, Number]
     likely_set: list[str]
@@ -75,13 +76,13 @@ class ComparisonRecord(Record):
 
 class ReductionRecord(Record):
     """Gap in scatters of a specimen, before and after, how much of it goes, and whether the data
-    can show that much."""
+    can show that much; no interval where it does not hold its value."""
 
     before: Number
     after: Number
     floor: Number
     shrinkage: Number
-    interval: tuple[Number, Number]
+    interval: tuple[Number, Number] | None
     shown: bool = True  # files of earlier versions do not say
     shrinkage_left_out: Number
     ceiling: dict[str, Number]
@@ -201,6 +202,8 @@ class DiagnosisRecord(Origin):
     explanations: list[ExplanationRow]
     base_parameters: list[ParameterShift]
     beyond_library: list[str] = Field(default_factory=list)
+    library_error: Number = 1.0
+    records_begin: dict[Test, Number] = Field(default_factory=dict)
     scatter_over_assumed: dict[Test, Number] = Field(default_factory=dict)
     amplitudes: dict[Test, Number]
     settings: DiagnosisSettings
@@ -210,6 +213,11 @@ class DiagnosisRecord(Origin):
         if not self.features:
             raise ValueError("features are empty")
         return self
+
+    def names(self, explanation: str) -> bool:
+        """Whether this is what the verdict says; nothing is where a reason keeps a cause from being
+        named."""
+        return explanation == self.which.verdict and not self.which.reason
 
     @property
     def targets_only(self) -> bool:
@@ -237,6 +245,8 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
             for name, by, sd in zip(d.base_names, moved, d.prior_sd, strict=True)
         ],
         "beyond_library": list(diagnosis.beyond),
+        "library_error": diagnosis.library_error,
+        "records_begin": dict(diagnosis.found.begun),
         "scatter_over_assumed": _scatter_over_assumed(diagnosis),
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},
@@ -259,13 +269,7 @@ def _scatter_over_assumed(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
-    counts, features = diagnosis.found.measured.counts, diagnosis.found.measured.features
-    return {
-        test: int(
-            max((c for c, f in zip(counts, features, strict=True) if f.test == test), default=0)
-        )
-        for test in TESTS
-    }
+    return {test: diagnosis.found.repeats.get(test, 0) for test in TESTS}
 
 
 def _features(diagnosis: Diagnosis) -> list[dict]:

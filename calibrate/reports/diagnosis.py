@@ -16,7 +16,13 @@ from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.records.base import read, record
-from calibrate.records.diagnosis import DiagnosisRecord, ExplanationRow, SegmentRow, content
+from calibrate.records.diagnosis import (
+    CrossTestRow,
+    DiagnosisRecord,
+    ExplanationRow,
+    SegmentRow,
+    content,
+)
 from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title
 from calibrate.reports.html import Page, Picture, Table, number, render, words
@@ -24,8 +30,8 @@ from calibrate.reports.html import Page, Picture, Table, number, render, words
 PAGE = "diagnosis.html"
 FIRST = 4  # explanations of the first table, besides none and unknown
 STATUS = {
-    "found": "● found",
-    "trivial": "◐ found, but small",
+    "found": "● goes with the gap",
+    "trivial": "◐ goes with it, but small",
     "absent": "○ absent: it would have shown",
     "inconclusive": "? could not have shown",
 }
@@ -146,7 +152,7 @@ def _leading(found: DiagnosisRecord) -> list[ExplanationRow]:
 def _answer(found: DiagnosisRecord) -> Table:
     rows = [
         [
-            title(e.label) + (" ◀ verdict" if e.label == found.which.verdict else ""),
+            title(e.label) + (" ◀ verdict" if found.names(e.label) else ""),
             percent(e.probability),
             _if_so(e),
             " ".join(plain(name).sentence for group in members(e.label) for name in group),
@@ -183,6 +189,8 @@ def _segments(found: DiagnosisRecord) -> Table:
 
 
 def _share(segment: SegmentRow) -> str:
+    if segment.share_interval is None:
+        return percent(segment.share)
     low, high = (percent(end) for end in segment.share_interval)
     return f"{percent(segment.share)} ({low} to {high})"
 
@@ -221,12 +229,12 @@ def _far(found: DiagnosisRecord) -> Table | None:
     far = found.how_far
     if far is None:
         return None
-    low, high = (percent(end) for end in far.interval)
+    ends = "" if far.interval is None else " ({} to {})".format(*map(percent, far.interval))
     rows = [
         ["model's distance from a fresh specimen, before", f"{number(far.before, 3)} scatters"],
         ["after", f"{number(far.after, 3)} scatters"],
         ["floor: the mean of all specimens", f"{number(far.floor, 3)} scatter"],
-        ["share of the gap removed", f"{percent(far.shrinkage)} ({low} to {high})"],
+        ["share of the gap removed", f"{percent(far.shrinkage)}{ends}"],
         ["on specimens left out of the fit", percent(far.shrinkage_left_out)],
         *(
             [f"ceiling: any change of the {name}", percent(value)]
@@ -280,12 +288,21 @@ def _across(found: DiagnosisRecord) -> Table | None:
     rows = [
         [
             f"{label_of(a.predicted)} from the {_others(a.predicted)}",
-            f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}",
+            f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}{_no_factor(a)}",
             percent(a.p_value),
         ]
         for a in found.across_tests
     ]
     return Table(["predicted", "measured over predicted", "chance of such a misfit"], rows)
+
+
+def _no_factor(row: CrossTestRow) -> str:
+    """A word on a factor that is none."""
+    if row.factor < 0:
+        return ": no factor, the measured curve does not run as the predicted one"
+    if row.factor < 2 * row.factor_se:
+        return ": not told from none"
+    return ""
 
 
 def _others(test: str) -> str:

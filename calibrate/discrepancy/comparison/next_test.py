@@ -33,6 +33,7 @@ from calibrate.discrepancy.comparison.further import (
     stacked,
 )
 from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.naming import BEYOND, FEW
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.refit import Refit
@@ -44,6 +45,7 @@ LEADING = 4  # explanations whose predictions are shown
 SHOWN = 0.01  # probability of such an explanation, but for the likeliest
 SURE = 0.95  # probability of a class from which on nothing more need be asked
 WORTH = 0.03  # nats; a test that tells less is not worth making
+BEFORE_TESTS = (FEW, BEYOND)  # reasons that no further test removes
 UNFORESEEN = 0.01  # chance of an outcome below which an explanation did not foresee it
 
 
@@ -154,9 +156,12 @@ def next_tests(
 
 
 def why_stop(comparison: Comparison, proposals: Sequence[Proposal]) -> str:
-    """Why no further test is proposed; "" where one is."""
-    if max(comparison.by_class.values()) >= SURE:
-        return "sure"
+    """Why no further test is proposed; "" where one is.  What keeps a cause from being named comes
+    first (`naming`), but for one that more tests may tell from others."""
+    if comparison.reason in BEFORE_TESTS:
+        return comparison.reason
+    if max(comparison.by_class.values()) >= SURE and not comparison.reason:
+        return UNKNOWN if comparison.verdict == UNKNOWN else "sure"
     if not proposals or proposals[0].gain < WORTH:
         return "nothing helps"
     return ""

@@ -52,6 +52,18 @@ class Reduction:
     ceilings: dict[str, float]
 
     @property
+    def shrinks(self) -> bool:
+        """Whether the gap becomes smaller: on these specimens and, where the interval of this
+        reaches zero, on specimens left out of the fit as well."""
+        return self.shrinkage > 0 and (self.low > 0 or (self.cross_validated or 0.0) > 0)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds its value: not where the effect is not all that is left
+        out."""
+        return self.low <= self.shrinkage <= self.high
+
+    @property
     def reportable(self) -> bool:
         """Whether the data can show the shrinkage."""
         return is_reportable(self.low, self.high)
