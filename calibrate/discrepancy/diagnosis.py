@@ -210,7 +210,7 @@ def grounds_of(found: Measurements, beyond: tuple[str, ...], error: float) -> Gr
     """What a name rests on: specimens, soil parameters beyond the runs, and the error that the
     library states, times that among its runs."""
     stated = (STATED,) if error > LARGE_ERROR else ()
-    return Grounds(found.repeats, (*beyond, *stated))
+    return Grounds(found.repeats, (*beyond, *stated), bool(found.specimens))
 
 
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:

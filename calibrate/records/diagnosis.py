@@ -236,7 +236,10 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         **found,
         "unused_tests": list(diagnosis.unused),
         "features": _features(diagnosis),
-        "specimens": [_aligned(diagnosis, curves) for curves in diagnosis.found.specimens],
+        "specimens": [
+            _aligned(diagnosis, curves, rest)
+            for curves, rest in zip(diagnosis.found.specimens, diagnosis.found.before, strict=False)
+        ],
         "specimen_weights": diagnosis.measured.weight.tolist(),
         "best": [d.effect_names[k] for k in comparison.best],
         "explanations": _explanations(diagnosis),
@@ -318,11 +321,13 @@ def _strengths(diagnosis: Diagnosis, fit: Refit) -> dict[str, float]:
     return {effects[k].name: float(fit.strengths[k] * effects[k].typical) for k in fit.chosen}
 
 
-def _aligned(diagnosis: Diagnosis, curves: Curves) -> dict[str, dict]:
-    """A specimen's curves as features see them, thinned."""
-    drawn = {}
-    for test, (displacement, force) in curves.items():
+def _aligned(diagnosis: Diagnosis, curves: Curves, rest: np.ndarray) -> dict[str, dict]:
+    """A specimen's curves as features see them, thinned: where all features of a test are read
+    without the force before contact, `rest` (N) by test, so are these."""
+    drawn, at_rest = {}, dict(zip(TESTS, np.nan_to_num(rest).tolist(), strict=True))
+    for test, (displacement, recorded) in curves.items():
         mine = [f for f in diagnosis.measured.features if f.test == test]
+        force = recorded - (at_rest[test] if TEST_FEATURES[test].tared is None else 0.0)
         if mine:
             travel = displacement - TEST_FEATURES[test].zero(mine[0], displacement, force)
             drawn[test] = {"displacement_mm": _thinned(travel), "force_n": _thinned(force)}

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table as Terminal
 
 from calibrate.core.files import write_json, write_text
+from calibrate.discrepancy.comparison.next_test import BEFORE_TESTS
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import diagnosis as plots
@@ -83,8 +84,10 @@ def _page(found: DiagnosisRecord, pictures: dict[str, Picture]) -> Page:
 
 
 def show(found: DiagnosisRecord, console: Console) -> None:
-    """The paragraph and the likeliest explanations."""
+    """The paragraph and, where a cause could be named, the likeliest explanations."""
     console.print(sentence(found), markup=False, highlight=False)
+    if found.which.reason in BEFORE_TESTS:
+        return
     table = Terminal(box=None, pad_edge=False)
     for column in ("explanation", "probability", "strength if so"):
         table.add_column(column)

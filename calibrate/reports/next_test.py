@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table as Terminal
 
 from calibrate.core.files import write_json, write_text
-from calibrate.discrepancy.comparison.naming import BEYOND, FEW, FEWEST
+from calibrate.discrepancy.comparison.naming import BEYOND, FEW, FEWEST, MUTE
 from calibrate.discrepancy.comparison.next_test import BEFORE_TESTS, Proposal, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.verdict import proposed
@@ -26,10 +26,12 @@ WHY = {
     UNKNOWN: "Next: look at the places where the gap shows for what acts there; no test on the "
     "list names what the library does not hold.",
     "nothing helps": "No test on the list would tell more than these data do.",
+    MUTE: "Next: record force and displacement of both tests, on at least three specimens each.",
     FEW: f"Next: record at least {FEWEST} specimens of each test, and ask again.",
     BEYOND: f"Next: add runs there, and ask again: calibrate next LAB.toml --simulate {ENOUGH}.",
     "": "",
 }
+LEAST_NATS = 0.005
 LEGEND = (
     "Hours of a technician and fresh specimens are a guess; nats say how far the outcome is "
     "expected to narrow down the explanations; chance: that the right one is then the first."
@@ -79,11 +81,16 @@ def _table(proposals: Sequence[Proposal]) -> Terminal:
     table = Terminal("further test", "hours", "fresh", "nats", "chance")
     for one in proposals:
         table.add_row(
-            one.name, number(one.cost, 2), str(one.specimens), number(one.gain, 2),
+            one.name, number(one.cost, 2), str(one.specimens), nats(one.gain),
             percent(one.chance),
         )  # fmt: skip
     table.add_row("these data alone", "", "", "", percent(proposals[0].chance_now))
     return table
+
+
+def nats(gain: float) -> str:
+    """A gain; what is only rounding counts as none."""
+    return number(gain, 2) if gain >= LEAST_NATS else "0"
 
 
 def _picture(proposal: Proposal, stop: str) -> str:

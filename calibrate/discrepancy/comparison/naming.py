@@ -3,6 +3,7 @@
 Probabilities weigh explanations against each other.  What they do not know keeps a cause from being
 named, in this order:
 
+    no curves        numbers alone, which calibration meets whatever the model leaves out
     few specimens    of a test: one or two do not tell by how much specimens scatter, so they cannot
                      show a gap
     beyond library   the soil that fits best lies beyond the runs, where what is left may be an
@@ -23,16 +24,19 @@ from calibrate.discrepancy.comparison.reduction import Reduction, estimate_reduc
 from calibrate.discrepancy.comparison.repeats import Measured
 
 FEWEST = 3  # specimens of a test that show a gap
-FEW, BEYOND, NO_SHRINKAGE = "few specimens", "beyond library", "no shrinkage"
+MUTE, FEW, BEYOND = "no curves", "few specimens", "beyond library"
+NO_SHRINKAGE = "no shrinkage"
 
 
 @dataclass(frozen=True)
 class Grounds:
     """What a name rests on beside evidences: specimens by test, of those that were made, and what
-    lies beyond the library's runs at the best base fit (soil parameters, or its stated error)."""
+    lies beyond the library's runs at the best base fit (soil parameters, or its stated error);
+    whether there are curves."""
 
     specimens: Mapping[str, int] = field(default_factory=dict)
     beyond: tuple[str, ...] = ()
+    curves: bool = True
 
     @property
     def few(self) -> bool:
@@ -45,6 +49,8 @@ def named(
 ) -> tuple[Comparison, Reduction | None]:
     """The comparison with the verdict that its grounds allow, and by how much the gap shrinks with
     the explanation that is named or, where nothing in the library is, comes nearest."""
+    if not grounds.curves:
+        return _unnamed(comparison, MUTE), None
     if grounds.few:
         return _unnamed(comparison, FEW), None
     if comparison.verdict == NONE or not comparison.best:
