@@ -152,7 +152,7 @@ def summary(rows: Sequence[dict]) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--make", action="store_true", help="make the fresh cases, judge nothing")
     parser.add_argument("--only", choices=("sound", "strong"), default="")
     parser.add_argument("--most", type=int, default=CASES + 87, help="of each kind")

@@ -62,6 +62,7 @@ from calibrate.io.lab import Lab
 DRAWS = 400  # of null distributions
 WITHIN = 16  # soils among the library's runs whose stated errors are typical
 LARGE_ERROR = 2.0  # times these, which hardly any soil among the runs reaches
+EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
 CARRYING = 4  # runs beside a soil, from which on the library reaches it
 STATED = "stated error"  # of the library at the best base fit, beside parameters beyond its runs
 Say = Callable[[str], None]
@@ -180,10 +181,9 @@ def diagnosed(
         comparison, learned = updated(prepared, comparison, measured.mean, made)
     localisation = localise(d, measured, comparison.noise, comparison.base, seed)
     say("how far the gap shrinks")
-    beyond = beyond_library(lab, emulated, comparison.base.delta)
-    error = library_error(lab, emulated, comparison.base.delta)
-    grounds = grounds_of(found, beyond, error)
-    comparison, reduction = named(d, measured, comparison, grounds, seed)
+    delta = comparison.base.delta
+    beyond, error = beyond_library(lab, emulated, delta), library_error(lab, emulated, delta)
+    comparison, reduction = answered(lab, emulated, found, d, measured, comparison, seed)
     proposals: list[Proposal] = []
     if comparison.reason not in BEFORE_TESTS:
         say("weighing further tests")
@@ -200,28 +200,28 @@ def answered(
     comparison: Comparison, seed: int,
 ) -> tuple[Comparison, Reduction | None]:  # fmt: skip
     """A comparison with the verdict that its grounds allow."""
-    delta = comparison.base.delta
-    error = library_error(lab, emulated, delta)
-    grounds = grounds_of(found, beyond_library(lab, emulated, delta), error)
+    grounds = Grounds(
+        found.repeats, lambda delta: beyond_runs(lab, emulated, delta), bool(found.specimens)
+    )
     return named(d, measured, comparison, grounds, seed)
 
 
-def grounds_of(found: Measurements, beyond: tuple[str, ...], error: float) -> Grounds:
-    """What a name rests on: specimens, soil parameters beyond the runs, and the error that the
-    library states, times that among its runs."""
-    stated = (STATED,) if error > LARGE_ERROR else ()
-    return Grounds(found.repeats, (*beyond, *stated), bool(found.specimens))
+def beyond_runs(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
+    """What lies beyond the library's runs at a fit: soil parameters, and the error that it
+    states."""
+    stated = (STATED,) if library_error(lab, emulated, delta) > LARGE_ERROR else ()
+    return (*beyond_library(lab, emulated, delta), *stated)
 
 
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
-    """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie farther from
-    the library's centre than its runs, be they of its design or added about this lab."""
+    """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie clearly
+    farther from the library's centre than its runs, be they of its design or added about this lab."""
     library = emulated.for_lab(lab).library
     names, sd = library.design.soil_names, np.array([*library.design.soil_sd.values()])
     soil = slice(len(names))  # base coordinates begin with the soil's
     away = (soil_prior_for(lab, library).offset[soil] + delta[soil]) / sd
     runs = np.sort(library.base[:, soil] / sd * np.sign(away), axis=0)
-    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST)
+    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST) + EDGE
     return tuple(n for n, by in zip(names, np.abs(away) > reach, strict=True) if by)
 
 

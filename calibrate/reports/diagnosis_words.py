@@ -201,7 +201,13 @@ def _lies(segment: SegmentRow) -> str:
 def shrinkage(found: DiagnosisRecord) -> str:
     """How much of the gap goes with the best effect, only if the data can show it."""
     if found.how_far is None or not found.best:
-        return ""
+        if found.which.verdict in (NONE, UNKNOWN):
+            return ""
+        return (
+            "Place by place the gap is no larger than the library's own error, so how far it "
+            "shrinks cannot be told; runs about it would: calibrate diagnose LAB.toml --simulate "
+            f"{ENOUGH}."
+        )
     far, name = found.how_far, " and ".join(plain(n).name for n in found.best)
     if far.shrinkage <= 0:
         return f"Adding “{name}” to the model does not shrink the gap."

@@ -118,7 +118,7 @@ def as_json(
             for c in localisation.across
         ],
         "which": _which(prepared, comparison),
-        "how_far": _how_far(reduction),
+        "how_far": how_far(reduction),
         "next_test": _next(comparison, proposals),
         "further_tests": None
         if learned is None
@@ -148,7 +148,8 @@ def _which(prepared: Prepared, comparison: Comparison) -> dict:
     }
 
 
-def _how_far(reduction: Reduction | None) -> dict | None:
+def how_far(reduction: Reduction | None) -> dict | None:
+    """By how much the gap shrinks; no interval where it does not hold its value."""
     if reduction is None:
         return None
     return {

@@ -61,7 +61,7 @@ class Measurements:
         twice counts once."""
         found: dict[str, int] = {}
         for test in TESTS:
-            curves = {c[test][1].tobytes() for c in self.specimens if test in c}
+            curves = {np.array(c[test]).tobytes() for c in self.specimens if test in c}
             mine = [
                 n for n, f in zip(self.measured.counts, self.measured.features, strict=True)
                 if f.test == test
@@ -178,7 +178,7 @@ def _from_seating(
         if like is not None and 0 < force < first:
             way = way_between(like[test], curves[test], force, first)
             found[test] = (
-                np.concatenate([[displacement[0] - way], displacement]),
+                np.concatenate([[np.median(displacement[:FIRST]) - way], displacement]),
                 np.concatenate([[force], recorded]),
             )
     return found
