@@ -24,8 +24,11 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from support import evidences
 
 from calibrate.core.files import write_text
-from calibrate.discrepancy.comparison.probability_calibration import BUNDLED, ProbabilityCalibration
-from calibrate.discrepancy.comparison.sets import threshold
+from calibrate.discrepancy.comparison.probability_calibration import (
+    BUNDLED,
+    ProbabilityCalibration,
+    threshold,
+)
 
 TARGET = Path(__file__).parents[1] / "calibrate" / "discrepancy" / "comparison" / BUNDLED
 

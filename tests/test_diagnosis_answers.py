@@ -17,8 +17,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from calibrate.discrepancy.comparison import fits, next_test
+from calibrate.discrepancy.comparison.baselines import generated_case
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
-from calibrate.discrepancy.comparison.examples import generated_case
 from calibrate.discrepancy.comparison.fits import HOPELESS, covariance_at, fitted_base
 from calibrate.discrepancy.comparison.further import (
     FurtherTest,

@@ -15,11 +15,18 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.discrepancy.library.measurements import _from_seating
+from calibrate.labtests.diagnosis.base import BEFORE, TOE, UsualSizes
 from calibrate.labtests.diagnosis.confined import NAME as CONFINED
-from calibrate.labtests.diagnosis.contact import force_before_contact, readings_before_contact
+from calibrate.labtests.diagnosis.contact import (
+    begins_before_contact,
+    force_before_contact,
+    readings_before_contact,
+)
 from calibrate.labtests.diagnosis.curves import (
+    TEST_FEATURES,
     declare,
+    declare_before_contact,
     declare_targets,
     feature_values,
     recorded_feature_values,
@@ -233,3 +240,95 @@ def test_a_way_through_the_air_is_cut_off_again():
     ]
     spread = np.where([f.unit == "mm" for f in FEATURES], 0.03, 0.8)
     assert (np.abs(found[1] - found[0]) < spread)[rows].all()
+
+
+# ------------------------------------------------------------------ where records begin
+
+
+def recorded(seed: int, air: float, begins: float = 0.0, rest: float = 0.0, power: float = 2.0):
+    """A record with 0.4 N of noise that rises as 12 N (u/mm)^power after `air` (mm) at `rest` (N),
+    and begins where the rise reaches `begins` (N)."""
+    way = np.arange(0.0, 6.0, 0.05)
+    rise = 12.0 * np.maximum(way - air, 0.0) ** power
+    force = rise + rest + 0.4 * np.random.default_rng(seed).standard_normal(len(way))
+    first = int(np.argmax(rise >= begins)) if begins else 0
+    return way[first:], force[first:]
+
+
+@pytest.mark.parametrize(
+    ("what", "records", "before"),
+    [
+        ("air", [recorded(k, 0.6) for k in range(4)], True),
+        ("air, not tared", [recorded(k, 0.6, rest=10.0) for k in range(4)], True),
+        ("air, one specimen", [recorded(9, 1.0)], True),
+        ("one of four begins later", [recorded(k, 0.6, 3.0 * (k == 1)) for k in range(4)], True),
+        ("preload of 1.5 N", [recorded(k, 0.6, 1.5) for k in range(4)], False),
+        ("preload of 3.5 N", [recorded(k, 0.6, 3.5) for k in range(4)], False),
+        ("preload of 10 N", [recorded(k, 0.6, 10.0) for k in range(4)], False),
+        ("preload of 10 N, tared there", [recorded(k, 0.6, 10.0, -10.0) for k in range(4)], False),
+        ("three of four begin later", [recorded(k, 0.6, 10.0 * (k > 0)) for k in range(4)], False),
+        ("a straight rise from contact on", [recorded(k, 0.0, power=1.0) for k in range(4)], False),
+        ("preload of 6 N", [recorded(k, 0.6, 6.0) for k in range(4)], False),
+        ("no noise, from contact on", [(np.arange(9.0), 5.0 * np.arange(9.0))], False),
+    ],
+)
+def test_records_that_hold_readings_before_contact_are_told_from_those_that_do_not(
+    what, records, before
+):
+    assert begins_before_contact(records) == before, what
+
+
+def both_tests(begins: float) -> tuple[dict, dict]:
+    """Curves of both tests from contact on, and the same from a force (N) on."""
+    way = np.linspace(0.0, 12.0, 400)
+    whole = {CONFINED: confined(400), UNCONFINED: (way, 200 * way / 6 * np.exp(1 - way / 6))}
+    first = {test: int(np.argmax(force >= begins)) for test, (_, force) in whole.items()}
+    return whole, {t: (x[first[t] :], f[first[t] :]) for t, (x, f) in whole.items()}
+
+
+@pytest.mark.parametrize("begins", [1.0, 3.5, 10.0, 35.0])
+def test_a_record_that_begins_at_a_preload_lacks_what_comes_before_and_nothing_else(begins):
+    whole, cut = both_tests(begins)
+    every = (*FEATURES, *declare_before_contact())
+    before = feature_values(every, whole)
+    found = recorded_feature_values(every, cut, begun=(CONFINED, UNCONFINED))
+    lacks = [
+        f.kind == BEFORE
+        or f.segment == TOE
+        or (f.kind == "loading" and f.abscissa < begins and f.test == CONFINED)
+        for f in every
+    ]
+    assert np.isnan(found[lacks]).all()
+    mould = np.array([f.test == CONFINED for f in every]) & ~np.array(lacks)
+    assert found[mould] == pytest.approx(before[mould], abs=2e-2)
+
+
+@pytest.mark.parametrize("begins", [8.0, 10.0, 20.0])
+def test_travel_before_a_preload_is_that_of_a_curve_like_it(begins):
+    """A reference half as strong and a third longer, of the same form: crushing counts from the
+    seating force as if the record had begun there."""
+    whole, cut = both_tests(begins)
+    way, force = whole[UNCONFINED]
+    like = {UNCONFINED: (1.33 * way, 0.5 * force)}
+    from_there = _from_seating(FEATURES, cut, like, (UNCONFINED,))
+    found = recorded_feature_values(FEATURES, from_there, begun=(UNCONFINED,))
+    before = feature_values(FEATURES, whole)
+    crushed = [
+        i for i, f in enumerate(FEATURES)
+        if f.test == UNCONFINED and f.segment != TOE and f.abscissa < 11.5
+    ]  # fmt: skip
+    assert found[crushed] == pytest.approx(before[crushed], rel=2e-3, abs=0.01)
+    late = recorded_feature_values(FEATURES, cut, begun=(UNCONFINED,))
+    assert np.abs(late[crushed] / before[crushed] - 1).max() > 0.01  # what it would be without
+
+
+@pytest.mark.parametrize(
+    ("high", "named"),
+    [(400.0, "200-400 N"), (785.4, "393-785 N"), (100.0, "50-100 N"), (981.7, "491-982 N"),
+     (39.0, "20-39 N"), (2000.0, "1000-2000 N")],
+)  # fmt: skip
+def test_the_upper_half_of_loading_is_named_by_the_lab_s_own_forces(high, named):
+    features = declare(UsualSizes(high, 6.0, 200.0))
+    segments = {f.segment for f in features if f.kind == "loading"}
+    assert segments == {TOE, "loading", named}
+    assert named in TEST_FEATURES[CONFINED].in_words(named)

@@ -46,15 +46,16 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     EvidenceSummary,
     ProbabilityCalibration,
     bundled_calibration,
+    explanations,
     fit_calibration,
     hypotheses,
     log_probabilities,
+    threshold,
 )
 from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project
 from calibrate.discrepancy.comparison.refit import best_strengths
 from calibrate.discrepancy.comparison.repeats import Scatter, from_vectors
 from calibrate.discrepancy.comparison.score import scores
-from calibrate.discrepancy.comparison.sets import explanations, threshold
 from calibrate.discrepancy.comparison.unspecified_gap import (
     AMPLITUDES,
     kernel_factors,

@@ -89,7 +89,9 @@ def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
     fits = leading_fits(which)
     assert fits[0].chosen == () and {(1,)} <= {fit.chosen for fit in fits}
     strong = replace(fits[1], strengths=np.array([0.0, 1e3, 0.0]))
-    assert location_of(strong, soil_prior_for(lab, LIBRARY), LIBRARY).strengths.tolist() == [
+    assert location_of(
+        strong, soil_prior_for(lab, LIBRARY), LIBRARY, d.effect_names
+    ).strengths.tolist() == [
         0.0,
         15.0,
         0.0,

@@ -26,7 +26,6 @@ from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import load_lab
 from calibrate.simulation import Here
 from calibrate.validation import laboratory, run
-from calibrate.validation.canary import canary
 from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
 from calibrate.validation.laboratory import READINGS, recorded, write_case
 from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
@@ -38,7 +37,7 @@ from calibrate.validation.plan import (
     WithheldCase,
     relative_error,
 )
-from calibrate.validation.seal import HASHES, LABELS, digest, open_seal, write_seal
+from calibrate.validation.seal import HASHES, LABELS, canary, digest, open_seal, write_seal
 
 FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
 

@@ -72,15 +72,20 @@ def diagnose_command(
         emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
     labs = [load_lab(path) for path in further or []]
     found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say, further=labs)
-    settings = {"library": source.name, **_size(simulated, emulated.library), "seed": seed}
+    settings = library_used(source.name, simulated, emulated.library, seed)
     origin = {**origin_of(session), "preset": NO_PRESET, "settings": settings}
     report.show(report.write(out, found, origin, json), Console())
     print(f"result.json, {report.PAGE} and figures are in {out}")
 
 
-def _size(library: "RunLibrary", used: "RunLibrary") -> dict[str, int]:
-    """How many simulations the library holds, and how many infill runs were added for this lab."""
+def library_used(
+    name: str, library: "RunLibrary", used: "RunLibrary", seed: int
+) -> dict[str, str | int]:
+    """Which library answers, how many simulations it holds, and how many infill runs were added for
+    this lab."""
     return {
+        "library": name,
+        "seed": seed,
         "simulations": len(library.values),
         "simulated_about_this_lab": len(used.values) - len(library.values),
         "packings": len(set(library.packing.tolist())),

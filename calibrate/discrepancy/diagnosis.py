@@ -1,7 +1,8 @@
 """`calibrate diagnose`: from a lab file and a library of runs to an explanation of the gap.
 
     curves -> features -> description about the best base fit -> null distributions
-           -> localisation, comparison of explanations, reduction of the gap, next test
+           -> localisation, comparison of explanations, whether one is named, reduction of the gap,
+           next test
 
 The calibration of probabilities was fitted once (`comparison.probability_calibration`); null
 distributions depend on the plan of measurement and may be shared by labs with the same plan.
@@ -23,15 +24,21 @@ from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
 from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.localise import Localisation, localise
-from calibrate.discrepancy.comparison.next_test import Learned, Proposal, next_tests, updated
+from calibrate.discrepancy.comparison.naming import Grounds, named
+from calibrate.discrepancy.comparison.next_test import (
+    BEFORE_TESTS,
+    Learned,
+    Proposal,
+    next_tests,
+    updated,
+)
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.outliers import robust, scatter_of
 from calibrate.discrepancy.comparison.probability_calibration import (
-    NONE,
     ProbabilityCalibration,
     bundled_calibration,
 )
-from calibrate.discrepancy.comparison.reduction import Reduction, estimate_reduction
+from calibrate.discrepancy.comparison.reduction import Reduction
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.verdict import as_json
 from calibrate.discrepancy.library.description import (
@@ -43,12 +50,21 @@ from calibrate.discrepancy.library.description import (
 )
 from calibrate.discrepancy.library.design import FURTHEST
 from calibrate.discrepancy.library.further_tests import menu, outcomes
-from calibrate.discrepancy.library.instruments import with_forces_before_contact, with_instruments
+from calibrate.discrepancy.library.instruments import (
+    left_free,
+    with_forces_before_contact,
+    with_instruments,
+)
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
+WITHIN = 16  # soils among the library's runs whose stated errors are typical
+LARGE_ERROR = 2.0  # times these, which hardly any soil among the runs reaches
+EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
+CARRYING = 4  # runs beside a soil, from which on the library reaches it
+STATED = "stated error"  # of the library at the best base fit, beside parameters beyond its runs
 Say = Callable[[str], None]
 
 
@@ -81,6 +97,7 @@ class Diagnosis:
     learned: Learned | None = None
     unused: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
+    library_error: float = 1.0
 
     def as_json(self) -> dict:
         """The contract's keys."""
@@ -101,17 +118,18 @@ def described(
     discrepancy: ModelDiscrepancy | None = None,
     before_contact: bool = True,
 ) -> tuple[Measurements, Linearised, Measured]:
-    """What was measured, and the simulator about the best base fit to it; baseline: with the
-    forces before contact."""
+    """What was measured, and the simulator about the best base fit to it; before_contact: with the
+    forces before contact, and with what is free where none was recorded.  Without, the lab is one
+    whose records are known to begin at no force."""
     emulated = emulated.for_lab(lab)
-    found = read_measurements(lab, emulated.size.features)
+    like, usual = emulated.size.curves(emulated.library.reference), emulated.size.cylinder
+    found = read_measurements(lab, emulated.size.features, like, from_zero=not before_contact)
     soil_prior = soil_prior_for(lab, emulated.library)
     density = lab.density_kg_m3
     scatter = float(np.std(density, ddof=1) / np.mean(density)) if len(density) > 1 else DENSITY_SD
     scatter = min(scatter, LARGEST_DENSITY_SD)
     d = describe(emulated, soil_prior, found.measured.mean, found.chosen, scatter, discrepancy)
-    like, usual = emulated.size.curves(emulated.library.reference), emulated.size.cylinder
-    d = with_instruments(d, found, like, usual.usual_sizes(), seed)
+    d = left_free(with_instruments(d, found, like, usual.usual_sizes(), seed), found)
     d, measured = with_forces_before_contact(d, found) if before_contact else (d, found.measured)
     return found, d, robust(measured, scatter_of(d))
 
@@ -162,26 +180,62 @@ def diagnosed(
         say("taking in further tests")
         comparison, learned = updated(prepared, comparison, measured.mean, made)
     localisation = localise(d, measured, comparison.noise, comparison.base, seed)
-    reduction = None
-    if comparison.best and comparison.verdict != NONE:
-        say("how far the gap shrinks")
-        reduction = estimate_reduction(
-            d, measured, comparison.noise, comparison.base, comparison.refits[comparison.best], seed
-        )
-    say("weighing further tests")
-    offers = menu(d, comparison.noise, lab.pair().rates, cylinder.force_high)
-    proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
+    say("how far the gap shrinks")
+    delta = comparison.base.delta
+    beyond, error = beyond_library(lab, emulated, delta), library_error(lab, emulated, delta)
+    comparison, reduction = answered(lab, emulated, found, d, measured, comparison, seed)
+    proposals: list[Proposal] = []
+    if comparison.reason not in BEFORE_TESTS:
+        say("weighing further tests")
+        offers = menu(d, comparison.noise, lab.pair().rates, cylinder.force_high)
+        proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
     return Diagnosis(
         lab, found, measured, prepared, localisation, comparison, reduction, proposals, learned,
-        tuple(unused), beyond_library(lab, emulated, comparison.base.delta),
+        tuple(unused), beyond, error,
     )  # fmt: skip
 
 
+def answered(
+    lab: Lab, emulated: EmulatedLibrary, found: Measurements, d: Linearised, measured: Measured,
+    comparison: Comparison, seed: int,
+) -> tuple[Comparison, Reduction | None]:  # fmt: skip
+    """A comparison with the verdict that its grounds allow."""
+    grounds = Grounds(
+        found.repeats, lambda delta: beyond_runs(lab, emulated, delta), bool(found.specimens)
+    )
+    return named(d, measured, comparison, grounds, seed)
+
+
+def beyond_runs(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
+    """What lies beyond the library's runs at a fit: soil parameters, and the error that it
+    states."""
+    stated = (STATED,) if library_error(lab, emulated, delta) > LARGE_ERROR else ()
+    return (*beyond_library(lab, emulated, delta), *stated)
+
+
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
-    """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie farther from
-    the library's centre than its runs."""
+    """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie clearly
+    farther from the library's centre than its runs, be they of its design or added about this lab."""
     library = emulated.for_lab(lab).library
-    names, sd = library.design.soil_names, [*library.design.soil_sd.values()]
+    names, sd = library.design.soil_names, np.array([*library.design.soil_sd.values()])
     soil = slice(len(names))  # base coordinates begin with the soil's
     away = (soil_prior_for(lab, library).offset[soil] + delta[soil]) / sd
-    return tuple(n for n, by in zip(names, away, strict=True) if abs(by) > FURTHEST)
+    runs = np.sort(library.base[:, soil] / sd * np.sign(away), axis=0)
+    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST) + EDGE
+    return tuple(n for n, by in zip(names, np.abs(away) > reach, strict=True) if by)
+
+
+def library_error(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> float:
+    """The error that a library states at a fit, shifted by delta (p,) from the lab's prior, over
+    that at soils among its runs: root mean squares over features, each in units of the latter."""
+    emulated = emulated.for_lab(lab)
+    library, prior = emulated.library, soil_prior_for(lab, emulated.library)
+    emulator, none = emulated.at(prior), np.zeros(len(library.design.limits))
+    own = delta[: len(prior.offset)]
+    rows = np.linspace(0, len(library.base) - 1, WITHIN).astype(int)
+    soil = slice(len(library.design.soil_names))
+    among = np.repeat(own[None], WITHIN, axis=0)
+    among[:, soil] = library.base[rows, soil] - prior.offset[soil]
+    usual = np.array([(emulator.wrong(one, none) ** 2).sum(axis=1) for one in among]).mean(axis=0)
+    here = (emulator.wrong(own, none) ** 2).sum(axis=1)
+    return float(np.sqrt(np.mean(here / np.maximum(usual, 1e-300))))

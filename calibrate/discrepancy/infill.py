@@ -121,7 +121,10 @@ def leading_locations(
     prepared = prepared_diagnosis(d, measured, seed, InferenceSetup.uncalibrated(), DRAWS)
     comparison = compare(prepared, measured)
     soil_prior = soil_prior_for(lab, emulated.library)
-    return [location_of(fit, soil_prior, emulated.library) for fit in leading_fits(comparison)]
+    return [
+        location_of(fit, soil_prior, emulated.library, d.effect_names)
+        for fit in leading_fits(comparison)
+    ]
 
 
 def leading_fits(comparison: Comparison) -> list[Refit]:
@@ -134,12 +137,16 @@ def leading_fits(comparison: Comparison) -> list[Refit]:
     return [comparison.base, *(comparison.refits[key] for key in keys)]
 
 
-def location_of(fit: Refit, soil_prior: SoilPrior, library: RunLibrary) -> InfillLocation:
-    """A fit in the coordinates of a library, within what it covers; of the lab's own shape, so
-    that one packing serves all."""
+def location_of(
+    fit: Refit, soil_prior: SoilPrior, library: RunLibrary, names: Sequence[str]
+) -> InfillLocation:
+    """A fit with these candidate effects in the coordinates of a library, its strengths within what
+    it covers; of the lab's own shape, so that one packing serves all."""
     base = soil_prior.offset + fit.delta[: len(soil_prior.offset)]
     base[SHAPE_COLUMNS] = np.round(soil_prior.offset[SHAPE_COLUMNS], 6)
-    strengths = np.where(np.abs(fit.strengths) > LEAST_STRENGTH, fit.strengths, 0.0)
+    of_name = dict(zip(names, fit.strengths, strict=True))
+    every = np.array([of_name.get(name, 0.0) for name in library.design.effect_names])
+    strengths = np.where(np.abs(every) > LEAST_STRENGTH, every, 0.0)
     low, high = np.array(list(library.design.limits.values())).T
     return InfillLocation(base, np.clip(strengths * library.design.typical(), low, high))
 

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
@@ -26,9 +27,15 @@ BASE = {"color": DARK, "ls": "--", "marker": "s", "mfc": "white", "ms": 4.5, "lw
 BEST = {"color": MIDDLE, "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.3}
 TICKS = (5.0, 20.0, 100.0, 1e3, 1e4)  # of compressed scales
 FURTHER = 1.5  # times the largest force that is compared; a record beyond it is cut
-CALLED = {"200-400 N": "upper half"}  # on specimens of any size
+MARKS = 5  # numbers on an axis of differences, at most
 LOCATIONS = 8  # of a further test that are drawn
 STYLES = (("o", DARK), ("s", MIDDLE), ("^", "0.5"), ("D", LIGHT))
+STATUS = {  # in words
+    "found": "significant",
+    "trivial": "significant, small",
+    "absent": "would have shown",
+    "inconclusive": "could not have shown",
+}
 Words = Callable[[str], str]
 
 
@@ -163,8 +170,8 @@ def _segments(axis: Axes, rows: Sequence[FeatureRow], flagged: Sequence[str]) ->
             )
         axis.axvline(end - 0.5, color="0.8", lw=0.6)
     axis.set_xticks([(s + e - 1) / 2 for s, e in zip(starts, ends, strict=True)])
-    shown = [CALLED.get(names[s], names[s]) for s in starts]
-    axis.set_xticklabels(shown, rotation=30, ha="right", fontsize=8)
+    shown = [names[s] for s in starts]
+    axis.set_xticklabels(shown, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)
     axis.tick_params(axis="x", length=0)
     for text, start in zip(axis.get_xticklabels(), starts, strict=True):
         text.set_fontweight("bold" if names[start] in flagged else "normal")
@@ -194,7 +201,7 @@ def probability_figure(found: DiagnosisRecord, words: Words, most: int = 6) -> F
     rows = lines.sum() - np.cumsum(lines) + lines / 2
     figure, axis = plt.subplots(figsize=(BARS[0], 0.9 + 0.17 * lines.sum()), layout="constrained")
     for row, e in zip(rows, shown, strict=False):
-        verdict, member = e.label == found.which.verdict, e.label in found.which.likely_set
+        verdict, member = found.names(e.label), e.label in found.which.likely_set
         colour = MIDDLE if verdict else DARK if member else LIGHT
         axis.barh(row, e.probability, 1.0, color=colour, hatch="///" * verdict, edgecolor="white")
         axis.text(e.probability + 0.015, row, _percent(e.probability), va="center", fontsize=8)
@@ -202,7 +209,8 @@ def probability_figure(found: DiagnosisRecord, words: Words, most: int = 6) -> F
     axis.text(rest + 0.015, rows[-1], _percent(rest), va="center", fontsize=8)
     axis.set_yticks(rows, names, fontsize=7)
     axis.set(xlim=(0, 1.17), xticks=np.linspace(0, 1, 6), xlabel="probability")
-    axis.set_title("hatched: the verdict; dark: in the 90 % set", fontsize=8)
+    of_verdict = "no cause is named" if found.which.reason else "hatched: the verdict"
+    axis.set_title(f"{of_verdict}; dark: in the 90 % set", fontsize=8)
     axis.tick_params(axis="y", length=0)
     axis.spines[["top", "right"]].set_visible(False)
     return figure
@@ -210,15 +218,17 @@ def probability_figure(found: DiagnosisRecord, words: Words, most: int = 6) -> F
 
 def effects_figure(found: DiagnosisRecord, words: Words) -> Figure:
     """Every effect by itself: one-step strength over its standard error."""
-    figure, axis = plt.subplots(figsize=BARS, layout="constrained")
     effects = found.which.effects
+    size = (BARS[0], min(1.2 + 0.2 * len(effects), BARS[1]))
+    figure, axis = plt.subplots(figsize=size, layout="constrained")
     rows = np.arange(len(effects))[::-1]
     axis.axvspan(-1.96, 1.96, color="0.9", lw=0, label="not significant at 5 %")
     for row, effect in zip(rows, effects, strict=True):
         axis.plot([0, effect.z], [row, row], color="0.7", lw=1, zorder=1)
-        axis.plot(effect.z, row, **_mark(effect), label=effect.status)
+        axis.plot(effect.z, row, **_mark(effect), label=STATUS[effect.status])
     axis.axvline(0, color="0.5", lw=0.8)
     axis.set_yticks(rows, [words(effect.name) for effect in effects], fontsize=8)
+    axis.set_ylim(-0.7, len(effects) - 0.3)
     axis.set_xlabel("strength / its standard error")
     axis.tick_params(axis="y", length=0)
     _compressed(axis.xaxis, [effect.z for effect in effects], 4.0)
@@ -268,6 +278,7 @@ def _predictions(axis: Axes, names: Sequence[str], away: np.ndarray, deviation: 
         label = _wrapped(name, 40)
         axis.errorbar(away[number], rows - shift, xerr=deviation, label=label, **style)
     axis.axvline(0, color="0.7", lw=0.8, zorder=0)
+    axis.xaxis.set_major_locator(MaxNLocator(MARKS))
 
 
 def _percent(value: float) -> str:

@@ -34,7 +34,7 @@ class SegmentRow(Record):
     z: Number
     outside_band: bool
     share: Number
-    share_interval: tuple[Number, Number]
+    share_interval: tuple[Number, Number] | None  # none where it does not hold the share
     share_by_chance: Number
 
 
@@ -60,9 +60,10 @@ class EffectRow(Record):
 
 
 class ComparisonRecord(Record):
-    """Verdict, probabilities, classes."""
+    """Verdict, probabilities, classes; `reason`: why the likeliest explanation is not named."""
 
     verdict: str
+    reason: str = ""
     probability: dict[str, Number]
     probability_by_class: dict[str, Number]
     likely_set: list[str]
@@ -75,13 +76,13 @@ class ComparisonRecord(Record):
 
 class ReductionRecord(Record):
     """Gap in scatters of a specimen, before and after, how much of it goes, and whether the data
-    can show that much."""
+    can show that much; no interval where it does not hold its value."""
 
     before: Number
     after: Number
     floor: Number
     shrinkage: Number
-    interval: tuple[Number, Number]
+    interval: tuple[Number, Number] | None
     shown: bool = True  # files of earlier versions do not say
     shrinkage_left_out: Number
     ceiling: dict[str, Number]
@@ -201,6 +202,8 @@ class DiagnosisRecord(Origin):
     explanations: list[ExplanationRow]
     base_parameters: list[ParameterShift]
     beyond_library: list[str] = Field(default_factory=list)
+    library_error: Number = 1.0
+    records_begin: dict[Test, Number] = Field(default_factory=dict)
     scatter_over_assumed: dict[Test, Number] = Field(default_factory=dict)
     amplitudes: dict[Test, Number]
     settings: DiagnosisSettings
@@ -210,6 +213,11 @@ class DiagnosisRecord(Origin):
         if not self.features:
             raise ValueError("features are empty")
         return self
+
+    def names(self, explanation: str) -> bool:
+        """Whether this is what the verdict says; nothing is where a reason keeps a cause from being
+        named."""
+        return explanation == self.which.verdict and not self.which.reason
 
     @property
     def targets_only(self) -> bool:
@@ -228,7 +236,10 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         **found,
         "unused_tests": list(diagnosis.unused),
         "features": _features(diagnosis),
-        "specimens": [_aligned(diagnosis, curves) for curves in diagnosis.found.specimens],
+        "specimens": [
+            _aligned(diagnosis, curves, rest)
+            for curves, rest in zip(diagnosis.found.specimens, diagnosis.found.before, strict=False)
+        ],
         "specimen_weights": diagnosis.measured.weight.tolist(),
         "best": [d.effect_names[k] for k in comparison.best],
         "explanations": _explanations(diagnosis),
@@ -237,6 +248,8 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
             for name, by, sd in zip(d.base_names, moved, d.prior_sd, strict=True)
         ],
         "beyond_library": list(diagnosis.beyond),
+        "library_error": diagnosis.library_error,
+        "records_begin": dict(diagnosis.found.begun),
         "scatter_over_assumed": _scatter_over_assumed(diagnosis),
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
         "settings": {**origin["settings"], **_repeats(diagnosis)},
@@ -259,13 +272,7 @@ def _scatter_over_assumed(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
-    counts, features = diagnosis.found.measured.counts, diagnosis.found.measured.features
-    return {
-        test: int(
-            max((c for c, f in zip(counts, features, strict=True) if f.test == test), default=0)
-        )
-        for test in TESTS
-    }
+    return {test: diagnosis.found.repeats.get(test, 0) for test in TESTS}
 
 
 def _features(diagnosis: Diagnosis) -> list[dict]:
@@ -314,11 +321,13 @@ def _strengths(diagnosis: Diagnosis, fit: Refit) -> dict[str, float]:
     return {effects[k].name: float(fit.strengths[k] * effects[k].typical) for k in fit.chosen}
 
 
-def _aligned(diagnosis: Diagnosis, curves: Curves) -> dict[str, dict]:
-    """A specimen's curves as features see them, thinned."""
-    drawn = {}
-    for test, (displacement, force) in curves.items():
+def _aligned(diagnosis: Diagnosis, curves: Curves, rest: np.ndarray) -> dict[str, dict]:
+    """A specimen's curves as features see them, thinned: where all features of a test are read
+    without the force before contact, `rest` (N) by test, so are these."""
+    drawn, at_rest = {}, dict(zip(TESTS, np.nan_to_num(rest).tolist(), strict=True))
+    for test, (displacement, recorded) in curves.items():
         mine = [f for f in diagnosis.measured.features if f.test == test]
+        force = recorded - (at_rest[test] if TEST_FEATURES[test].tared is None else 0.0)
         if mine:
             travel = displacement - TEST_FEATURES[test].zero(mine[0], displacement, force)
             drawn[test] = {"displacement_mm": _thinned(travel), "force_n": _thinned(force)}

@@ -10,13 +10,20 @@ from rich.console import Console
 from rich.table import Table as Terminal
 
 from calibrate.core.files import write_json, write_text
+from calibrate.discrepancy.comparison.next_test import BEFORE_TESTS
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.records.base import read, record
-from calibrate.records.diagnosis import DiagnosisRecord, ExplanationRow, SegmentRow, content
+from calibrate.records.diagnosis import (
+    CrossTestRow,
+    DiagnosisRecord,
+    ExplanationRow,
+    SegmentRow,
+    content,
+)
 from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title
 from calibrate.reports.html import Page, Picture, Table, number, render, words
@@ -24,8 +31,8 @@ from calibrate.reports.html import Page, Picture, Table, number, render, words
 PAGE = "diagnosis.html"
 FIRST = 4  # explanations of the first table, besides none and unknown
 STATUS = {
-    "found": "● found",
-    "trivial": "◐ found, but small",
+    "found": "● goes with the gap",
+    "trivial": "◐ goes with it, but small",
     "absent": "○ absent: it would have shown",
     "inconclusive": "? could not have shown",
 }
@@ -77,8 +84,10 @@ def _page(found: DiagnosisRecord, pictures: dict[str, Picture]) -> Page:
 
 
 def show(found: DiagnosisRecord, console: Console) -> None:
-    """The paragraph and the likeliest explanations."""
+    """The paragraph and, where a cause could be named, the likeliest explanations."""
     console.print(sentence(found), markup=False, highlight=False)
+    if found.which.reason in BEFORE_TESTS:
+        return
     table = Terminal(box=None, pad_edge=False)
     for column in ("explanation", "probability", "strength if so"):
         table.add_column(column)
@@ -146,7 +155,7 @@ def _leading(found: DiagnosisRecord) -> list[ExplanationRow]:
 def _answer(found: DiagnosisRecord) -> Table:
     rows = [
         [
-            title(e.label) + (" ◀ verdict" if e.label == found.which.verdict else ""),
+            title(e.label) + (" ◀ verdict" if found.names(e.label) else ""),
             percent(e.probability),
             _if_so(e),
             " ".join(plain(name).sentence for group in members(e.label) for name in group),
@@ -183,6 +192,8 @@ def _segments(found: DiagnosisRecord) -> Table:
 
 
 def _share(segment: SegmentRow) -> str:
+    if segment.share_interval is None:
+        return percent(segment.share)
     low, high = (percent(end) for end in segment.share_interval)
     return f"{percent(segment.share)} ({low} to {high})"
 
@@ -221,12 +232,12 @@ def _far(found: DiagnosisRecord) -> Table | None:
     far = found.how_far
     if far is None:
         return None
-    low, high = (percent(end) for end in far.interval)
+    ends = "" if far.interval is None else " ({} to {})".format(*map(percent, far.interval))
     rows = [
         ["model's distance from a fresh specimen, before", f"{number(far.before, 3)} scatters"],
         ["after", f"{number(far.after, 3)} scatters"],
         ["floor: the mean of all specimens", f"{number(far.floor, 3)} scatter"],
-        ["share of the gap removed", f"{percent(far.shrinkage)} ({low} to {high})"],
+        ["share of the gap removed", f"{percent(far.shrinkage)}{ends}"],
         ["on specimens left out of the fit", percent(far.shrinkage_left_out)],
         *(
             [f"ceiling: any change of the {name}", percent(value)]
@@ -280,12 +291,21 @@ def _across(found: DiagnosisRecord) -> Table | None:
     rows = [
         [
             f"{label_of(a.predicted)} from the {_others(a.predicted)}",
-            f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}",
+            f"{number(a.factor, 3)} ± {number(a.factor_se, 2)}{_no_factor(a)}",
             percent(a.p_value),
         ]
         for a in found.across_tests
     ]
     return Table(["predicted", "measured over predicted", "chance of such a misfit"], rows)
+
+
+def _no_factor(row: CrossTestRow) -> str:
+    """A word on a factor that is none."""
+    if row.factor < 0:
+        return ": no factor, the measured curve does not run as the predicted one"
+    if row.factor < 2 * row.factor_se:
+        return ": not told from none"
+    return ""
 
 
 def _others(test: str) -> str:

@@ -9,6 +9,7 @@ interval reaches zero is not called one, and numbers without curves are said to 
 from collections.abc import Sequence
 
 from calibrate.discrepancy.comparison.classes import TOGETHER
+from calibrate.discrepancy.comparison.naming import BEYOND, FEW, FEWEST
 from calibrate.discrepancy.comparison.probability_calibration import ALPHA, NONE, UNKNOWN
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, TESTS
 from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord, ReductionRecord, SegmentRow
@@ -18,7 +19,7 @@ from calibrate.reports.html import number
 SURE, LIKELY = 0.8, 0.5
 ODD = 0.6  # weight of a specimen below which the reader is told
 MORE_SCATTER = 1.7  # times the assumed one; normal scatter of four exceeds it in 3 % of tests
-FEW = 3  # repeats of a test, below which their scatter is mostly that of simulations
+ENOUGH = 8  # packings on which leading explanations are simulated where the library ends
 
 
 def label_of(test: str) -> str:
@@ -38,6 +39,8 @@ def sentence(found: DiagnosisRecord) -> str:
 def verdict(found: DiagnosisRecord) -> str:
     """What is left out, and how likely that is."""
     which = found.which
+    if which.reason:
+        return _withheld(found)
     if which.verdict == NONE:
         return _no_gap(found)
     stated = percent(which.probability_by_class.get(which.verdict, 0.0))
@@ -49,6 +52,59 @@ def verdict(found: DiagnosisRecord) -> str:
     alike = any(len(group) > 1 for group in groups)
     alternatives = " These data cannot tell the alternatives apart." if alike else ""
     return f"{what}. {' '.join(sentences)}".strip().rstrip(".") + "." + alternatives
+
+
+def _withheld(found: DiagnosisRecord) -> str:
+    """Why the likeliest explanation is not named."""
+    if found.targets_only:
+        return _no_gap(found)
+    if found.which.reason == FEW:
+        few = ", ".join(
+            f"{count} of the {label_of(test)}"
+            for test, count in found.settings.repeats.items()
+            if 0 < count < FEWEST
+        )
+        return (
+            f"No cause is named: with one or two specimens of a test ({few}) nobody knows by how "
+            "much specimens scatter, so they cannot show a gap. Probabilities below take the "
+            "scatter from simulations alone."
+        )
+    if found.which.reason == BEYOND:
+        return f"No cause is named: the library does not reach this soil. {_unreached(found)}"
+    first = found.explanations[0]
+    return (
+        f"No cause is named: “{title(first.label)}” would be the likeliest one (stated probability "
+        f"{percent(first.probability)}), but the data cannot show that adding it to the model "
+        "shrinks the gap."
+    )
+
+
+def _unreached(found: DiagnosisRecord) -> str:
+    """Why the library does not reach a soil, and what to do."""
+    names = ", ".join(name.replace("_", " ") for name in found.beyond_library)
+    why = f"the soil that fits best lies beyond its runs ({names})" if names else (
+        "at the soil that fits best it states an error "
+        f"{number(found.library_error, 2)} times as large as among its runs"
+    )  # fmt: skip
+    return (
+        f"{why[0].upper()}{why[1:]}, so that what is left may be an error of the library. Add runs "
+        f"there: calibrate diagnose LAB.toml --simulate {ENOUGH}."
+    )
+
+
+def beginnings(found: DiagnosisRecord) -> str:
+    """What records that begin at contact or at a preload leave open, and what to record."""
+    if not found.records_begin:
+        return ""
+    where = " and ".join(
+        f"of the {label_of(test)} at {number(force, 2)} N"
+        for test, force in found.records_begin.items()
+    )
+    return (
+        f"Records begin {where}, without a reading before contact: an untared load cell, a loose "
+        "seat and first touch are left free there, so nothing is concluded from them. To judge "
+        "them, start recording half a millimetre before the platen touches."
+    )
 
 
 def _not_in_library(found: DiagnosisRecord, stated: str) -> str:
@@ -135,8 +191,7 @@ def localisation(found: DiagnosisRecord) -> str:
 
 def _lies(segment: SegmentRow) -> str:
     """Where a segment's measured curve runs, seen from the model's."""
-    name = TEST_FEATURES[segment.test].segments.get(segment.segment)
-    name = name or f"{segment.segment} of the {label_of(segment.test)}"
+    name = TEST_FEATURES[segment.test].in_words(segment.segment)
     words = ("right of", "left of") if segment.unit == "mm" else ("above", "below")
     side = words[0] if segment.gap > 0 else words[1]
     by = amount(abs(segment.gap), segment.unit)
@@ -146,15 +201,21 @@ def _lies(segment: SegmentRow) -> str:
 def shrinkage(found: DiagnosisRecord) -> str:
     """How much of the gap goes with the best effect, only if the data can show it."""
     if found.how_far is None or not found.best:
-        return ""
+        if found.which.verdict in (NONE, UNKNOWN):
+            return ""
+        return (
+            "Place by place the gap is no larger than the library's own error, so how far it "
+            "shrinks cannot be told; runs about it would: calibrate diagnose LAB.toml --simulate "
+            f"{ENOUGH}."
+        )
     far, name = found.how_far, " and ".join(plain(n).name for n in found.best)
     if far.shrinkage <= 0:
         return f"Adding “{name}” to the model does not shrink the gap."
-    low, high = far.interval
-    ends = f"90 % interval {percent(low)} to {percent(high)}"
-    if not low <= far.shrinkage <= high:
-        ends = _why_outside(found)
-    elif low <= 0:
+    ends = _why_outside(found)
+    if far.interval is not None:
+        low, high = far.interval
+        ends = f"90 % interval {percent(low)} to {percent(high)}"
+    if far.interval is not None and far.interval[0] <= 0:
         return f"The data cannot show that adding “{name}” shrinks the gap ({ends})."
     elif not far.shown:
         found_here = f"{percent(far.shrinkage)} here, {ends}{_fresh(far)}"
@@ -184,10 +245,19 @@ def todo(found: DiagnosisRecord) -> str:
         return (
             "Next: record force and displacement of both tests, on at least three specimens each."
         )
+    if found.which.reason == FEW:
+        return f"Next: record at least {FEWEST} specimens of each test."
+    if found.which.reason:
+        return ""
     if found.which.verdict == NONE:
         return _undetectable(found)
     if found.next_test is None:
         return ""
+    if found.which.verdict == UNKNOWN and found.next_test.stop:
+        return (
+            "Next: look at the places above for what acts there; no further test on the list names "
+            "what the library does not hold."
+        )
     if found.which.verdict == UNKNOWN:
         return (
             f"Next: look at the places above for what acts there; {found.next_test.name} would "
@@ -238,14 +308,10 @@ def _undetectable(found: DiagnosisRecord) -> str:
 def caution(found: DiagnosisRecord) -> str:
     """What weakens the answer: few repeats, odd ones, more scatter than assumed, a soil beyond the
     library, an effect that calibration mimics."""
-    few = [label_of(test) for test in TESTS
-           if 0 < found.settings.repeats.get(test, 0) < FEW and not found.targets_only]  # fmt: skip
     absent = [label_of(test) for test in TESTS
               if found.settings.repeats.get(test, 0) == 0]  # fmt: skip
     parts = [*_odd(found.specimen_weights)]
-    if few:
-        parts.append(f"With fewer than {FEW} specimens in the {' and the '.join(few)}, scatter is "
-                     "taken mostly from simulations.")  # fmt: skip
+    parts += [told] if (told := beginnings(found)) else []
     if absent:
         parts.append(f"Nothing of the {' and the '.join(absent)} was given.")
     if found.unused_tests:
@@ -258,7 +324,7 @@ def caution(found: DiagnosisRecord) -> str:
         for test, ratio in found.scatter_over_assumed.items()
         if ratio > MORE_SCATTER
     ]
-    if found.beyond_library:
+    if found.beyond_library and found.which.reason != BEYOND:
         names = ", ".join(name.replace("_", " ") for name in found.beyond_library)
         parts.append(f"The soil that fits best lies beyond those of the library ({names}): part of "
                      "the gap may be an error of the library there.")  # fmt: skip

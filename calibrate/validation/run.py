@@ -26,7 +26,6 @@ from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded_feature_values
 from calibrate.simulation import HERE, AbstractPlace, side_by_side
 from calibrate.validation import seal
-from calibrate.validation.canary import canary
 from calibrate.validation.labels import FEWEST_CHANGES, normalised, with_visibility
 from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
 from calibrate.validation.plan import (
@@ -221,7 +220,7 @@ def opened(
         "other_code": not (source / PLAN).exists(),
         "other_sizes": any(label.get("size", usual) != usual for label in labels.values()),
         "given_up": _given_up(source),
-        "canary": canary(folders, [r.kind for r in rows], seed),
+        "canary": seal.canary(folders, [r.kind for r in rows], seed),
         "rows": [asdict(r) for r in rows],
         "hidden": {name: labels[name]["hidden"] for name in sorted(said)},
     }

@@ -18,14 +18,19 @@ from calibrate.core import runtime
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.comparison import baselines
+from calibrate.discrepancy.comparison.baselines import KINDS, generated_case
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label
-from calibrate.discrepancy.comparison.examples import KINDS, generated_case
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN, hypotheses
-from calibrate.discrepancy.comparison.reduction import estimate_reduction, feature_weights
+from calibrate.discrepancy.comparison.reduction import Reduction, feature_weights
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import (
+    InferenceSetup,
+    answered,
+    described,
+    prepared_diagnosis,
+)
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
@@ -105,13 +110,16 @@ def verdict_of(
     discrepancy: ModelDiscrepancy | None = None,
 ) -> dict:
     """The verdict on the case in a folder."""
-    _, d, measured = described(load_lab(folder / "lab.toml"), emulated, seed, discrepancy)
+    lab = load_lab(folder / "lab.toml")
+    found, d, measured = described(lab, emulated, seed, discrepancy)
     prepared = prepared_diagnosis(d, measured, seed, trained.setup)
-    comparison = compare(prepared, measured)
+    first = compare(prepared, measured)
+    comparison, reduction = answered(lab, emulated, found, d, measured, first, seed)
     return {
         "case": folder.name,
         "verdict": comparison.verdict,
         "stated": comparison.stated,
+        "reason": comparison.reason,
         "by_class": comparison.by_class,
         "probability_calibration": asdict(prepared.calibration),
         "ln_evidence": ln_evidence(comparison),
@@ -121,7 +129,7 @@ def verdict_of(
         "p_after": comparison.summary.p_after,
         "scores": dict(zip(d.effect_names, comparison.scores.z.tolist(), strict=True)),
         "base_shift": dict(zip(d.base_names, comparison.base.delta.tolist(), strict=True)),
-        **_shrinkage(d, measured, comparison, seed),
+        **_shrinkage(d, comparison, reduction),
         "rivals": _rivals(d, measured, trained, prepared),
     }
 
@@ -134,12 +142,11 @@ def ln_evidence(comparison: Comparison) -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _shrinkage(d: Linearised, measured: Measured, comparison: Comparison, seed: int) -> dict:
+def _shrinkage(d: Linearised, comparison: Comparison, reduction: Reduction | None) -> dict:
     """What is claimed to shrink, and the fits by which fresh specimens can check it."""
-    if not comparison.best or comparison.verdict in (NONE, UNKNOWN):
+    if reduction is None or comparison.verdict in (NONE, UNKNOWN):
         return {"claimed": None}
     fit = comparison.refits[comparison.best]
-    reduction = estimate_reduction(d, measured, comparison.noise, comparison.base, fit, seed)
     return {
         "claimed": {"shrinkage": reduction.shrinkage, "low": reduction.low, "high": reduction.high,
                     "left_out": reduction.cross_validated},

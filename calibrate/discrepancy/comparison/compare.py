@@ -32,6 +32,7 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     NONE,
     EvidenceSummary,
     ProbabilityCalibration,
+    explanations,
     hypotheses,
     log_probabilities,
 )
@@ -39,7 +40,6 @@ from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.score import Scores, scores
-from calibrate.discrepancy.comparison.sets import explanations
 from calibrate.discrepancy.comparison.unspecified_gap import Factors, kernel_factors, projected
 
 
@@ -68,7 +68,8 @@ class Comparison:
 
     probability by explanation (effects and pairs by name, none, unknown) and by_class; base
     and refits are fits without and with effects; best is the key of the refit that is named, or
-    of the effect with the largest evidence.
+    of the effect with the largest evidence; reason: why the likeliest explanation is not named
+    although it is likely enough (`naming`).
     """
 
     verdict: str
@@ -81,6 +82,7 @@ class Comparison:
     base: Refit
     refits: dict[tuple[int, ...], Refit]
     best: tuple[int, ...]
+    reason: str = ""
 
     @property
     def stated(self) -> float:

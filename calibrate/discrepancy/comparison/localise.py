@@ -43,6 +43,11 @@ class SegmentResidual:
     share_high: float
     share_by_chance: float
 
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds its share: a small one lies below all that chance adds."""
+        return self.share_low <= self.share <= self.share_high
+
 
 @dataclass(frozen=True, eq=False)
 class CrossTest:

@@ -33,6 +33,7 @@ from calibrate.discrepancy.comparison.further import (
     stacked,
 )
 from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.naming import BEYOND, FEW, MUTE
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.refit import Refit
@@ -44,6 +45,7 @@ LEADING = 4  # explanations whose predictions are shown
 SHOWN = 0.01  # probability of such an explanation, but for the likeliest
 SURE = 0.95  # probability of a class from which on nothing more need be asked
 WORTH = 0.03  # nats; a test that tells less is not worth making
+BEFORE_TESTS = (MUTE, FEW, BEYOND)  # reasons that no further test removes
 UNFORESEEN = 0.01  # chance of an outcome below which an explanation did not foresee it
 
 
@@ -61,8 +63,8 @@ class Explanation:
 class Proposal:
     """A test with what it costs (h, fresh specimens); its gain (nats), the chance to name the right
     class now and with it; the separation of the leading explanations now and with it, and the pair
-    it separates least; the outcome (m,) under each leading explanation, with deviations (m,); the
-    entries of its table in a lab file."""
+    it separates least; the outcome (m,) under each leading explanation, or under the only one and
+    none, with deviations (m,); the entries of its table in a lab file."""
 
     name: str
     cost: float
@@ -147,16 +149,21 @@ def next_tests(
     leading = _leading(every, prepared.description)
     if not leading or len(likely) < 2:
         return []
+    shown = leading if len(leading) > 1 else [*leading, every[0]]  # beside that nothing is left out
     proposals = [
-        _proposal(prepared, comparison, measured, test, likely, leading, seed) for test in tests
+        _proposal(prepared, comparison, measured, test, likely, leading, shown, seed)
+        for test in tests
     ]
     return sorted(proposals, key=lambda p: (-p.gain, p.cost))
 
 
 def why_stop(comparison: Comparison, proposals: Sequence[Proposal]) -> str:
-    """Why no further test is proposed; "" where one is."""
-    if max(comparison.by_class.values()) >= SURE:
-        return "sure"
+    """Why no further test is proposed; "" where one is.  What keeps a cause from being named comes
+    first (`naming`), but for one that more tests may tell from others."""
+    if comparison.reason in BEFORE_TESTS:
+        return comparison.reason
+    if max(comparison.by_class.values()) >= SURE and not comparison.reason:
+        return UNKNOWN if comparison.verdict == UNKNOWN else "sure"
     if not proposals or proposals[0].gain < WORTH:
         return "nothing helps"
     return ""
@@ -201,7 +208,8 @@ def _leading(every: Sequence[Explanation], d: Linearised) -> list[Explanation]:
 
 def _proposal(
     prepared: Prepared, comparison: Comparison, measured: np.ndarray, test: FurtherTest,
-    likely: Sequence[Explanation], leading: Sequence[Explanation], seed: int,
+    likely: Sequence[Explanation], leading: Sequence[Explanation],
+    shown: Sequence[Explanation], seed: int,
 ) -> Proposal:  # fmt: skip
     d = prepared.description
     gain, chance = _worth(likely, predictions(test, d, likely, measured), seed)
@@ -217,7 +225,7 @@ def _proposal(
         now=float(now.min()), separation=float(apart.min()),
         hardest=(names[i], names[j] if i != j else NONE),
         labels=test.labels,
-        predicted={one.name: predicted(test, d, one.fit, measured).mean for one in leading},
+        predicted={one.name: predicted(test, d, one.fit, measured).mean for one in shown},
         deviation=np.sqrt(np.diag(test.noise)),
         entries=test.entries,
     )  # fmt: skip

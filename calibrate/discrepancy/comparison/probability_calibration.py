@@ -14,6 +14,13 @@ often each was there.  All are fitted by their logarithmic score to withheld cas
 been opened (`fit_calibration`, `benchmarks/opinion.py`), pulled towards evidences as they are; so
 probabilities have the prior of these cases.  Temperature and bias
 scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
+
+A set of explanations holds the right one with a stated probability by split conformal prediction
+(Vovk et al. 2005; least ambiguous sets, Sadinle et al. 2019): on n cases with a known truth, q is
+the k-th smallest of 1 - P(truth), and the set is every explanation with 1 - P <= q.
+k = ceil((n + 1) c) gives coverage c on average over such samples; with `confidence`, k is raised
+until this very sample gives at least c that often (its coverage is Beta(k, n + 1 - k) distributed).
+Valid for cases like these.
 """
 
 import json
@@ -23,6 +30,7 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -38,6 +46,7 @@ CLASS_BIAS_SD = 1.2
 SHARPEST, DULLEST = 2.0, 0.05  # t
 NAMED_BELOW = 0.25  # probability of no gap: alarms in 6 % of open nulls, by the other folds
 HOPELESS = -1e6  # ln evidence of what could not be fitted
+COVERAGE = 0.9  # of a set of explanations
 ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
 
@@ -154,3 +163,24 @@ def _stacked(
         columns[i, : len(share)], shares[i, : len(share)] = rows, share
         right[i, : len(share)] = truth
     return columns, shares, right
+
+
+def threshold(
+    truth_probability: np.ndarray, coverage: float = COVERAGE, confidence: float | None = None
+) -> float:
+    """Smallest probability (0 if cases are too few) that an explanation of the set may have.
+
+    truth_probability (n,): what was said of the truth of each case.
+    """
+    scores = np.sort(1 - truth_probability)
+    n = len(scores)
+    k = int(np.ceil((n + 1) * coverage))
+    while confidence and k <= n and stats.beta.sf(coverage, k, n + 1 - k) < confidence:
+        k += 1
+    return float(1 - scores[k - 1]) if k <= n else 0.0
+
+
+def explanations(probability: Mapping[str, float], smallest: float) -> list[str]:
+    """Explanations of at least that probability, likeliest first; never empty."""
+    ordered = sorted(probability, key=lambda name: -probability[name])
+    return [n for i, n in enumerate(ordered) if i == 0 or probability[n] >= smallest - 1e-12]

@@ -40,7 +40,8 @@ SMOOTH_AMPLITUDE = 2.0  # scatters of a specimen, of the smooth gap in the conta
 @dataclass(frozen=True)
 class Reduction:
     """E before and after, the floor, the shrinkage with an interval (90 %), the shrinkage on
-    specimens left out (None with fewer than two), and the ceilings of the shrinkage."""
+    specimens left out (None with fewer than two), the ceilings of the shrinkage, and the E that
+    the description's own error at the base fit makes alone."""
 
     before: float
     after: float
@@ -50,6 +51,24 @@ class Reduction:
     high: float
     cross_validated: float | None
     ceilings: dict[str, float]
+    own_error: float = 1.0
+
+    @property
+    def visible(self) -> bool:
+        """Whether the gap is larger than the description's own error, place by place."""
+        return self.before > self.own_error
+
+    @property
+    def shrinks(self) -> bool:
+        """Whether the gap becomes smaller: on these specimens and, where the interval of this
+        reaches zero, on specimens left out of the fit as well."""
+        return self.shrinkage > 0 and (self.low > 0 or (self.cross_validated or 0.0) > 0)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds its value: not where the effect is not all that is left
+        out."""
+        return self.low <= self.shrinkage <= self.high
 
     @property
     def reportable(self) -> bool:
@@ -71,7 +90,7 @@ def estimate_reduction(
     before, after = (gap_squared(description, measured, noise, fit, weight) for fit in (base, best))
     drawn = _drawn(description, measured, noise, (base, best), weight, rng)
     low, high = np.quantile(drawn, [0.05, 0.95])
-    value = shrinkage(before, after)
+    value, own = shrinkage(before, after), description.wrong_at(base.delta, base.strengths)
     ceilings = {
         name: max(shrinkage(before, _span_gap(base, measured, noise, columns, weight)), value)
         for name, columns in _spans(description, measured, noise, base).items()
@@ -86,6 +105,7 @@ def estimate_reduction(
         high=float(high),
         cross_validated=cross_validated,
         ceilings=ceilings,
+        own_error=_error(float(weight @ (own**2).sum(axis=1))),
     )
 
 

@@ -15,8 +15,9 @@ from calibrate.discrepancy.comparison.compare import Comparison, Prepared
 from calibrate.discrepancy.comparison.localise import Localisation
 from calibrate.discrepancy.comparison.next_test import Learned, Proposal, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.reduction import Reduction
-from calibrate.discrepancy.comparison.score import admissible
+from calibrate.discrepancy.comparison.score import admissible, lengths
 
 BIG = 0.3  # typical strengths; smaller is trivial
 SIGNIFICANT = 1.96  # of |z|; 1.64 for one-sided effects
@@ -37,27 +38,43 @@ class EffectEstimate:
 
 
 def effect_estimates(prepared: Prepared, comparison: Comparison) -> list[EffectEstimate]:
-    """Every candidate effect, by falling score."""
+    """Every candidate effect, by falling score; strengths are those of its own best fit, as those
+    of explanations are, where it has one."""
     found, d = comparison.scores, prepared.description
     score = admissible(found.z, d.one_sided)
+    fitted = [_fitted(prepared, comparison, k) for k in range(len(d.effects))]
     rows = [
         EffectEstimate(
             name=effect.name,
             status=status(
                 float(score[k]),
                 effect.one_sided,
-                float(found.strength[k]),
+                fitted[k][0],
                 float(found.typical_snr[k]),
             ),
             z=float(found.z[k]),
-            strength=float(found.strength[k] * effect.typical),
-            standard_error=float(found.strength_se[k] * effect.typical),
+            strength=fitted[k][0] * effect.typical,
+            standard_error=fitted[k][1] * effect.typical,
             unit=effect.unit,
             visibility=float(found.visibility[k]),
         )
         for k, effect in enumerate(d.effects)
     ]
     return [rows[k] for k in np.argsort(-score)]
+
+
+def _fitted(prepared: Prepared, comparison: Comparison, k: int) -> tuple[float, float]:
+    """Strength of an effect and its standard error, in typical strengths: at its own best fit, else
+    one step from the fit without it."""
+    fit, found, d = comparison.refits.get((k,)), comparison.scores, prepared.description
+    if fit is None or not fit.strengths[k]:
+        at_none = 0.0 if fit is not None else float(found.strength[k])
+        return at_none, float(found.strength_se[k])
+    covariance = prepared.null.inflation * fit.covariance
+    design = project(
+        fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes[:, [k]], covariance
+    )
+    return float(fit.strengths[k]), float(1 / lengths(design.effects)[0])
 
 
 def status(score: float, one_sided: bool, strength: float, typical_snr: float) -> str:
@@ -86,7 +103,7 @@ def as_json(
                 "z": s.z,
                 "outside_band": s.outside,
                 "share": s.share,
-                "share_interval": [s.share_low, s.share_high],
+                "share_interval": [s.share_low, s.share_high] if s.holds else None,
                 "share_by_chance": s.share_by_chance,
             }
             for s in localisation.segments
@@ -101,7 +118,7 @@ def as_json(
             for c in localisation.across
         ],
         "which": _which(prepared, comparison),
-        "how_far": _how_far(reduction),
+        "how_far": how_far(reduction),
         "next_test": _next(comparison, proposals),
         "further_tests": None
         if learned is None
@@ -119,6 +136,7 @@ def _which(prepared: Prepared, comparison: Comparison) -> dict:
     }
     return {
         "verdict": comparison.verdict,
+        "reason": comparison.reason,
         "probability": {**single, **pairs, **ends},
         "probability_by_class": comparison.by_class,
         "likely_set": comparison.likely_set,
@@ -130,7 +148,8 @@ def _which(prepared: Prepared, comparison: Comparison) -> dict:
     }
 
 
-def _how_far(reduction: Reduction | None) -> dict | None:
+def how_far(reduction: Reduction | None) -> dict | None:
+    """By how much the gap shrinks; no interval where it does not hold its value."""
     if reduction is None:
         return None
     return {
@@ -138,8 +157,8 @@ def _how_far(reduction: Reduction | None) -> dict | None:
         "after": reduction.after,
         "floor": reduction.floor,
         "shrinkage": reduction.shrinkage,
-        "interval": [reduction.low, reduction.high],
-        "shown": reduction.reportable,
+        "interval": [reduction.low, reduction.high] if reduction.holds else None,
+        "shown": reduction.reportable and reduction.holds,
         "shrinkage_left_out": reduction.cross_validated,
         "ceiling": reduction.ceilings,
     }

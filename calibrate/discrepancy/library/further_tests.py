@@ -26,7 +26,7 @@ from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.diagnosis.base import APART, Condition, Variation
-from calibrate.labtests.diagnosis.contact import force_before_contact
+from calibrate.labtests.diagnosis.contact import begins_before_contact, force_before_contact
 from calibrate.labtests.diagnosis.curves import (
     TEST_FEATURES,
     TESTS,
@@ -189,7 +189,11 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
     if test.type_name in first and not test.protocol and _of_shape(file, test, cylinder):
         condition = TEST_FEATURES[test.type_name].condition(first[test.type_name], test)
         again = _again(d, noise, test.type_name, condition, test.called, 0.0)
-        rows = np.array([_of_soil(again, test.type_name, d, c, file, cylinder) for c in curves])
+        records = [(c.displacement_mm, c.force_n) for c in curves]
+        begun = () if begins_before_contact(records) else (test.type_name,)
+        rows = np.array([
+            _of_soil(again, test.type_name, d, c, file, cylinder, begun) for c in curves
+        ])  # fmt: skip
         return _known(again, rows)
     return None
 
@@ -217,12 +221,16 @@ def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
     return Outcome(some, rows[:, keep].mean(axis=0))
 
 
-def _of_soil(again: FurtherTest, name: str, d: Linearised, curve: Curve, file: Lab, cylinder):
-    """Features (m,) of a curve at the size of the lab's specimens."""
+def _of_soil(
+    again: FurtherTest, name: str, d: Linearised, curve: Curve, file: Lab, cylinder,
+    begun: Sequence[str],
+):  # fmt: skip
+    """Features (m,) of a curve at the size of the lab's specimens; begun: the test, if its records
+    begin at contact or at a preload."""
     longer, wider = _to_size(file.cylinder_of(curve.test), cylinder)
     features = [d.features[i] for i in (again.rows if again.rows is not None else ())]
     scaled = {name: (curve.displacement_mm * longer, curve.force_n * wider)}
-    return recorded_feature_values(features, scaled)
+    return recorded_feature_values(features, scaled, begun=begun)
 
 
 def _to_size(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:

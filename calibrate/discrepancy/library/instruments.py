@@ -10,7 +10,8 @@ far it goes beyond the force that it is asked for, and how it slows down, tell n
 (`steering`).
 
 Where the force before contact was recorded, it is taken off (`recorded_feature_values`), so that
-an untared load cell moves those features alone in which the machine turned by its reading.
+an untared load cell moves those features alone in which the machine turned by its reading.  Where
+records begin at contact or at a preload, nobody knows it, nor how the seat closed (`left_free`).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,9 +25,9 @@ from calibrate.discrepancy.comparison.linear import Emulator, Linearised, focuse
 from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.library.machine import LAG
-from calibrate.discrepancy.library.measurements import Measurements
+from calibrate.discrepancy.library.measurements import STRETCHED, Measurements
 from calibrate.discrepancy.library.reading import filtered
-from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
+from calibrate.labtests.diagnosis.base import APART, Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.contact import readings_before_contact
 from calibrate.labtests.diagnosis.curves import (
     TEST_FEATURES,
@@ -37,8 +38,10 @@ from calibrate.labtests.diagnosis.curves import (
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STEERING = {"largest force": 0.0025, "travel at the top": 0.02}  # of the largest force; mm
-STRETCHED = (0.2, 5.0)  # of reference curves, at least and at most
-OFFSET = "load_cell_offset"
+OFFSET, GAP = "load_cell_offset", "seating_gap"
+UNTARED_SD = 5.0  # N, by which the zero of force is off in records that begin at a preload; assumed
+BEGUN_SD = 0.3  # mm, the same of the zero of travel where this counts from a seating force
+SEAT_SD = 1.0  # typical strengths of a loose seating, whose closing such records do not hold
 Interpolator = Callable[..., np.ndarray]
 ON_A_LAG = 30  # recordings
 LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
@@ -100,6 +103,7 @@ def ways_through_air(found: Measurements) -> dict[str, float]:
     readings = {
         test: [readings_before_contact(c[test][1]) for c in found.specimens if test in c]
         for test in found.channels
+        if test not in found.begun
     }
     return {
         test: found.channels[test].spacing * float(np.median(counts))
@@ -203,6 +207,71 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
         emulator=None if d.emulator is None else ExtendedEmulator(d.emulator, rows),
     )  # fmt: skip
+
+
+def left_free(d: Linearised, found: Measurements) -> Linearised:
+    """The description where records of some tests begin at contact or at a preload: of each of
+    these the zeros of force and of travel and a loose seat are free, as directions in which the
+    description may be wrong.  An untared load cell and a loose seat are no candidates where no test
+    shows what comes before."""
+    if not found.begun:
+        return d
+    columns = np.column_stack([_free(d, test) for test in found.begun])
+    d = replace(
+        d, wrong=np.hstack([d.wrong, columns]),
+        emulator=None if d.emulator is None else FreedEmulator(d.emulator, columns),
+    )  # fmt: skip
+    if any(f.test not in found.begun and f.kind not in APART for f in d.features):
+        return d
+    return d.without_effects([OFFSET, GAP])
+
+
+def _free(d: Linearised, test: str) -> np.ndarray:
+    """What is free in one test (m, q), one standard deviation each."""
+    mine = np.array([f.test == test and f.kind not in APART for f in d.features])
+    sizes = {OFFSET: UNTARED_SD, GAP: None}
+    columns = [
+        d.effect_slopes[:, k] * (SEAT_SD if size is None else size / effect.typical)
+        for k, effect in enumerate(d.effects)
+        for size in [sizes.get(effect.name)]
+        if effect.name in sizes
+    ]
+    columns += [BEGUN_SD * column for column in along_travel(d.features, d.mean)]
+    return np.where(mine[:, None], np.array(columns).reshape(-1, len(mine)).T, 0.0)
+
+
+def along_travel(features: Sequence[Feature], mean: np.ndarray) -> list[np.ndarray]:
+    """What a zero of travel that is off by 1 mm does to features (m,) that are forces at
+    displacements; one column for each kind of these."""
+    found = []
+    for test in TEST_FEATURES.values():
+        for kind in () if test.read_at_forces else test.branches:
+            rows = np.array([i for i, f in enumerate(features) if f.kind == kind], int)
+            column = np.zeros(len(mean))
+            if len(rows) > 1:
+                at = np.array([features[i].abscissa for i in rows])
+                order = np.argsort(at)
+                column[rows[order]] = np.gradient(mean[rows[order]], at[order])
+                column[[f.test == test.name and f.unit == "mm" for f in features]] = -1.0
+                found.append(column)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class FreedEmulator:
+    """An emulator with further directions (m, q) in which it may be wrong."""
+
+    emulator: Emulator
+    columns: np.ndarray
+
+    def __call__(self, delta, strengths):
+        return self.emulator(delta, strengths)
+
+    def only(self, wanted):
+        return replace(self, emulator=focused(self.emulator, wanted))
+
+    def wrong(self, delta, strengths):
+        return np.hstack([self.emulator.wrong(delta, strengths), self.columns])
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,8 @@
 The i-th curves of all tests are taken for the same specimen where there are as many of each.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import norm
@@ -19,7 +19,13 @@ from calibrate.discrepancy.comparison.repeats import (
 )
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature
-from calibrate.labtests.diagnosis.contact import force_before_contact, force_noise
+from calibrate.labtests.diagnosis.branches import rising_displacement_at
+from calibrate.labtests.diagnosis.confined import FIRST
+from calibrate.labtests.diagnosis.contact import (
+    begins_before_contact,
+    force_before_contact,
+    force_noise,
+)
 from calibrate.labtests.diagnosis.curves import (
     TARGETS,
     TESTS,
@@ -30,6 +36,7 @@ from calibrate.labtests.measured import Target
 
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
+STRETCHED = (0.2, 5.0)  # of curves like the lab's, at least and at most
 TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 
@@ -37,7 +44,8 @@ TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 class Measurements:
     """What a lab measured: which of the library's features it has, of each specimen and their
     means; `before` are means before contact (s, 2), NaN where there are none; channels and speeds
-    (mm/s) by test; curves of the specimens that have any."""
+    (mm/s) by test; curves of the specimens that have any; `begun`: by test the force (N) at which
+    its records begin, of tests whose records hold no reading before contact."""
 
     measured: Measured
     chosen: np.ndarray
@@ -45,6 +53,22 @@ class Measurements:
     channels: dict[str, AbstractChannel]
     specimens: tuple[Curves, ...]
     speeds: dict[str, float]
+    begun: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def repeats(self) -> dict[str, int]:
+        """How many specimens each test was made on, of tests that were made; a record that is given
+        twice counts once."""
+        found: dict[str, int] = {}
+        for test in TESTS:
+            curves = {np.array(c[test]).tobytes() for c in self.specimens if test in c}
+            mine = [
+                n for n, f in zip(self.measured.counts, self.measured.features, strict=True)
+                if f.test == test
+            ]  # fmt: skip
+            if mine:
+                found[test] = len(curves) or round(max(mine))
+        return found
 
     @property
     def tared(self) -> tuple[str, ...]:
@@ -66,16 +90,22 @@ def specimens_of(lab: Lab) -> list[Curves]:
     return [{test: curve} for test, curves in by_test.items() for curve in curves]
 
 
-def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
+def read_measurements(
+    lab: Lab, every: Sequence[Feature], like: Curves | None = None, from_zero: bool = False
+) -> Measurements:
     """A library's features of a lab: of its curves if there are any, and the targets of tests that
-    it has no curve of."""
+    it has no curve of.  `like`: curves of a specimen like the lab's, which say how far its platen
+    went before a record that begins at a preload; from_zero: records that begin at contact are
+    known to begin at no force, so that they hold the first touch."""
     specimens = specimens_of(lab)
     if not specimens:
         return _targets(lab, every)
-    before = _before(specimens)
+    begun = {} if from_zero else _begun(specimens)
     on_curves = [f for f in every if f.kind != "target"]
+    specimens = [_from_seating(on_curves, curves, like, begun) for curves in specimens]
+    before = _before(specimens, begun)
     values = np.array([
-        recorded_feature_values(on_curves, curves, dict(zip(TESTS, rest, strict=True)))
+        recorded_feature_values(on_curves, curves, dict(zip(TESTS, rest, strict=True)), begun)
         for curves, rest in zip(specimens, np.nan_to_num(before), strict=True)
     ])  # fmt: skip
     known = measured_features(on_curves, specimens, values)
@@ -95,7 +125,7 @@ def read_measurements(lab: Lab, every: Sequence[Feature]) -> Measurements:
     channels = {test: _channel(test, lab, specimens) for test in TESTS}
     speeds = {test: 1e3 * rate for test, rate in lab.pair().rates.items()}
     measured = from_vectors(features, vectors)
-    return Measurements(measured, chosen, before, channels, tuple(specimens), speeds)
+    return Measurements(measured, chosen, before, channels, tuple(specimens), speeds, begun)
 
 
 def _beside_curves(lab: Lab, specimens: Sequence[Curves]) -> list[str]:
@@ -124,11 +154,68 @@ def _below(above: np.ndarray, below: np.ndarray) -> np.ndarray:
     return found
 
 
-def _before(specimens: Sequence[Curves]) -> np.ndarray:
+def _begun(specimens: Sequence[Curves]) -> dict[str, float]:
+    """By test the force (N) at which records begin, of tests whose records hold no reading before
+    contact."""
+    of_test = {test: [c[test] for c in specimens if test in c] for test in TESTS}
+    return {
+        test: float(np.median([np.median(force[:FIRST]) for _, force in curves]))
+        for test, curves in of_test.items()
+        if curves and not begins_before_contact(curves)
+    }
+
+
+def _from_seating(
+    features: Sequence[Feature], curves: Curves, like: Curves | None, begun: Collection[str]
+) -> Curves:
+    """Curves with a first point at the seating force from which displacement counts, where a record
+    begins beyond it: as far before the record as the curves `like` it say."""
+    found = dict(curves)
+    for test in (test for test in curves if test in begun and like is not None):
+        force = max((f.force for f in features if f.test == test), default=0.0)
+        displacement, recorded = curves[test]
+        first = float(np.median(recorded[:FIRST]))
+        if like is not None and 0 < force < first:
+            way = way_between(like[test], curves[test], force, first)
+            found[test] = (
+                np.concatenate([[np.median(displacement[:FIRST]) - way], displacement]),
+                np.concatenate([[force], recorded]),
+            )
+    return found
+
+
+def way_between(
+    like: tuple[np.ndarray, np.ndarray], curve: tuple[np.ndarray, np.ndarray], low: float,
+    high: float,
+) -> float:  # fmt: skip
+    """The way (mm) from one force (N) to another on a curve, told by another one `like` it: this is
+    stretched in force so that both have one peak, and in displacement so that both rise alike
+    between a fifth and three fifths of it."""
+    (x, force), (own_x, own) = like, curve
+    wider = own.max() / force.max()
+    shares = np.array([0.2, 0.6])
+    of_like, of_own = (_rise_at(a, f, shares * f.max()) for a, f in ((x, force), (own_x, own)))
+    longer = np.clip(np.diff(of_own) / np.diff(of_like), *STRETCHED)[0]
+    ends = _rise_at(x, force, np.array([low, high]) / wider)
+    return float(max(ends[1] - ends[0], 0.0) * longer)
+
+
+def _rise_at(displacement: np.ndarray, force: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Displacements (mm) at forces (N) on a curve's rise to its peak."""
+    top = int(np.argmax(force))
+    return np.array([rising_displacement_at(displacement, force, top, x) for x in levels])
+
+
+def _before(specimens: Sequence[Curves], begun: Collection[str] = ()) -> np.ndarray:
     """Forces before contact (s, 2) in the order of TESTS; a curve that does not show its own is
-    given the mean of the others, NaN where none shows it or there is no curve."""
+    given the mean of the others, NaN where none shows it, where records begin at contact, or where
+    there is no curve."""
     found = np.array([
-        [force_before_contact(curves[test][1]) if test in curves else np.nan for test in TESTS]
+        [
+            force_before_contact(curves[test][1]) if test in curves and test not in begun
+            else np.nan
+            for test in TESTS
+        ]
         for curves in specimens
     ])  # fmt: skip
     for column, test in enumerate(TESTS):

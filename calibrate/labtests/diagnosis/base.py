@@ -15,6 +15,7 @@ import numpy as np
 
 BEFORE = "before contact"  # kind and segment of the force that a machine shows at rest
 TARGET = "target"  # kind and segment of a scalar that is known without a curve
+TOE = "toe"  # segment of first touch, which a record that begins later does not hold
 REFERENCE = 0.5  # share of the largest force whose displacement on loading is zero
 APART = (TARGET, BEFORE)  # kinds that are not read off a curve's course
 
@@ -131,6 +132,15 @@ class AbstractTestFeatures(abc.ABC):
     @abc.abstractmethod
     def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
         """Mask (m,) of the features that a tared curve (N) does not reach."""
+
+    @abc.abstractmethod
+    def before_start(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        """Mask (m,) of the test's features that a record (N) does not hold which begins at contact
+        or at a preload."""
+
+    def in_words(self, segment: str) -> str:
+        """A segment of this test for readers."""
+        return self.segments.get(segment, f"{segment} of the {self.label}")
 
     @abc.abstractmethod
     def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:

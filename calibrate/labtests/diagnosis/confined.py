@@ -11,6 +11,7 @@ import numpy as np
 
 from calibrate.labtests.diagnosis.base import (
     REFERENCE,
+    TOE,
     AbstractTestFeatures,
     Feature,
     UsualSizes,
@@ -25,11 +26,12 @@ from calibrate.labtests.diagnosis.branches import (
 )
 
 NAME = "confined"
+UPPER = "upper half"  # named by its forces, which are those of the lab file
 # Shares of the largest force at which displacement is read, by segment.
 ON_LOADING = {
-    "toe": (0.0125, 0.025, 0.05),
+    TOE: (0.0125, 0.025, 0.05),
     "loading": (0.075, 0.1, 0.15, 0.2, 0.275, 0.35, 0.425),
-    "200-400 N": (0.575, 0.65, 0.725, 0.8, 0.875, 0.95, 0.99),
+    UPPER: (0.575, 0.65, 0.725, 0.8, 0.875, 0.95, 0.99),
 }
 ON_UNLOADING = {
     "reversal": (0.98, 0.95, 0.9),
@@ -38,12 +40,12 @@ ON_UNLOADING = {
 NEAR_TOP = 0.99  # share of the largest force beyond which travel at the top counts
 LATE_START = 0.08  # share of the largest force; a loading that begins above it is read from there
 BEYOND = 0.01  # share of the largest force by which a tared loading may end too early
+FIRST = 3  # readings whose median is the force at which a record begins
 FEW = 20  # readings on loading; of fewer, as of load steps, nothing is read below the first
 GOES_ON = 1.25  # times the largest force: a curve pressed further has no unloading to compare
 SEGMENTS = {  # in words
-    "toe": "first touch of the confined test",
+    TOE: "first touch of the confined test",
     "loading": "lower half of loading in the confined test",
-    "200-400 N": "upper half of loading in the confined test",
     "reversal": "reversal at the top of the confined test",
     "unloading": "unloading of the confined test",
     "before contact": "reading before contact in the confined test",
@@ -120,6 +122,18 @@ class ConfinedFeatures(AbstractTestFeatures):
             for f in features
         ])  # fmt: skip
 
+    def before_start(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        begins = float(np.median(force[:FIRST]))
+        return np.array([
+            f.test == NAME and (f.segment == TOE or (f.kind == "loading" and f.abscissa < begins))
+            for f in features
+        ])  # fmt: skip
+
+    def in_words(self, segment: str) -> str:
+        if segment in SEGMENTS:
+            return SEGMENTS[segment]
+        return f"upper half of loading, {segment}, in the confined test"
+
     def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
         top = int(np.argmax(displacement))
         return rising_displacement_at(displacement, force, top, REFERENCE * feature.scale)
@@ -128,7 +142,13 @@ class ConfinedFeatures(AbstractTestFeatures):
         return f"displacement at {NEAR_TOP * usual.force_high:g} N, loading", ""
 
 
+def upper_half(high: float) -> str:
+    """The upper half of loading by its forces (N)."""
+    return f"{REFERENCE * high:.0f}-{high:.0f} N"
+
+
 def _at(segment: str, kind: str, share: float, high: float, position: float) -> Feature:
+    segment = upper_half(high) if segment == UPPER else segment
     name = f"displacement at {share * high:g} N, {kind}"
     return Feature(name, NAME, segment, kind, share * high, "mm", position, high)
 

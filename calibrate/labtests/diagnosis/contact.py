@@ -10,6 +10,10 @@ import numpy as np
 
 from calibrate.labtests.diagnosis.base import Curves
 
+RISES = 2.0  # standard errors by which force rises with travel, above which it was not at rest
+ALL_RISE = 3.0  # the same of all curves of a test together
+EARLY = 2 / 3  # of readings at rest, among which a rise counts: the last ones may touch already
+LEAST_NOISE = 1e-6  # N
 CONTACT = 0.012  # share of the range of forces at which the platen surely touches
 TOUCH = 0.002  # the same at which it may touch already, where noise allows to see it
 SURE = 4.0  # deviations of a reading that are no noise
@@ -25,10 +29,44 @@ def force_noise(forces: Sequence[np.ndarray]) -> float:
 def force_before_contact(force: np.ndarray) -> float:
     """Mean of the readings (N) before force leaves them at all, NaN if they are fewer than
     `FEWEST_BEFORE`."""
+    readings = _readings_at_rest(force)
+    return float(force[:readings].mean()) if readings >= FEWEST_BEFORE else np.nan
+
+
+def begins_before_contact(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Whether records of one test, displacement (mm) and force (N) each, hold readings before
+    contact.
+
+    A record that begins at contact or at a preload rises from its first reading on, and what looks
+    like rest are the few readings before the rise leaves their noise.  So at least half of the
+    records must show enough readings at rest, and these may not rise: with travel x, the slope of
+    force over its standard error, s/sqrt(sum (x - <x>)^2) with the noise s, stays below `RISES` in
+    each and, summed over n records and divided by sqrt(n), below `ALL_RISE`."""
+    rises = [rise for x, force in curves if (rise := _rise_at_rest(x, force)) is not None]
+    at_rest = sum(rise < RISES for rise in rises)
+    if not at_rest or 2 * at_rest < len(curves):
+        return False
+    return bool(sum(rises) / np.sqrt(len(rises)) < ALL_RISE)
+
+
+def _rise_at_rest(displacement: np.ndarray, force: np.ndarray) -> float | None:
+    """Slope of force over its standard error among the readings that look like rest; None where
+    they are too few."""
+    readings = _readings_at_rest(force)
+    if readings < FEWEST_BEFORE:
+        return None
+    readings = max(int(np.ceil(EARLY * readings)), FEWEST_BEFORE)
+    x, noise = displacement[:readings], max(force_noise([force]), LEAST_NOISE)
+    centred = x - x.mean()
+    length = float(np.sqrt(centred @ centred))
+    return float(centred @ force[:readings]) / (length * noise) if length > 0 else 0.0
+
+
+def _readings_at_rest(force: np.ndarray) -> int:
+    """How many readings (N) come before force leaves them at all."""
     away = force - np.median(force[:FEWEST_BEFORE])
     leaves = np.argmax(away > max(TOUCH * away.max(), SURE * force_noise([force])))
-    readings = min(int(leaves) - 1, readings_before_contact(force))
-    return float(force[:readings].mean()) if readings >= FEWEST_BEFORE else np.nan
+    return min(int(leaves) - 1, readings_before_contact(force))
 
 
 def readings_before_contact(force: np.ndarray) -> int:

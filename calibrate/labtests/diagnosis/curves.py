@@ -5,7 +5,7 @@ own (`AbstractTestFeatures.zero`), and a force before contact is taken off where
 not act on it.  A further type of test is one file beside this one and one line in TEST_FEATURES.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -60,25 +60,34 @@ def feature_values(
 
 
 def recorded_feature_values(
-    features: Sequence[Feature], curves: Curves, rest: Mapping[str, float] | None = None
+    features: Sequence[Feature],
+    curves: Curves,
+    rest: Mapping[str, float] | None = None,
+    begun: Collection[str] = (),
 ) -> np.ndarray:
     """Features (m,) of recorded curves: the force before contact itself, the others cut where the
     platen surely touches, those of `tared_rows` without that force, unless there are too few
     readings of it.
 
-    rest: that force (N) by test, for curves that do not show it.
+    rest: that force (N) by test, for curves that do not show it; begun: tests whose records begin
+    at contact or at a preload, of which nothing is taken off, and which lack what comes before.
     """
-    cut = from_contact_on(curves)
+    before = {test: curve for test, curve in curves.items() if test not in begun}
+    cut = {**curves, **from_contact_on(before)}
     given_rest = rest or {}
-    at_rest = {test: force_before_contact(force) for test, (_, force) in curves.items()}
+    at_rest = {test: force_before_contact(force) for test, (_, force) in before.items()}
+    at_rest |= {test: np.nan for test in curves if test in begun}
     taken = {t: b if np.isfinite(b) else given_rest.get(t, 0.0) for t, b in at_rest.items()}
     without = {test: (x, force - taken[test]) for test, (x, force) in cut.items()}
     as_read, tared = feature_values(features, cut), feature_values(features, without)
     for test, (_, force) in without.items():
         tared = np.where(TEST_FEATURES[test].beyond(features, force), np.nan, tared)
     found = np.where(tared_rows(features), tared, as_read)
-    before = [f.kind == BEFORE for f in features]
-    return np.where(before, [at_rest.get(f.test, np.nan) for f in features], found)
+    for test in (test for test in curves if test in begun):
+        lacking = TEST_FEATURES[test].before_start(features, curves[test][1])
+        found = np.where(lacking, np.nan, found)
+    of_rest = [f.kind == BEFORE for f in features]
+    return np.where(of_rest, [at_rest.get(f.test, np.nan) for f in features], found)
 
 
 def tared_rows(features: Sequence[Feature]) -> np.ndarray:

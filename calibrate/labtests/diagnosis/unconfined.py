@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from calibrate.labtests.diagnosis.base import (
+    TOE,
     AbstractTestFeatures,
     Feature,
     UsualSizes,
@@ -26,7 +27,7 @@ from calibrate.labtests.diagnosis.branches import (
 NAME = "unconfined"
 # Shares of the displacement at the peak at which force is read, by segment.
 ON_CRUSHING = {
-    "toe": (0.05, 0.1, 0.15, 0.2),
+    TOE: (0.05, 0.1, 0.15, 0.2),
     "rise": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
     "peak": (0.9, 1.0, 1.1),
     "softening": (1.25, 1.4, 1.6, 1.8, 2.0),
@@ -36,7 +37,7 @@ WINDOW = 0.04  # half-width of the averaging window, share of the displacement a
 NEAR_PEAK = 0.95  # share of the peak above which the peak's location is averaged
 SEGMENTS = {  # in words
     "before contact": "reading before contact in the crushing test",
-    "toe": "first touch of the crushing test",
+    TOE: "first touch of the crushing test",
     "rise": "rise of the crushing test",
     "peak": "peak of the crushing test",
     "softening": "softening after the peak of the crushing test",
@@ -100,6 +101,9 @@ class UnconfinedFeatures(AbstractTestFeatures):
 
     def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
         return np.zeros(len(features), bool)
+
+    def before_start(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
+        return np.array([f.test == NAME and f.segment == TOE for f in features])
 
     def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
         top = int(np.argmax(force))

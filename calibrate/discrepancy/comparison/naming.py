@@ -1,0 +1,79 @@
+"""Whether the likeliest explanation may be named at all.
+
+Probabilities weigh explanations against each other.  What they do not know keeps a cause from being
+named, in this order:
+
+    no curves        numbers alone, which calibration meets whatever the model leaves out
+    few specimens    of a test: one or two do not tell by how much specimens scatter, so they cannot
+                     show a gap
+    beyond library   the soil that fits best lies beyond the runs, where what is left may be an
+                     error of the library; unless the explanation brings it back among them and
+                     removes at least `MOST` of the gap beyond doubt
+    no shrinkage     the explanation, added to the model, leaves the gap as large as it was: the
+                     share that it removes is not above zero (`Reduction.shrinks`)
+
+Place by place a gap may be smaller than the library's own error, though its pattern tells what it
+is.  Then by how much it shrinks cannot be told, and nothing is said of it (`Reduction.visible`).
+
+The probabilities stay as they are; the verdict is "none" then, and the reason stands beside it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibrate.discrepancy.comparison.compare import Comparison
+from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
+from calibrate.discrepancy.comparison.reduction import Reduction, estimate_reduction
+from calibrate.discrepancy.comparison.repeats import Measured
+
+FEWEST = 3  # specimens of a test that show a gap
+MUTE, FEW, BEYOND = "no curves", "few specimens", "beyond library"
+MOST = 0.5  # share of the gap
+NO_SHRINKAGE = "no shrinkage"
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What a name rests on beside evidences: specimens by test, of those that were made; what
+    lies beyond the library's runs at base coordinates (p,), soil parameters or its stated error;
+    whether there are curves."""
+
+    specimens: Mapping[str, int] = field(default_factory=dict)
+    beyond: Callable[[np.ndarray], tuple[str, ...]] = lambda delta: ()
+    curves: bool = True
+
+    @property
+    def few(self) -> bool:
+        """Whether a test has too few specimens."""
+        return any(count < FEWEST for count in self.specimens.values())
+
+
+def named(
+    d: Linearised, measured: Measured, comparison: Comparison, grounds: Grounds, seed: int
+) -> tuple[Comparison, Reduction | None]:
+    """The comparison with the verdict that its grounds allow, and by how much the gap shrinks with
+    the explanation that is named or, where nothing in the library is, comes nearest."""
+    if not grounds.curves:
+        return _unnamed(comparison, MUTE), None
+    if grounds.few:
+        return _unnamed(comparison, FEW), None
+    if comparison.verdict == NONE or not comparison.best:
+        return replace(comparison, best=()), None
+    fit = comparison.refits[comparison.best]
+    found = estimate_reduction(d, measured, comparison.noise, comparison.base, fit, seed)
+    if grounds.beyond(comparison.base.delta):
+        known = comparison.verdict != UNKNOWN and not grounds.beyond(fit.delta)
+        if not (known and found.holds and found.low >= MOST):
+            return _unnamed(comparison, BEYOND), None
+    if found.shrinks:
+        return comparison, found
+    if comparison.verdict == UNKNOWN or not found.visible:
+        return replace(comparison, best=()), None
+    return _unnamed(comparison, NO_SHRINKAGE), None
+
+
+def _unnamed(comparison: Comparison, reason: str) -> Comparison:
+    return replace(comparison, verdict=NONE, reason=reason, best=())
