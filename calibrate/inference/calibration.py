@@ -19,7 +19,7 @@ from calibrate.inference.evaluation import (
     packing_scatter,
 )
 from calibrate.inference.fit import Descent, Fit, descend, finished, fit
-from calibrate.inference.identifiability import choose_free
+from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
 from calibrate.inference.parameters import FACTORS, Space, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
@@ -311,7 +311,8 @@ def screening_json(bench: Bench, screened: Screened) -> dict:
     names = screened.space.names
     whitened = bench.calibration(names).whitened(screened.slopes)
     rank = len(bench.problem.measured)
-    found = choose_free(names, whitened, screened.space.prior_sd(), rank)
+    prior = screened.space.prior_sd()
+    found = choose_free(names, whitened, prior, rank) or [strongest(names, whitened, prior)]
     features = [feature.name for feature in bench.problem.features]
     return {
         "free": [name for name, _ in found],

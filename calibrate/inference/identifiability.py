@@ -58,6 +58,7 @@ class Identifiability:
             },
             "interval_95": dict(zip(self.names, self.interval.tolist(), strict=True)),
             "interval_95_linearised": dict(zip(self.names, self.linearised.tolist(), strict=True)),
+            "bounds": dict(zip(self.names, np.minimum(self.bounds, 1e300).tolist(), strict=True)),
             "correlation": _correlation(self.covariance_log).tolist(),
             "directions": [
                 {
@@ -160,6 +161,14 @@ def choose_free(
         unit = remaining[:, best] / strength[best]
         remaining = remaining - np.outer(unit, unit @ remaining)
     return chosen
+
+
+def strongest(
+    names: tuple[str, ...], whitened_slopes: np.ndarray, prior_sd: np.ndarray
+) -> tuple[str, float]:
+    """The parameter that the data see best, and its signal-to-noise, however small."""
+    strength = np.linalg.norm(whitened_slopes * prior_sd, axis=0)
+    return names[int(np.argmax(strength))], float(strength.max())
 
 
 def _data_alone(information, directions, prior_sd) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 WARNED = 3.0  # deviations beyond which a number is missed
 A_FIFTH = 0.2  # of a target or of a test's largest number, which may not be wrong by more
 STOOD = 0.01  # change of ln p below which a parameter stands where it began
+WIDER = 1.25  # times that an interval may exceed the covariance's before it is said
 LOWER = 0.5  # of the objective, by which a point of a profile shows that a fit stopped short
 
 
@@ -124,8 +125,16 @@ def _of_profiles(result: Mapping) -> Iterator[str]:
                 f"for {centre:.3g}): the fit stopped short of its best; go on from there with "
                 f"--set {name}={best['value']:.4g}"
             )
-        elif found["interval_95"][name] != found["interval_95_linearised"][name]:
+        elif _wider(found["interval_95"][name], found["interval_95_linearised"][name]) > WIDER:
             yield (
                 f"the interval of {name} is wider than its slopes say: along its profile the "
                 "simulations change less"
             )
+        for end in set(found["interval_95"][name]) & set(found["bounds"][name]):
+            yield f"the interval of {name} is cut at {end:.4g}, the bound of its values in a fit"
+
+
+def _wider(interval: Sequence[float], linearised: Sequence[float]) -> float:
+    """How many times wider one interval is than another, in ln p."""
+    (low, high), (least, most) = np.log(interval), np.log(linearised)
+    return float((high - low) / max(most - least, 1e-12))
