@@ -110,12 +110,16 @@ def test_soils_twice_and_half_as_strong_or_stiff_are_met(depth, force):
 
 @pytest.mark.parametrize("factor", [2.0, 0.5])
 def test_one_curve_of_a_strong_or_weak_soil_is_met_where_packings_scatter_widely(factor):
-    """Strength scatters so that it frees hardly anything at first: the case's single curve."""
+    """Strength scatters so that it frees hardly anything at first: the case's single curve.
+
+    Met within scatter: the largest force lies within one deviation of measured minus simulated."""
     result = fitted(lab_of(curves=(crushed(factor),)), work=Capped(luck=4.0))
     assert result["met"], result["warnings"]
-    peak = max(row["measured"] for row in result["features"].values())
-    reached = max(row["simulated"] for row in result["features"].values())
-    assert reached == pytest.approx(peak, rel=0.15)
+    rows = list(result["features"].values())
+    top = max(rows, key=lambda row: row["measured"])
+    reached = max(row["simulated"] for row in rows)
+    assert abs(reached - top["measured"]) < top["sd"]
+    assert len(result["rounds"]) > 1 and result["rounds"][0]["missed"]
 
 
 def test_what_is_met_at_first_is_left_alone():

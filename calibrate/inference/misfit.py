@@ -107,10 +107,14 @@ def _of_packings(result: Mapping) -> Iterator[str]:
 
 
 def _of_open_directions(result: Mapping) -> Iterator[str]:
-    for direction in result["identifiability"]["directions"]:
-        if not direction["seen_by_data"]:
-            weights = ", ".join(f"{w:+.2f} {name}" for name, w in direction["weights"].items())
-            yield f"left open by the data: {weights}"
+    """Combinations that the data do not see, by the parameter that weighs most in each."""
+    every = [d["weights"] for d in result["identifiability"]["directions"] if not d["seen_by_data"]]
+    if every:
+        names = dict.fromkeys(max(each, key=lambda name: abs(each[name])) for each in every)
+        yield (
+            f"the data leave open {len(every)} of {len(result['free'])} combinations of the free "
+            f"parameters, mostly {', '.join(names)}"
+        )
 
 
 def _of_profiles(result: Mapping) -> Iterator[str]:
@@ -130,8 +134,13 @@ def _of_profiles(result: Mapping) -> Iterator[str]:
                 f"the interval of {name} is wider than its slopes say: along its profile the "
                 "simulations change less"
             )
-        for end in set(found["interval_95"][name]) & set(found["bounds"][name]):
-            yield f"the interval of {name} is cut at {end:.4g}, the bound of its values in a fit"
+    cut = [
+        name
+        for name, ends in found["interval_95"].items()
+        if set(ends) & set(found["bounds"].get(name, ()))
+    ]
+    if cut:
+        yield f"intervals are cut at the bound of a fit: {', '.join(cut)}"
 
 
 def _wider(interval: Sequence[float], linearised: Sequence[float]) -> float:
