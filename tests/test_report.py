@@ -23,7 +23,7 @@ from support import browser
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.core.progress import Silent
-from calibrate.designs.calibration import design
+from calibrate.designs.comparison import design
 from calibrate.figures.panels import BANDED, FRESH, _band, _resampled
 from calibrate.inference.audit import audit, audit_json
 from calibrate.inference.calibration import calibrate as fit

@@ -239,7 +239,7 @@ def test_what_lowers_the_cost_most_is_added_and_what_does_nothing_is_not():
 # ------------------------------------------------------------------ what counts as missed
 
 
-def row(measured, simulated, sd, test="", target=True):
+def row(measured, simulated, sd, test="", target: bool | None = True):
     return {"measured": measured, "simulated": simulated, "sd": sd, "test": test, "target": target}
 
 
