@@ -14,7 +14,7 @@ more than GAIN, the price of one number (Akaike 1974, IEEE Trans. Automatic Cont
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -66,13 +66,15 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """The model above around one point: whitened residual (m,) and slopes (m, p), the point and
-    the start in ln p (p,)."""
+    """The model above around one point in ln p (p,): whitened residual (m,) and slopes (m, p).
+
+    Free parameters whose slopes promise what their fit did not find are `held` at the point."""
 
     space: Space
     residual: np.ndarray
     slopes: np.ndarray
     point: np.ndarray
+    held: tuple[str, ...] = ()
 
     @staticmethod
     def of(calibration: Calibration, screened: Screened, at: Evaluation, slopes) -> "Outlook":
@@ -94,15 +96,21 @@ class Outlook:
         off = np.where(logs, np.log(ratio), (measured - simulated) / size)
         whitening = np.linalg.inv(np.linalg.cholesky(calibration.covariance / np.outer(size, size)))
         relative = columns / np.where(logs, simulated, size)[:, None]
-        return Outlook(every, whitening @ off, whitening @ relative, point)
+        found = Outlook(every, whitening @ off, whitening @ relative, point)
+        names = calibration.space.names
+        if slopes is None or found.best(())[1] - found.best(names)[1] < GAIN:
+            return found
+        return replace(found, held=names)
 
     def best(self, free: Sequence[str]) -> tuple[np.ndarray, float]:
         """Values (p,) of all candidates where the free ones are best, and the cost there."""
-        chosen = [self.space.names.index(name) for name in free]
+        chosen = [self.space.names.index(name) for name in free if name not in self.held]
         prior, centre = self.space.prior_sd(), np.log(self.space.start())
         off = (centre - self.point) / prior
         matrix = np.concatenate([self.slopes[:, chosen], np.diag(1 / prior)[:, chosen]])
         target = np.concatenate([self.residual, off])
+        if not chosen:
+            return np.exp(self.space.inside(self.point)), 0.5 * float(target @ target)
         low, high = (self.space.inside(self.point + way) for way in (-FARTHEST, FARTHEST))
         least = np.minimum(low - self.point, -1e-9)[chosen]
         most = np.maximum(high - self.point, 1e-9)[chosen]

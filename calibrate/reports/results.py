@@ -190,10 +190,10 @@ def _parameters_table(done: Calibrated) -> Table:
     for column in ("", "start", "fitted", "95 % interval", "unit"):
         table.add_column(column)
     found = done.result.identifiability
-    first = done.result.history[0]["parameters"]
+    start = done.space.start()
     for row, name in enumerate(found.names):
         low, high = found.interval[row]
-        cells = [f"{x:.4g}" for x in (first[name], found.values[row])]
+        cells = [f"{x:.4g}" for x in (start[row], found.values[row])]
         table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
     return table
 
