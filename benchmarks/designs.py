@@ -15,8 +15,7 @@ import numpy as np
 import reporting
 
 from calibrate.core.progress import for_terminal
-from calibrate.designs.calibration import Designed, design
-from calibrate.designs.comparison import Ending, Enhanced, SlopePair
+from calibrate.designs.comparison import Designed, Ending, Enhanced, SlopePair, design
 from calibrate.designs.study import ranked
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.reports.study import sentence, short

@@ -16,9 +16,8 @@ from statsmodels.stats.anova import anova_lm
 from calibrate.core.errors import BadValue
 from calibrate.designs import designs, terms
 from calibrate.designs.anova import Anova, anova, pure_error
-from calibrate.designs.canonical import canonical
 from calibrate.designs.factors import Factor, coded_points
-from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.surface import Surface, canonical, fit_surface
 from calibrate.designs.terms import Term
 
 DATA = Path(__file__).parent / "data" / "doe"

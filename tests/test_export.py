@@ -158,6 +158,108 @@ def test_every_export_says_size_uncertainty_and_scale_up(calibrate, tmp_path, to
     assert "8 mm" in out
 
 
+def result_with(folder, features=None, **changes):
+    """The committed fit with other features and entries; the folder."""
+    result = json.loads((FIT / RESULT).read_text()) | changes
+    result["features"] |= features or {}
+    (folder / RESULT).write_text(json.dumps(result))
+    return folder
+
+
+MISSED = {  # case 08: 82.9 N for 180 N
+    "crushing_force_n": {
+        "measured": 180.0,
+        "simulated": 82.9,
+        "sd": 20.0,
+        "test": "",
+        "target": True,
+    }
+}
+SAID = "the fit did not meet crushing_force_n: 82.9 for 180 measured, 4.9 standard deviations off"
+PROGRAMS = ["liggghts", "edem", "yade", "json"]
+
+
+@pytest.mark.parametrize("to", PROGRAMS)
+def test_the_export_of_a_fit_that_missed_needs_force_and_says_so(calibrate, tmp_path, to):
+    result_with(tmp_path, MISSED, warnings=[SAID, "shear_modulus ended at its bound"])
+    options = ("--to", to, "--diameter", "4 mm", "--out", "x")
+    status, out, error = calibrate("export", ".", *options)
+    assert (status, out, error.count("\n")) == (2, "", 1)
+    assert "82.9 for 180 measured" in error and "--force" in error
+    assert not (tmp_path / "x").exists()
+    status, out, error = calibrate("export", ".", *options, "--force")
+    assert (status, error) == (0, "")
+    for text in (out, (tmp_path / "x").read_text()):
+        words = " ".join(text.replace("#", " ").split())
+        assert SAID in words and "shear_modulus ended at its bound" in words
+    head = (tmp_path / "x").read_text().splitlines()[:12]
+    assert any("the fit did not meet" in line for line in head)
+
+
+@pytest.mark.parametrize("to", PROGRAMS)
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "the specimen is 4.7 spheres across, below 8: numbers and scatter depend on the size",
+        "surface_energy ended at its bound",
+        "left open by the data: +1.00 surface_energy",
+        "packing 3 failed: the bed exploded",
+        "the interval of plasticity_ratio is cut at 0.85, the bound of its values in a fit",
+    ],
+)
+def test_every_warning_of_a_fit_is_in_its_exports(calibrate, tmp_path, to, sentence):
+    """These need no --force: the fit met its data."""
+    result_with(tmp_path, warnings=[sentence])
+    status, out, _ = calibrate("export", ".", "--to", to, "--diameter", "4 mm", "--out", "x")
+    assert status == 0
+    for text in (out, (tmp_path / "x").read_text()):
+        assert sentence in " ".join(text.replace("#", " ").split())
+
+
+def test_json_lists_the_warnings_and_whether_the_fit_met_its_data(tmp_path):
+    result_with(tmp_path, MISSED, warnings=[SAID])
+    content = json.loads(asjson.text(find(tmp_path, {}, 0.004)))
+    assert content["warnings"] == [SAID] and content["met"] is False
+    content = json.loads(asjson.text(fitted()))
+    assert content["warnings"] == [] and content["met"] is True
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        {"measured": 206.0, "simulated": 82.9, "sd": 20.0},
+        {"measured": 206.0, "simulated": 130.0, "sd": 60.0},  # a target off by a third
+        {"measured": 206.0, "simulated": 400.0, "sd": 27.0},
+    ],
+)
+def test_results_of_earlier_versions_are_judged_by_their_own_numbers(calibrate, tmp_path, row):
+    result_with(tmp_path, {"crushing_force_n": row})
+    status, _, error = calibrate("export", ".", "--to", "edem", "--diameter", "4 mm")
+    assert status == 2 and "the fit did not meet crushing_force_n" in error
+
+
+def test_a_value_set_by_hand_does_not_silence_the_fit(calibrate, tmp_path):
+    result_with(tmp_path, MISSED)
+    options = ("--to", "json", "--diameter", "4 mm", "--set", "surface_energy=20")
+    assert calibrate("export", ".", *options)[0] == 2
+
+
+def test_warnings_cannot_leave_their_comment(tmp_path):
+    result_with(tmp_path, warnings=["evil &\nshell rm -rf /\r\x0bimport os " + 40 * "long "])
+    found = find(tmp_path, {}, 0.004)
+    for text in (liggghts.text(found), yade.text(found)):
+        assert "evil" in text
+        assert not any(line.startswith(("shell", "import os", "long")) for line in
+                       text.splitlines())  # fmt: skip
+    assert not any("&" in line for line in liggghts.text(found).splitlines())
+
+
+def test_warnings_that_are_no_sentences_are_refused(calibrate, tmp_path):
+    result_with(tmp_path, warnings={"a": 1})
+    status, _, error = calibrate("export", ".", "--to", "json", "--diameter", "4 mm")
+    assert status == 2 and "warnings" in error and error.count("\n") == 1
+
+
 def test_the_table_for_edem_has_its_names_units_and_intervals():
     found = fitted()
     rows = {row[1]: row for row in csv.reader(io.StringIO(edem.text(found))) if row[0] != "Note"}

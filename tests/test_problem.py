@@ -17,7 +17,7 @@ from two_tests import two_tests
 from calibrate.core.errors import InputError
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
 from calibrate.inference.parameters import RANGES, Space, space
-from calibrate.inference.problem import Problem, pose, shrunk_covariance
+from calibrate.inference.problem import Problem, begun_late, pose, shrunk_covariance
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.features import (
@@ -149,9 +149,9 @@ def test_curves_add_features_averaged_over_repeats():
         (ScalarTarget, 2),
         (DisplacementOnLoading, 5),
         (DisplacementOnUnloading, 2),
-        (ForceAtDisplacement, 7),
+        (ForceAtDisplacement, 6),  # 10 mm on the machine are 9.3 mm beyond the toe
     ]
-    assert list(problem.repeats) == [0, 0] + [2] * 7 + [1] * 7
+    assert list(problem.repeats) == [0, 0] + [2] * 7 + [1] * 6
     assert problem.measured[6] == pytest.approx(1.5 * (400 - SEATING) / UP)
 
 
@@ -160,6 +160,94 @@ def test_a_curve_without_unloading_is_not_asked_about_it():
     turn = int(np.argmax(force)) + 1
     curve = Curve("confined", displacement[:turn], force[:turn], "c.csv")
     assert DisplacementOnUnloading not in [type(f) for f in pose(lab_with(curve)).features]
+
+
+# A record that begins at a preload holds nothing below it: neither it nor the simulation may be
+# counted from there.
+
+PRELOADS = [0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 10.0, 30.0]
+
+
+def cut_at(preload, displacement, force):
+    """What a machine records whose clocks start at a preload: travel from there, force whole."""
+    first = int(np.argmax(force >= preload))
+    return displacement[first:] - displacement[first], force[first:]
+
+
+def curved(points=4001):
+    """A confined curve with a soft toe, and a crushing curve that bends, as specimens have them."""
+    share = np.linspace(0, 1, points)
+    force = np.concatenate([400 * share, 400 * share[-2::-1]])
+    up = 6.0 * share**0.4
+    confined = (np.concatenate([up, up[-1] - 1.5 * (1 - share[-2::-1])]), force)
+    travel = 15.0 * share
+    return confined, (travel, 200 * -np.expm1(-((travel / 2.0) ** 1.5)))
+
+
+@pytest.mark.parametrize("preload", PRELOADS)
+def test_a_record_from_a_preload_on_differs_in_nothing_from_the_specimen_it_is_of(preload):
+    """The simulated curve is whole; read as the record is, it gives the same numbers."""
+    confined, crushing = curved()
+    lab = lab_with(
+        Curve("confined", *cut_at(preload, *confined), "c.csv"),
+        Curve("unconfined", *cut_at(preload, *crushing), "u.csv"),
+        targets={},
+    )
+    problem = pose(lab)
+    whole = {"confined": np.stack(confined, 1), "unconfined": np.stack(crushing, 1)}
+    read = [feature.of({}, whole) for feature in problem.features]
+    np.testing.assert_allclose(read, problem.measured, rtol=1e-6, atol=1e-9)
+    assert all(f.zero >= max(2.0, preload) for f in problem.features)
+
+
+def test_the_latest_beginning_of_several_records_counts_for_all():
+    confined, _ = curved()
+    curves = [Curve("confined", *cut_at(p, *confined), f"{p:g}.csv") for p in (0.0, 4.0, 9.0)]
+    problem = pose(lab_with(*curves, targets={}))
+    whole = {"confined": np.stack(confined, 1)}
+    read = [feature.of({}, whole) for feature in problem.features]
+    np.testing.assert_allclose(read, problem.measured, rtol=1e-6)
+
+
+def test_numbers_at_or_below_the_preload_are_not_compared():
+    confined, _ = curved()
+    problem = pose(lab_with(Curve("confined", *cut_at(60.0, *confined), "c.csv"), targets={}))
+    names = [f.name for f in problem.features]
+    assert "displacement at 50 N, loading" not in names
+    assert "displacement at 100 N, loading" in names
+
+
+def test_a_record_of_which_nothing_is_left_is_refused_by_name():
+    short = (np.linspace(0, 0.3, 50), np.linspace(0, 80, 50))
+    with pytest.raises(InputError, match=r"u\.csv.*nothing can be read"):
+        pose(lab_with(Curve("unconfined", *short, "u.csv")))
+
+
+def test_places_beyond_the_travel_since_contact_are_not_read():
+    """The machine counts from 12 mm: its 17 mm are 5 mm of the specimen's way."""
+    travel = np.linspace(0, 5, 401)
+    force = 200 * -np.expm1(-travel)
+    problem = pose(lab_with(Curve("unconfined", 12 + travel, force, "u.csv"), targets={}))
+    assert [f.name for f in problem.features][-1] == "force at 4 mm, crushing"
+
+
+def test_a_fit_says_that_a_record_begins_at_a_preload():
+    confined, crushing = curved()
+    late = Curve("unconfined", *cut_at(8.0, *crushing), "late.csv")
+    whole = Curve("confined", *confined, "c.csv")
+    (sentence,) = begun_late(lab_with(whole, late))
+    assert "late.csv begins at a load of 8" in sentence and "unconfined" in sentence
+    assert begun_late(lab_with(whole)) == []
+
+
+def test_a_force_within_two_per_cent_is_read_where_the_record_ends():
+    """393 N of 400 N: the last reading is at 393 N, in measurement and simulation."""
+    (way, force), _ = curved()
+    last = int(np.argmax(force >= 393.0))
+    problem = pose(lab_with(Curve("confined", way[:last], force[:last], "c.csv"), targets={}))
+    whole = {"confined": np.stack([way, force], 1)}
+    read = [feature.of({}, whole) for feature in problem.features]
+    np.testing.assert_allclose(read, problem.measured, rtol=1e-6)
 
 
 def test_a_curve_that_stops_short_is_refused_by_name():

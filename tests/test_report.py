@@ -23,16 +23,14 @@ from support import browser
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.core.progress import Silent
-from calibrate.designs.calibration import design
+from calibrate.designs.comparison import design
 from calibrate.figures.panels import BANDED, FRESH, _band, _resampled
 from calibrate.inference.audit import audit, audit_json
 from calibrate.inference.calibration import calibrate as fit
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.labtests.measured import Curve, Target
 from calibrate.records import base as records
-from calibrate.records.fit import Feature
 from calibrate.reports import kinds, results, study
-from calibrate.reports.fit import missed
 from calibrate.simulation import specimens
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.session import Session, origin_of
@@ -391,15 +389,6 @@ def test_the_browser_check_sees_what_is_wrong(tmp_path):
         problems = "\n".join(browser.look(opened, page, 390).problems())
     for words in ("spoken", "127.0.0.1", "wide", "broken", "wordless"):
         assert words in problems
-
-
-def test_a_fit_that_missed_its_targets_warns():
-    close, off = (
-        Feature(measured=2.0, simulated=2.05, sd=0.1),
-        Feature(measured=3.36, simulated=2.391, sd=0.09),
-    )
-    (sentence,) = missed({"crushing_force_n": close, "depression_depth_mm": off})
-    assert "did not meet depression_depth_mm: 2.391 for 3.36 measured, 11 standard" in sentence
 
 
 # ---- mean and band of several curves, also of curves that turn back

@@ -16,8 +16,7 @@ from two_tests import pressed_lightly
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
 from calibrate.designs import designs
-from calibrate.designs.calibration import Designed, design
-from calibrate.designs.comparison import Enhanced, SlopePair, gradient
+from calibrate.designs.comparison import Designed, Enhanced, SlopePair, design, gradient
 from calibrate.designs.optimum import target
 from calibrate.designs.study import Bench, stage_titles, study, surfaces
 from calibrate.inference.parameters import FACTORS, space

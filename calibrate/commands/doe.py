@@ -36,7 +36,7 @@ def doe_command(
     from rich.console import Console
 
     from calibrate.core.files import check_writable
-    from calibrate.designs.calibration import design
+    from calibrate.designs.comparison import design
     from calibrate.reports import study as report
     from calibrate.simulation.session import Session
 

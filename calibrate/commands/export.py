@@ -36,6 +36,9 @@ def export_command(
         Path | None, typer.Option("--out", help="File to write; default: in results/export.")
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write them as JSON too.")] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Also of a fit that missed its data.")
+    ] = False,
 ) -> None:
     """Write a soil's parameters for another program, with uncertainty and scale-up note."""
     from calibrate.commands.options import parse_changes
@@ -53,6 +56,11 @@ def export_command(
         raise InputError(COMMAND_LINE, "--to", f"no program '{to}'", f"give {', '.join(writers)}")
     check_writable(json)
     found = find(source, parse_changes(changes or []), _length(diameter))
+    if found.missed and not force:
+        repair = "fit again, or give --force to export it all the same, with this warning"
+        rest = len(found.missed) - 1
+        problem = found.missed[0] + (f", and {rest} more" if rest else "")
+        raise InputError(str(source), "", problem, repair)
     text = writers[to](found)
     target = Path("results/export") / FILES[to] if out is None else out
     if target.is_dir():

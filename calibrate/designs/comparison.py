@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from calibrate.core.errors import BadValue
+from calibrate.core.errors import BadValue, InputError
 from calibrate.designs.gradients import fit_with_gradients
 from calibrate.designs.study import (
     SIGNIFICANT,
@@ -24,16 +24,23 @@ from calibrate.designs.study import (
     Experiment,
     Study,
     Surfaces,
+    study,
     verified,
 )
 from calibrate.designs.surface import fit_surface
 from calibrate.designs.terms import quadratic
 from calibrate.inference.audit import CurvePoints, simulated_response
+from calibrate.inference.calibration import CANDIDATES
 from calibrate.inference.evaluation import Calibration, packing_scatter
 from calibrate.inference.fit import descend
-from calibrate.inference.parameters import Space, ensemble
+from calibrate.inference.parameters import Space, ensemble, space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.composite import names_of
+from calibrate.simulation.joint import AbstractCampaign
+from calibrate.simulation.resolution import Preset
+from calibrate.simulation.specimens import Seeds
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.ensemble import Ensemble
@@ -315,3 +322,41 @@ def _left_out(X, y, used, left, gradients, sd) -> float:
 def _pooled(errors: list[float]) -> float:
     known = [error for error in errors if np.isfinite(error)]
     return float(np.sqrt(np.mean(known))) if len(known) > len(errors) // 2 else np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """Calibration by designed experiments: a finished study with its comparison, and the packings
+    that were used."""
+
+    study: Study
+    comparison: Comparison
+    seeds: tuple[int, ...]
+    fresh: tuple[int, ...]
+
+
+def design(
+    lab: Lab, preset: Preset, changes: dict[str, float], seed: int, work: AbstractCampaign
+) -> Designed:
+    """The whole sequence around the lab file's soil; resumes from what `work.folder` holds.
+
+    Verified on all packings from which the fit takes its scatter and that no design has seen.
+    """
+    lab = lab.on_soil()
+    _check_targets(lab)
+    seeds = Seeds.of(seed, preset.packings)
+    fresh = tuple(number for number in seeds.scatter if number not in seeds.fitted)
+    held = {name for name, choice in lab.parameters.items() if choice.free is False}
+    factors = tuple(name for name in CANDIDATES if name not in held)
+    base = with_values(base_soil(lab), changes)
+    bench = Bench(space(lab, factors, base), work, seeds.fitted)
+    done = study(bench, lab.targets, fresh)
+    return Designed(done, compare(lab, bench, done, fresh, seeds.scatter), seeds.fitted, fresh)
+
+
+def _check_targets(lab: Lab) -> None:
+    """Refuses a lab without any scalar target: curves alone are no response of a surface."""
+    if not lab.targets:
+        known = ", ".join(name for name, _ in names_of(lab.tests).values())
+        problem = "no scalar target, and designs are calibrated to targets, not to curves"
+        raise InputError(lab.file, "targets", problem, f"give one or more of {known}, or fit")

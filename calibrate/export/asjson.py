@@ -13,6 +13,8 @@ def content(found: Found) -> dict:
     return {
         "soil": found.soil,
         "origin": found.origin,
+        "warnings": list(found.warnings),
+        "met": not found.missed,
         "law": LAW,
         "parameters": {name: _parameter(found, name) for name in UNITS},
         "particles": {

@@ -7,7 +7,7 @@ them, and the table was never loaded into it.
 import csv
 import io
 
-from calibrate.export.notes import heading, scale_up, uncertainty
+from calibrate.export.notes import heading, scale_up, uncertainty, warned
 from calibrate.export.source import Found
 from jdem.materials.catalogue import CATALOGUE
 
@@ -37,10 +37,12 @@ _CAUTIONS = (
 
 
 def text(found: Found) -> str:
-    """The table; its last rows are notes."""
+    """The table; first what the fit warned of, last notes."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
+    for line in warned(found):
+        writer.writerow(["Warning", line, "", "", "", ""])
     for ours in _SHOWN:
         section, name = CATALOGUE[ours].names["EDEM"].split(" / ")
         factor = found.scale if ours == "surface_energy" else 1.0

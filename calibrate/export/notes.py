@@ -13,12 +13,19 @@ from jdem.materials.conventions import DEFAULT
 PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ
 _NOT_EXPORTED = ("wall_adhesion", "stiffness_factor", "reference_diameter")
 _HARMLESS = str.maketrans({"&": "and", "\\": "/", '"': "'"})
+LONGEST = 1000  # characters of a sentence
 _OTHER_SIZES = (0.5, 1.0, 2.0)  # times the exported diameter
 
 
+def warned(found: Found) -> list[str]:
+    """What the fit warned of, one sentence a line."""
+    return [f"WARNING of the fit: {_one_line(sentence, LONGEST)}" for sentence in found.warnings]
+
+
 def heading(found: Found) -> list[str]:
-    """Which soil, from where, for which particles."""
+    """Which soil, from where, what the fit warned of, for which particles."""
     lines = [f"EEPA soil: {_one_line(found.soil)}", f"from {_one_line(found.origin)}"]
+    lines += [line for sentence in warned(found) for line in textwrap.wrap(sentence, 98)]
     if found.conventions != DEFAULT:
         lines.append(
             f"with the conventions {found.conventions}: tangential_multiplier and rolling_friction "
@@ -84,8 +91,8 @@ def comment(lines: list[str], mark: str = "# ") -> str:
     return "".join(f"{mark}{line}".rstrip() + "\n" for line in lines)
 
 
-def _one_line(text: str) -> str:
+def _one_line(text: str, longest: int = 200) -> str:
     """Text from a file as part of a comment: one line, printable, without quotation marks or
     signs of continuation."""
     line = " ".join(text.translate(_HARMLESS).split())
-    return "".join(c if c.isprintable() else "?" for c in line)[:200]
+    return "".join(c if c.isprintable() else "?" for c in line)[:longest]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown
+from calibrate.inference.misfit import Miss, misses
 from calibrate.io.lab import Lab, load_lab
 from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, read_text
 from calibrate.io.soil import base_soil
@@ -28,7 +29,8 @@ class Found:
 
     `diameter` (m) is that of the particles that the export is for; `fitted_diameter` (m) the
     mean of the spheres of the calibration, None if not known; `origin` says in words where
-    the numbers come from; `conventions` whose contact law they are for.
+    the numbers come from; `conventions` whose contact law they are for; `warnings` what the fit
+    warned of, of which `missed` are the numbers that it did not meet.
     """
 
     soil: str
@@ -38,6 +40,8 @@ class Found:
     diameter: float
     fitted_diameter: float | None
     conventions: str = DEFAULT
+    warnings: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -114,7 +118,34 @@ def _of_result(path: Path) -> Found:
             str(path), "conventions", f"{shown(conventions)} is unknown", "run the fit again"
         )
     diameter = _packing_diameter(path.parent, result.get("spheres"))
-    return Found(soil, origin, values, intervals, math.nan, diameter, conventions)
+    missed = tuple(str(miss) for miss in _misses(result))
+    warned = (*_sentences(result.get("warnings"), path), *missed)
+    return Found(
+        soil, origin, values, intervals, math.nan, diameter, conventions,
+        tuple(dict.fromkeys(warned)), missed,
+    )  # fmt: skip
+
+
+def _misses(result: dict) -> list[Miss]:
+    """What the fit did not meet, by its own numbers, however old the file is."""
+    features, targets = result.get("features"), result.get("targets")
+    rows = features if isinstance(features, dict) else {}
+    known = set(targets) if isinstance(targets, dict) else set()
+    return misses(
+        {
+            name: {"target": True if name in known else None, **row}
+            for name, row in rows.items()
+            if isinstance(row, dict)
+        }
+    )
+
+
+def _sentences(warnings: Any, path: Path) -> list[str]:
+    """What the fit warned of; nothing in results of earlier versions."""
+    listed = [] if warnings is None else warnings
+    if not isinstance(listed, list) or not all(isinstance(each, str) for each in listed):
+        raise InputError(str(path), "warnings", "it is no list of sentences", "run the fit again")
+    return listed
 
 
 def _packing_diameter(folder: Path, spheres: int | None) -> float | None:

@@ -1,6 +1,6 @@
 """Every figure that this package draws; the only place, with reports, that knows matplotlib.
 
-`panels` fills one axis from a record; `fit`, `audit`, `study` and `doe` lay panels out in a file;
+`panels` fills one axis from a record; `fit`, `audit` and `doe` lay panels out in a file;
 `bed` looks inside a specimen; all share `style`.
 """
 

@@ -1,4 +1,5 @@
-"""Figures of designed experiments: effects, response surfaces, residuals.
+"""Figures of designed experiments: effects, response surfaces, residuals, slopes and ends beside
+those of gradients.
 
 Each drawing function fills one axis; the `..._figure` functions lay them out and write a file.
 Factors are drawn in their natural units; `response` is the label of the response with its unit.
@@ -14,14 +15,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from calibrate.designs.comparison import Ending, SlopePair
 from calibrate.designs.diagnostics import BoxCox, Diagnostics, box_cox, diagnose, without_profile
 from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Effect, Screening
 from calibrate.designs.surface import Surface
-from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, save
+from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, above, save
+from calibrate.records.base import Target
 
 GRID = 61  # points along each side of a surface
 NAMED = 0.12  # of the largest effect: smaller ones lie too close together to be named
+NAMED_SLOPE = 0.15  # of the largest slope
+MARKERS = "sDo"  # of designs, in the order in which they appear
+APART = 10.0  # points between names of factors
 
 
 # ---------------------------------------------------------------- screening
@@ -47,7 +53,8 @@ def pareto(axis: Axes, found: Screening, response: str) -> None:
     longest = abs(effects[-1].effect)
     for place, effect in enumerate(effects):
         text = f" {effect.contribution:.1f} %"
-        axis.text(abs(effect.effect), place, text, va="center", fontsize=7)
+        box = {"fc": "white", "ec": "none", "pad": 0.3}
+        axis.text(abs(effect.effect), place, text, va="center", fontsize=7, bbox=box)
     margins = [(found.margin, "--", "one at a time")]
     margins += [(found.simultaneous_margin, ":", "all at once")]
     shown = [margin for margin in margins if margin[0] < 3 * longest]
@@ -138,14 +145,16 @@ class View:
         for j, set_ticks in zip(self.pair, (axis.set_xticks, axis.set_yticks), strict=True):
             factor = self.factors[j]
             if factor.log:
-                set_ticks(_drawn(factor, ticks), [f"{v:.3g}" for v in factor.natural(ticks)])
+                size, _ = _shown_in(factor)
+                shown = [f"{v / size:.3g}" for v in factor.natural(ticks)]
+                set_ticks(_drawn(factor, ticks), shown)
 
     def title(self) -> str:
         """The response, and at which values the other factors are held."""
         held = np.zeros(len(self.factors)) if self.held is None else self.held
         others = [(f, x) for j, (f, x) in enumerate(zip(self.factors, held, strict=True))
                   if j not in self.pair]  # fmt: skip
-        values = ", ".join(f"{_pretty(f.name)} {float(f.natural(x)):.4g}" for f, x in others)
+        values = ", ".join(_value(f, float(f.natural(x))) for f, x in others)
         return f"{self.response} at {values}" if values else self.response
 
 
@@ -189,7 +198,8 @@ def relief(axis: Any, view: View) -> None:
     axis.plot_surface(across, up, height, cmap=MAP, **thin)
     axis.view_init(elev=26, azim=-128)
     view.label(axis)
-    axis.set_zlabel(view.response)
+    axis.set_zlabel(view.response, labelpad=8)
+    axis.xaxis.labelpad = axis.yaxis.labelpad = 8
     for each in (axis.xaxis, axis.yaxis, axis.zaxis):
         each.label.set_size(8)
     axis.tick_params(labelsize=7)
@@ -237,8 +247,9 @@ def residuals_against_predicted(axis: Axes, found: Diagnostics, response: str) -
     limit = found.outlier_limit
     axis.axhline(limit, color=MIDDLE, ls="--", lw=1, label=f"outlier at 5 % (±{limit:.2f})")
     axis.axhline(-limit, color=MIDDLE, ls="--", lw=1)
-    worst = max(limit, float(np.nanmax(np.abs(found.studentised))))
-    axis.set_ylim(-1.15 * worst, 1.3 * worst)
+    worst = np.nanmax([limit, *np.abs(found.studentised)])
+    if np.isfinite(worst):
+        axis.set_ylim(-1.15 * worst, 1.3 * worst)
     label = "externally studentised residual"
     axis.set(xlabel=f"predicted {response}", ylabel=label, title="residuals against predictions")
     axis.legend(fontsize=7, loc="upper right")
@@ -253,7 +264,9 @@ def cooks_distances(axis: Axes, found: Diagnostics) -> None:
     if highest > 0.5:
         axis.axhline(1, color=MIDDLE, ls="--", lw=1, label="influential")
         axis.legend(fontsize=7)
-    axis.set_ylim(0, 1.15 * highest)
+        highest = max(highest, 1.0)
+    if highest > 0:
+        axis.set_ylim(0, 1.15 * highest)
     axis.set(xlabel="run, as listed", ylabel="Cook's distance", title="influence")
 
 
@@ -269,9 +282,92 @@ def box_cox_profile(axis: Axes, found: BoxCox) -> None:
     axis.legend(fontsize=7)
 
 
+# ---------------------------------------------------------------- beside gradients
+
+
+def slopes(axis: Axes, pairs: Sequence[SlopePair], label: str) -> None:
+    """Slopes of surfaces against gradients with 95 % intervals; `label` names the response.
+
+    Filled: matters at 5 %.  Where the joint intervals disagree a point is orange and crossed.
+    """
+    named: dict[str, tuple[float, float]] = {}
+    order = list(dict.fromkeys(pair.design for pair in pairs))
+    drawn: set[str] = set()
+    largest = max(abs(pair.gradient) for pair in pairs)
+    for pair in pairs:
+        axis.errorbar(
+            pair.gradient,
+            pair.surface,
+            xerr=1.96 * pair.gradient_se,
+            yerr=1.96 * pair.surface_se,
+            fmt=MARKERS[order.index(pair.design) % len(MARKERS)],
+            color=DARK if pair.agree else MIDDLE,
+            mfc=None if pair.matters else "white",
+            lw=0.8,
+            label=None if pair.design in drawn else pair.design,
+        )
+        drawn.add(pair.design)
+        if not pair.agree:
+            axis.plot(pair.gradient, pair.surface, "x", color="black", ms=9)
+        if pair.factor not in named and abs(pair.gradient) > NAMED_SLOPE * largest:
+            named[pair.factor] = (pair.gradient, pair.surface)
+    low, high = axis.get_xlim()
+    axis.plot([low, high], [low, high], color="0.5", lw=0.8, zorder=0)
+    axis.axhline(0, color="0.85", lw=0.6, zorder=0)
+    axis.axvline(0, color="0.85", lw=0.6, zorder=0)
+    axis.set(xlabel=f"gradient: d {label} / d ln p", ylabel="slope of the design's surface")
+    axis.set_xlim(low, high)
+    _name(axis, named)
+    above(axis)
+
+
+def _name(axis: Axes, named: dict[str, tuple[float, float]]) -> None:
+    """Names beside points, towards the middle of the axis, one above the other."""
+    middle, lowest = float(np.mean(axis.get_xlim())), -np.inf
+    scale = 72.0 / axis.figure.dpi  # points a pixel
+    for name, point in sorted(named.items(), key=lambda item: item[1][1]):
+        height = scale * float(axis.transData.transform(point)[1])
+        lowest = max(height + 4, lowest + APART)
+        right = point[0] > middle
+        away = {"ha": "right" if right else "left", "textcoords": "offset points", "fontsize": 8}
+        axis.annotate(_pretty(name), point, (-7 if right else 7, lowest - height), **away)
+
+
+def endings(axis: Axes, found: Sequence[Ending], target: Target, column: int, label: str) -> None:
+    """One response (`column` of the endings) at each method's end, packing by packing."""
+    reach = (target.mean - target.scatter, target.mean + target.scatter)
+    axis.axhspan(*reach, color=LIGHT, alpha=0.5, lw=0, label="measured ± scatter")
+    for place, ending in enumerate(found):
+        for shift, values, colour, mark, name in (
+            (-0.1, ending.fitted[:, column], DARK, "o", "packings of the fit"),
+            (0.1, ending.fresh[:, column], MIDDLE, "D", "fresh packings"),
+        ):
+            first = name if place == 0 else None
+            at = np.full(len(values), place + shift)
+            axis.plot(at, values, mark, color=colour, ms=5, label=first)
+            ends = (place + shift - 0.07, place + shift + 0.07)
+            axis.hlines(np.nanmean(values), *ends, colour, lw=2)
+    axis.set_xticks(range(len(found)), [ending.method for ending in found])
+    axis.set_xlim(-0.5, len(found) - 0.5)
+    axis.set_ylabel(label)
+    above(axis)
+
+
 def _axis_label(factor: Factor) -> str:
-    unit = factor.unit.replace("^2", "²").replace("^3", "³")
+    _, unit = _shown_in(factor)
     return _pretty(factor.name) + (f" ({unit})" if unit else "")
+
+
+def _value(factor: Factor, value: float) -> str:
+    size, unit = _shown_in(factor)
+    return f"{_pretty(factor.name)} {value / size:.4g} {unit}".rstrip()
+
+
+def _shown_in(factor: Factor) -> tuple[float, str]:
+    """Size of the unit that figures use, and its name: long numbers of Pa are MPa."""
+    if factor.unit == "Pa" and factor.log:
+        return 1e6, "MPa"
+    return 1.0, factor.unit.replace("^2", "²").replace("^3", "³")
 
 
 def _pretty(name: str) -> str:

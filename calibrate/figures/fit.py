@@ -1,5 +1,6 @@
 """Figures of a simulation, of a fit at a glance, of one contact."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from calibrate.figures.panels import (
     fit_groups,
     observables,
     parameters,
+    read_numbers,
 )
 from calibrate.figures.style import DARK, save
 from calibrate.records.base import Curve, Measured
@@ -31,19 +33,35 @@ def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> No
     _finish(figure, axes, path)
 
 
+LINE = 130  # characters of a line of warnings, at the width of two panels
+MOST_LINES = 12
+
+
 def fit_figure(found: FitRecord, path: Path) -> None:
-    """Curves of fitted and fresh packings, observables against targets, parameters."""
+    """Curves of fitted and fresh packings, observables against targets (where there are none, the
+    numbers read from curves), parameters; below, what the fit warned of."""
     tests = list(found.measured.tests)
     columns = max(len(tests), 2)
     size = (5.25 * columns, 8)
     figure, axes = plt.subplots(2, columns, figsize=size, layout="constrained")
     for axis, test in zip(axes[0], tests, strict=False):
         compression(axis, test, fit_groups(found, test), found.measured)
-    observables(axes[1, 0], found)
+    (observables if found.measured.targets else read_numbers)(axes[1, 0], found)
     parameters(axes[1, 1], found)
+    _warn(figure, found.all_warnings(), columns)
     for axis in (*axes[0, len(tests) :], *axes[1, 2:]):
         axis.set_axis_off()
     _finish(figure, (*axes[0, : len(tests)], axes[1, 0]), path)
+
+
+def _warn(figure, sentences: Sequence[str], columns: int) -> None:
+    """Sentences at the foot of the figure, numbers that were missed first."""
+    width = LINE * columns // 2
+    lines = [line for each in sentences for line in textwrap.wrap(f"Warning: {each}.", width)]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], "More warnings are in result.json and in the report."]
+    if lines:
+        figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=8, x=0.02, ha="left")
 
 
 def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:

@@ -128,6 +128,23 @@ def observables(axis: Axes, found: FitRecord) -> None:
     axis.set(ylabel="simulated / measured", title="observables (bars: means)")
 
 
+def read_numbers(axis: Axes, found: FitRecord) -> None:
+    """Every number that was read from curves over its measured value, with what both scatter."""
+    rows = {name: f for name, f in found.features.items() if name not in found.measured.targets}
+    for place, feature in enumerate(rows.values()):
+        size = abs(feature.measured) or 1.0
+        reach = feature.sd / size
+        bar = {"color": "0.5", "lw": 6, "alpha": 0.4, "zorder": 0, "solid_capstyle": "butt"}
+        label = "measured ± one deviation of the difference" if place == 0 else None
+        axis.plot([1 - reach, 1 + reach], [place, place], label=label, **bar)
+        label = "mean of the fitted packings" if place == 0 else None
+        axis.plot(feature.simulated / size, place, "o", color=DARK, ms=5, label=label)
+    axis.axvline(1, color="0.6", lw=0.8)
+    axis.set_yticks(range(len(rows)), list(rows), fontsize=7)
+    axis.set_ylim(len(rows) - 0.4, -0.6 - 0.12 * len(rows))  # in the curve's order, room on top
+    axis.set(xlabel="simulated / measured", title="numbers read from curves")
+
+
 def _observed(packings: Sequence[Packing], name) -> np.ndarray:
     return np.array([packing.observable(name) for packing in packings])
 
@@ -142,15 +159,17 @@ def parameters(axis: Axes, found: FitRecord) -> None:
         axis.plot([low, high], [row, row], color=DARK, lw=3)
         axis.plot(value / start, row, "o", color=MIDDLE, ms=8)
         at = (value / start, row)
-        axis.annotate(f"{value:.4g}", at, (0, 9), textcoords="offset points", ha="center")
+        box = {"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.85}
+        far = {"textcoords": "offset points", "ha": "center", "fontsize": 8, "bbox": box}
+        axis.annotate(f"{value:.4g}", at, (0, 8), **far)
     axis.axvline(1, color="0.6", lw=0.8)
     axis.set_xscale("log")
     axis.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
     axis.minorticks_off()
-    reach = 1.15 * max(float(np.max(np.abs(np.log(spans)))), 0.35)
+    reach = 1.25 * max(float(np.max(np.abs(np.log(spans)))), 0.35)
     axis.set_xlim(np.exp(-reach), np.exp(reach))
     axis.set_yticks(range(len(found.free)), [pretty(name) for name in found.free])
-    axis.set_ylim(-0.6, len(found.free) - 0.4)
+    axis.set_ylim(-0.6, len(found.free) - 0.1)
     axis.set(xlabel="value / starting value (95 % interval)", title="free parameters (SI)")
 
 

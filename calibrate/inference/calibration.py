@@ -1,6 +1,7 @@
 """The whole calibration of a lab file, from packings to a fit and its check on fresh packings.
 
 packings -> scatter -> screening -> free parameters -> fit -> fresh packings
+                                         ^---- more ------v  where it misses the data
 
 Where a preset explores with smaller beds, these are fitted first, to targets corrected by the
 ratio of both sizes at the start (`calibrate.inference.resolutions`).
@@ -17,11 +18,14 @@ from calibrate.inference.evaluation import (
     finished_features,
     packing_scatter,
 )
-from calibrate.inference.fit import Descent, Fit, descend, fit
-from calibrate.inference.identifiability import choose_free
-from calibrate.inference.parameters import FACTORS, Space, ensemble, space
-from calibrate.inference.problem import Problem, pose
+from calibrate.inference.fit import Descent, Fit, descend, finished, fit
+from calibrate.inference.identifiability import choose_free, strongest
+from calibrate.inference.misfit import misses, warnings
+from calibrate.inference.parameters import FACTORS, Space, ensemble, space, to_digits
+from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
+from calibrate.inference.widening import Round, Screened, advised, compared, widened
+from calibrate.inference.widening import chosen as chosen_of
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Run
@@ -37,6 +41,7 @@ from calibrate.simulation.specimens import (
     soil_json,
     spread_observables,
 )
+from calibrate.simulation.specimens import coarse as coarse_sentence
 from jdem.materials.soil import SoilParameters
 
 CANDIDATES = (*FACTORS, "shear_modulus")
@@ -64,6 +69,8 @@ class Calibrated:
     seeds: Seeds
     rates: dict
     resolutions: dict
+    rounds: list[dict]
+    help: str
 
 
 def calibrate(
@@ -82,21 +89,20 @@ def calibrate(
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     base = with_values(base_soil(lab), changes)
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
-    screening: dict = {}
+    bench = Bench(lab, problem, base, seeds, work, scatter, scattered, coarse)
     free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
+    screened = bench.screened() if free is None else None
+    screening = {} if screened is None else screening_json(bench, screened)
     if free is None:
-        screening = screen(lab, problem, base, scatter, scattered, seeds, work, coarse)
         free = tuple(screening["free"])
         work.progress.say("free parameters: " + ", ".join(free))
-    free_space = space(lab, free, base)
-    settings = Settings() if coarse is None else THRIFTY
-    calibration = Calibration(
-        problem, free_space, work, seeds.fitted, scatter, scattered, settings, coarse
-    )
-    first = calibration.correction(free_space.start(), "both resolutions at the start")
-    walked = explored(calibration, first)
-    result = _after(walked, fit_from(calibration, walked), coarse.cost if coarse else 1.0)
-    soil = free_space.soil(result.best.values)
+    calibration = bench.calibration(free)
+    first = calibration.correction(calibration.space.start(), "both resolutions at the start")
+    rounds = bench.rounds(calibration, first, screened)
+    calibration, result = bench.settled(rounds)
+    reached = Round(calibration, Descent(result.best, result.history, "", result.slopes))
+    helped = bench.help(reached, screened, rounds)
+    soil = calibration.space.soil(result.best.values)
     fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
     fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
     named = _named_sets(lab, base, seeds.fitted, work)
@@ -105,7 +111,7 @@ def calibrate(
         problem=problem,
         result=result,
         soil=soil,
-        space=free_space,
+        space=calibration.space,
         screening=screening,
         fitted_runs=fitted,
         fresh_runs=fresh,
@@ -116,7 +122,85 @@ def calibrate(
         seeds=seeds,
         rates=rates_json(work),
         resolutions=resolutions_json(calibration, first, result, preset),
+        rounds=[each.as_json() for each in rounds],
+        help=helped,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Everything that a fit needs but its free parameters."""
+
+    lab: Lab
+    problem: Problem
+    base: SoilParameters
+    seeds: Seeds
+    work: AbstractCampaign
+    scatter: np.ndarray
+    scattered: int
+    coarse: Coarse | None
+
+    def calibration(self, names: tuple[str, ...]) -> Calibration:
+        """With these parameters free."""
+        settings = Settings() if self.coarse is None else THRIFTY
+        return self._calibration(space(self.lab, names, self.base), settings)
+
+    def _calibration(self, free: Space, settings: Settings) -> Calibration:
+        return Calibration(
+            self.problem,
+            free,
+            self.work,
+            self.seeds.fitted,
+            self.scatter,
+            self.scattered,
+            settings,
+            self.coarse,
+        )
+
+    def screened(self) -> Screened:
+        """Slopes of all features in every parameter that the lab file does not hold."""
+        held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
+        every = space(self.lab, tuple(n for n in CANDIDATES if n not in held), self.base)
+        calibration = self._calibration(every, Settings(strategy=ensemble(every)))
+        slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
+        at_start = calibration.evaluate(to_digits(every.start()), "the start")
+        return Screened(every, slopes, at_start.features.mean(axis=0))
+
+    def rounds(
+        self, calibration: Calibration, correction: Correction, screened: Screened | None
+    ) -> list[Round]:
+        """Fits of the first choice and, where the program chose and misses, of wider ones; with
+        smaller beds where there are any."""
+
+        def level(chosen: Calibration) -> Calibration:
+            return chosen if self.coarse is None else exploring(chosen, correction)
+
+        start = level(calibration)
+        first = Round(start, descend(start))
+        if screened is None:
+            return [first]
+        return widened(first, screened, lambda names: level(self.calibration(names)))
+
+    def settled(self, rounds: Sequence[Round]) -> tuple[Calibration, Fit]:
+        """The fit of the round that counts, on the beds that decide, all evaluations before it."""
+        kept = chosen_of(rounds)
+        if self.coarse is None:
+            before = [each.descent for each in rounds]
+            result = finished(kept.calibration, kept.descent)
+            return kept.calibration, replace(result, history=joined(before))
+        calibration = self.calibration(kept.names)
+        result = fit_from(calibration, kept.descent if kept.best is not None else None)
+        before = [each.descent for each in rounds if each.best is not None]
+        return calibration, _after(before, result, self.coarse.cost)
+
+    def help(self, reached: Round, screened: Screened | None, rounds: Sequence[Round]) -> str:
+        """What would bring a fit that missed its data nearer to them; "" where it met them."""
+        best = reached.best
+        if best is None or not misses(reached.compared(best)):
+            return ""
+        tried = [name for name in rounds[-1].names if name not in reached.names]
+        known = self.screened() if screened is None else screened
+        return advised(reached, known, self.lab, screened is None, tried)
 
 
 def scatter_of_packings(
@@ -144,19 +228,24 @@ def scatter_of_packings(
 
 def explored(calibration: Calibration, correction: Correction) -> Descent | None:
     """The fit of smaller beds to corrected targets; None where there are none, or none succeeds."""
-    coarse = calibration.coarse
-    if coarse is None:
+    if calibration.coarse is None:
         return None
+    found = descend(exploring(calibration, correction))
+    return None if found.best is None or found.best.failures else found
+
+
+def exploring(calibration: Calibration, correction: Correction) -> Calibration:
+    """The same with smaller beds, to targets corrected for them."""
+    coarse = calibration.coarse
+    assert coarse is not None
     coarse.campaign.progress.say(f"exploring with {coarse.spheres} spheres")
-    small = replace(
+    return replace(
         calibration,
         problem=corrected(calibration.problem, correction),
         campaign=coarse.campaign,
         coarse=None,
         settings=EXPLORING,
     )
-    found = descend(small)
-    return None if found.best is None or found.best.failures else found
 
 
 def fit_from(calibration: Calibration, walked: Descent | None) -> Fit:
@@ -166,17 +255,25 @@ def fit_from(calibration: Calibration, walked: Descent | None) -> Fit:
     return fit(calibration, walked.best.values, walked.slopes)
 
 
-def _after(walked: Descent | None, result: Fit, cost: float = 1.0) -> Fit:
+def joined(walks: Sequence[Descent]) -> list[dict]:
+    """Rows of one walk after the other, evaluations and forward runs counted on; parameters that
+    were not free yet stand at their start."""
+    rows: list[dict] = []
+    for walk in walks:
+        shift = {k: rows[-1][k] if rows else 0 for k in ("evaluation", "forward_runs")}
+        rows += [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in walk.history]
+    return rows
+
+
+def _after(walks: Sequence[Descent], result: Fit, cost: float = 1.0) -> Fit:
     """The fit with the evaluations of smaller beds before its own."""
-    if walked is None:
-        return result
     before = [
         {**row, "status": "explored", "forward_runs": cost * row["forward_runs"]}
-        for row in walked.history
+        for row in joined(walks)
     ]
-    shift = {"evaluation": len(before), "forward_runs": before[-1]["forward_runs"]}
-    after = [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in result.history]
-    return replace(result, history=[*before, *after])
+    own = Descent(result.best, result.history, result.stopped, result.slopes)
+    earlier = Descent(None, before, "", result.slopes)
+    return replace(result, history=joined([earlier, own] if before else [own]))
 
 
 def resolutions_json(
@@ -209,44 +306,30 @@ def resolutions_json(
     }
 
 
-def screen(
-    lab: Lab,
-    problem: Problem,
-    base: SoilParameters,
-    scatter: np.ndarray,
-    scattered: int,
-    seeds: Seeds,
-    work: AbstractCampaign,
-    coarse: Coarse | None = None,
-) -> dict:
+def screening_json(bench: Bench, screened: Screened) -> dict:
     """Slopes of all features in all candidates, and the parameters that the data can fix."""
-    held = {name for name, choice in lab.parameters.items() if choice.free is False}
-    candidates = tuple(name for name in CANDIDATES if name not in held)
-    every = space(lab, candidates, base)
-    settings = Settings(strategy=ensemble(every))
-    calibration = Calibration(
-        problem, every, work, seeds.fitted, scatter, scattered, settings, coarse
-    )
-    slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
-    whitened = calibration.whitened(slopes)
-    rank = len(problem.measured)
-    chosen = choose_free(candidates, whitened, every.prior_sd(), rank)
-    names = [feature.name for feature in problem.features]
+    names = screened.space.names
+    whitened = bench.calibration(names).whitened(screened.slopes)
+    rank = len(bench.problem.measured)
+    prior = screened.space.prior_sd()
+    found = choose_free(names, whitened, prior, rank) or [strongest(names, whitened, prior)]
+    features = [feature.name for feature in bench.problem.features]
     return {
-        "free": [name for name, _ in chosen],
-        "signal_to_noise": dict(chosen),
+        "free": [name for name, _ in found],
+        "signal_to_noise": dict(found),
         "slopes_per_ln": {
-            feature: dict(zip(candidates, row.tolist(), strict=True))
-            for feature, row in zip(names, slopes, strict=True)
+            feature: dict(zip(names, row.tolist(), strict=True))
+            for feature, row in zip(features, screened.slopes, strict=True)
         },
     }
 
 
 def fit_json(done: Calibrated) -> dict:
     """The contract's keys for `fit`, and what was checked on fresh packings."""
-    features = [feature.name for feature in done.problem.features]
     best = done.result.best
-    return {
+    features = compared(done.problem, done.result.covariance, best)
+    met = not misses(features)
+    result = {
         "parameters": soil_json(done.soil),
         "free": list(done.space.names),
         "observables": mean_observables(done.fitted_runs),
@@ -265,16 +348,8 @@ def fit_json(done: Calibrated) -> dict:
         },
         "quality": quality_json(done.fitted_runs),
         "rates": done.rates,
-        "features": {
-            name: {"measured": float(m), "simulated": float(s), "sd": float(sd)}
-            for name, m, s, sd in zip(
-                features,
-                done.problem.measured,
-                best.features.mean(axis=0),
-                np.sqrt(np.diag(done.result.covariance)),
-                strict=True,
-            )
-        },
+        "features": features,
+        "met": met,
         "packing_scatter": dict(
             zip(features, np.sqrt(np.diag(done.scatter)).tolist(), strict=True)
         ),
@@ -283,12 +358,25 @@ def fit_json(done: Calibrated) -> dict:
         "stopped": done.result.stopped,
         "strategy": done.strategy,
         "profiles": done.result.profiles,
-        "identifiability": done.result.identifiability.as_json(),
+        "identifiability": done.result.identifiability.as_json(met),
         "screening": done.screening,
-        "history": done.result.history,
+        "rounds": done.rounds,
+        "history": _complete(done),
         "named_sets": done.named,
         "at_bound": done.space.at_bound(best.values),
+        "notes": begun_late(done.lab),
+        "help": done.help,
     }
+    across = coarse_sentence(result["quality"])
+    return {**result, "warnings": warnings(result, [across] if across else [])}
+
+
+def _complete(done: Calibrated) -> list[dict]:
+    """The history with a value for every parameter that was ever free, at its start before."""
+    base = soil_json(done.space.base)
+    names = dict.fromkeys(n for each in done.rounds for n in each["free"])
+    known = {name: base[name] for name in names}
+    return [{**row, "parameters": {**known, **row["parameters"]}} for row in done.result.history]
 
 
 def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:

@@ -21,7 +21,7 @@ from jax import Array
 
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.evaluation import Calibration, Evaluation
-from calibrate.inference.identifiability import Identifiability, assess
+from calibrate.inference.identifiability import Identifiability, assess, by_profiles
 from calibrate.inference.parameters import to_digits
 
 
@@ -48,7 +48,7 @@ def fit(
 
     slopes (m, p) per ln p are those of smaller beds at the start, if they are known.
     """
-    return _finished(calibration, descend(calibration, start, slopes))
+    return finished(calibration, descend(calibration, start, slopes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +196,8 @@ def _nothing_left(calibration: Calibration, best: Evaluation, jacobian: np.ndarr
     return gain < 0.5 * calibration.settings.tolerance**2
 
 
-def _finished(calibration: Calibration, descent: Descent) -> Fit:
+def finished(calibration: Calibration, descent: Descent) -> Fit:
+    """The fit that ends where the walk was best, and what the data fix there."""
     best = descent.best
     if best is None or best.failures:
         reasons = "; ".join(best.failures) if best else "nothing was evaluated"
@@ -208,8 +209,10 @@ def _finished(calibration: Calibration, descent: Descent) -> Fit:
         calibration.whitened(slopes),
         calibration.space.prior_sd(),
         calibration.scatter_packings - 1,
+        calibration.space.bounds(),
     )
     profiles = _profiles(calibration, identifiability, best)
+    identifiability = by_profiles(identifiability, profiles, best.cost)
     covariance = calibration.covariance
     return Fit(
         best,

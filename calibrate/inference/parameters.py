@@ -75,6 +75,10 @@ class Space:
         """ln p moved to the nearest point within the bounds; shape (..., p)."""
         return np.clip(log_values, *self._log_bounds())
 
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest values (p, 2)."""
+        return np.array([(entry.low, entry.high) for entry in self.ranges]).reshape(-1, 2)
+
     def prior_sd(self) -> np.ndarray:
         """Standard deviations of ln p."""
         return np.array([entry.prior_sd for entry in self.ranges])

@@ -18,7 +18,7 @@ from calibrate.core.errors import InputError
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import described
-from calibrate.labtests.features import AbstractFeature, ScalarTarget
+from calibrate.labtests.features import SEATING, AbstractFeature, ScalarTarget, zero_of
 from calibrate.labtests.measured import Curve
 from calibrate.simulation import Run
 
@@ -76,6 +76,20 @@ def pose(lab: Lab) -> Problem:
     )
 
 
+def begun_late(lab: Lab) -> list[str]:
+    """One sentence for each test of which a record begins at a preload."""
+    found = []
+    for test in lab.on_soil().tests:
+        curves = [curve for curve in lab.curves if curve.test == test.called]
+        if curves and not test.protocol and (zero := zero_of(curves)) > SEATING:
+            latest = max(curves, key=lambda curve: curve.force_n[0])
+            found.append(
+                f"{latest.file} begins at a load of {zero:.4g} N: displacements of {test.called} "
+                "count from there, in measurement and simulation; what lies below is not compared"
+            )
+    return found
+
+
 def shrunk_covariance(samples: np.ndarray) -> np.ndarray:
     """Covariance (m, m) of samples (n, m), shrunk towards its diagonal.
 
@@ -114,7 +128,16 @@ def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
         refusal = test.refusal(curve)
         if refusal:
             raise refusal.at(lab.file, f"curves.{curve.file}")
-    for feature in test.features(lab.cylinder_of(test.called), curves):
+    features = test.features(lab.cylinder_of(test.called), curves)
+    if not features:
+        raise InputError(
+            lab.file,
+            f"curves.{curves[0].file}",
+            f"nothing can be read: the records of {test.called} begin at {zero_of(curves):.4g} N "
+            "or are too short",
+            "give records that begin at contact and reach 0.5 % of the height, or leave them out",
+        )
+    for feature in features:
         values = [_measured(feature, curve) for curve in curves]
         if not np.all(np.isfinite(values)):
             place = int(np.argmin(np.isfinite(values)))

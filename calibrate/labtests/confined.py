@@ -15,6 +15,7 @@ from calibrate.labtests.features import (
     AbstractFeature,
     DisplacementOnLoading,
     DisplacementOnUnloading,
+    zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from jdem.apparatus.base import AbstractApparatus
@@ -87,11 +88,18 @@ class ConfinedTest(AbstractLabTest):
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
+        zero, top = zero_of(curves), min(float(curve.force_n.max()) for curve in curves)
+        places = [min(share * self.force_high, top) for share in LOADING]
         found: list[AbstractFeature] = [
-            DisplacementOnLoading(*self._read_at(share, "loading")) for share in LOADING
+            DisplacementOnLoading(*self._read_at(force, "loading"), zero)
+            for force in places
+            if force > zero
         ]
         if all(curve.force_n[-1] < UNLOADING[-1] * self.force_high for curve in curves):
-            found += [DisplacementOnUnloading(*self._read_at(s, "unloading")) for s in UNLOADING]
+            found += [
+                DisplacementOnUnloading(*self._read_at(share * self.force_high, "unloading"), zero)
+                for share in UNLOADING
+            ]
         return found
 
     def refusal(self, curve: Curve) -> BadValue | None:
@@ -105,9 +113,8 @@ class ConfinedTest(AbstractLabTest):
     def guides(self) -> tuple[float, ...]:
         return self.force_low, self.force_high
 
-    def _read_at(self, share: float, branch: str) -> tuple[str, str, str, float]:
-        force = share * self.force_high
-        name = f"displacement at {force:g} N, {branch}"
+    def _read_at(self, force: float, branch: str) -> tuple[str, str, str, float]:
+        name = f"displacement at {force:.4g} N, {branch}"
         if self.called != self.type_name:
             name += f", {self.called}"
         return name, "mm", self.called, force

@@ -1,7 +1,9 @@
 """Numbers that are read off measured and simulated curves alike, and that a fit compares.
 
-Displacements (mm) are read at forces, forces (N) at displacements.  A protocol with several loads
-and unloads is walked along: a waypoint is the next place on the curve where its force is reached.
+Displacements (mm) are read at forces, forces (N) at displacements.  Both count from a force that
+every measured record holds: the seating force, or the preload at which the latest of them begins.
+A protocol with several loads and unloads is walked along: a waypoint is the next place on the
+curve where its force is reached.
 """
 
 import abc
@@ -14,10 +16,10 @@ import numpy as np
 
 from calibrate.labtests.measured import Curve
 
-SEATING = 2.0  # N; force at which displacement starts to count
+SEATING = 2.0  # N; force at which displacement starts to count, where every record holds it
 REVERSAL = 0.05  # share of the largest force; smaller ups and downs are noise
 A_BRANCH = (0.25, 0.5, 0.75, 1.0)  # where a continuous record is read, shares of a branch's forces
-SHORT_OF = 0.02  # share of a force by which a machine may stop before it
+SHORT_OF = 0.02  # share of a force or a way by which a machine may stop before it
 
 
 @dataclass(frozen=True)
@@ -59,37 +61,40 @@ class AbstractCurveFeature(AbstractFeature):
 
 @dataclass(frozen=True)
 class DisplacementOnLoading(AbstractCurveFeature):
-    """Displacement (mm) beyond the seating force at which the rising force reaches `force` (N)."""
+    """Displacement (mm) beyond that at `zero` (N) at which the rising force reaches `force` (N)."""
 
     force: float
+    zero: float = SEATING
 
     def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
         turn = int(np.argmax(force_n)) + 1
-        return displacement_up(displacement_mm[:turn], force_n[:turn], self.force)
+        return displacement_up(displacement_mm[:turn], force_n[:turn], self.force, self.zero)
 
 
 @dataclass(frozen=True)
 class DisplacementOnUnloading(AbstractCurveFeature):
-    """Displacement (mm) beyond the loading curve's seating at `force` (N) after the largest one."""
+    """Displacement (mm) beyond that at `zero` (N) on loading, at `force` (N) after the largest."""
 
     force: float
+    zero: float = SEATING
 
     def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
         turn = int(np.argmax(force_n))
         highest = np.maximum.accumulate(force_n[: turn + 1])
-        zero = np.interp(SEATING, highest, displacement_mm[: turn + 1])
+        zero = np.interp(self.zero, highest, displacement_mm[: turn + 1])
         lowest = np.minimum.accumulate(force_n[turn:])
         return float(np.interp(self.force, lowest[::-1], displacement_mm[turn:][::-1]) - zero)
 
 
 @dataclass(frozen=True)
 class ForceAtDisplacement(AbstractCurveFeature):
-    """Force (N) at `displacement` (mm) beyond the seating, averaged over a tenth of that way."""
+    """Force (N) at `displacement` (mm) beyond that at `zero` (N), averaged over a tenth of it."""
 
     displacement: float
+    zero: float = SEATING
 
     def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        seated = displacement_mm - displacement_mm[int(np.argmax(force_n >= SEATING))]
+        seated = displacement_mm - seat(displacement_mm, force_n, self.zero)
         near = np.abs(seated - self.displacement) <= max(0.05 * self.displacement, 0.05)
         interpolated = np.interp(self.displacement, seated, force_n)
         return float(force_n[near].mean()) if near.sum() > 2 else float(interpolated)
@@ -126,12 +131,24 @@ class DisplacementOnPath(AbstractCurveFeature):
         return places[-1] - places[0]
 
 
-def displacement_up(displacement: np.ndarray, force: np.ndarray, wanted: float) -> float:
-    """Displacement (mm) beyond the seating force at which the rising force reaches `wanted` (N)."""
+def zero_of(curves: Sequence[Curve]) -> float:
+    """Force (N) that all records hold on loading: what lies below the first row of one of them is
+    not known there, so that neither it nor a simulation may be counted from it."""
+    return max(SEATING, *(float(curve.force_n[0]) for curve in curves))
+
+
+def seat(displacement: np.ndarray, force: np.ndarray, zero: float) -> float:
+    """Displacement (mm) at the first row that carries `zero` (N), at the largest force if none."""
+    reached = force >= zero
+    return float(displacement[int(np.argmax(reached if reached.any() else force))])
+
+
+def displacement_up(
+    displacement: np.ndarray, force: np.ndarray, wanted: float, zero: float = SEATING
+) -> float:
+    """Displacement (mm) beyond that at `zero` (N) at which the rising force is `wanted` (N)."""
     highest = np.maximum.accumulate(force)
-    return float(
-        np.interp(wanted, highest, displacement) - np.interp(SEATING, highest, displacement)
-    )
+    return float(np.interp(wanted, highest, displacement) - np.interp(zero, highest, displacement))
 
 
 def path_features(test: str, curves: Sequence[Curve]) -> list[AbstractFeature]:

@@ -8,7 +8,12 @@ from collections.abc import Sequence
 
 from calibrate.core.tables import Duration, Force, Speed
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
-from calibrate.labtests.features import AbstractFeature, DisplacementOnLoading, ForceAtEnd
+from calibrate.labtests.features import (
+    AbstractFeature,
+    DisplacementOnLoading,
+    ForceAtEnd,
+    zero_of,
+)
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import StepTable
 from jdem.apparatus.base import AbstractApparatus
@@ -44,11 +49,13 @@ class RelaxationTest(AbstractLabTest):
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
+        zero = zero_of(curves)
         found: list[AbstractFeature] = [
             DisplacementOnLoading(
                 f"displacement at {share * self.force:g} N, {self.called}",
-                "mm", self.called, share * self.force,
+                "mm", self.called, share * self.force, zero,
             )
             for share in LOADING
+            if share * self.force > zero
         ]  # fmt: skip
         return [*found, ForceAtEnd(f"force after the hold, {self.called}", "N", self.called)]

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 
 from calibrate.core.tables import Duration, Speed
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
-from calibrate.labtests.features import AbstractFeature, ForceAtDisplacement
+from calibrate.labtests.features import (
+    SHORT_OF,
+    AbstractFeature,
+    ForceAtDisplacement,
+    seat,
+    zero_of,
+)
 from calibrate.labtests.measured import Curve, Cylinder
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.unconfined import UnconfinedCompression
@@ -62,11 +68,15 @@ class UnconfinedTest(AbstractLabTest):
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
-        reach = min(curve.displacement_mm.max() for curve in curves)
+        zero = zero_of(curves)
+        reach = min(
+            curve.displacement_mm.max() - seat(curve.displacement_mm, curve.force_n, zero)
+            for curve in curves
+        )
         places = [share * 1e3 * cylinder.height for share in CRUSHING]
         last = "crushing" if self.called == self.type_name else f"crushing, {self.called}"
         return [
-            ForceAtDisplacement(f"force at {place:g} mm, {last}", "N", self.called, place)
+            ForceAtDisplacement(f"force at {place:g} mm, {last}", "N", self.called, place, zero)
             for place in places
-            if place <= reach
+            if (1 - SHORT_OF) * place <= reach
         ]

@@ -6,6 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 from pydantic import model_validator as check
 
+from calibrate.inference.misfit import misses
 from calibrate.records.base import (
     Curve,
     Measured,
@@ -62,14 +63,25 @@ class Feature(Record):
     measured: Number
     simulated: Number
     sd: Number
+    test: Test = ""  # "" and None: not known, in results of earlier versions
+    target: bool | None = None
 
 
 class Direction(Record):
-    """A combination of free parameters in ln p and how well the data see it."""
+    """A combination of free parameters in ln p and how well the data see it; they fix what they
+    see only where the fit met them."""
 
     weights: dict[Parameter, Number]
     signal_to_noise: Number
     fixed_by_data: bool
+    seen_by_data: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        if self.fixed_by_data:
+            return "fixed"
+        return "seen, but the fit missed" if self.seen_by_data else "left open"
 
 
 class Identifiability(Record):
@@ -138,6 +150,8 @@ class FitRecord(Origin, Summary):
     at_bound: list[Parameter]
     quality: dict[str, Number | bool]
     rates: dict[Test, Rate]
+    notes: list[str] = Field(default_factory=list)
+    warnings: list[str] = Field(default_factory=list)
 
     @check(mode="after")
     def _free_parameters_are_described(self) -> "FitRecord":
@@ -164,6 +178,27 @@ class FitRecord(Origin, Summary):
             if any(name not in group.observables or name not in group.spread for group in groups):
                 raise ValueError(f"{name} is measured, but a simulated value is missing")
         return self
+
+    @property
+    def met(self) -> bool:
+        """Whether the fit missed nothing."""
+        return not self.misses
+
+    @property
+    def misses(self) -> list[str]:
+        """One sentence for each number that it missed."""
+        return [str(miss) for miss in misses({k: f.model_dump() for k, f in self.features.items()})]
+
+    def all_warnings(self) -> list[str]:
+        """What its command warned of, or what results of earlier versions would; and every packing
+        that failed."""
+        said = self.warnings or [*self.misses, *(f"{n} ended at its bound" for n in self.at_bound)]
+        failed = [
+            f"packing {packing.seed} failed: {packing.failure}"
+            for packing in (*self.packings.fitted, *self.packings.fresh)
+            if packing.failure
+        ]
+        return [*said, *(sentence for sentence in failed if sentence not in said)]
 
     def start(self, name: str) -> float:
         """The value of a free parameter at which the fit began."""

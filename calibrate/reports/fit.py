@@ -1,6 +1,6 @@
 """The report of a calibration."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +10,11 @@ from calibrate.figures.style import above, panel_svg
 from calibrate.labtests.composite import described
 from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, Test, read
-from calibrate.records.fit import Feature, FitRecord, Packing, Summary
+from calibrate.records.fit import FitRecord, Packing, Summary
 from calibrate.reports.html import Page, Picture, Table, number, plus_minus, quantity, render, words
-from calibrate.simulation.specimens import coarse
 
 SMALL = (4.6, 2.9)  # inches
-FAR = 2.0  # deviations beyond which a fitted number is counted as missed
-WARNED = 3.0  # and beyond which it is a warning
+FAR = 2.0  # deviations within which a fitted number is counted as near
 
 
 def page(path: Path) -> Page:
@@ -49,10 +47,10 @@ def sentence(found: FitRecord) -> str:
         for name in found.free
     ]
     fixed = sum(direction.fixed_by_data for direction in found.identifiability.directions)
-    return (
-        f"Fitted with 95 % intervals: {', '.join(values)}. {_met(found)} "
-        f"The data fix {fixed} of {len(found.free)} combinations of the free parameters."
-    )
+    verdict = f"The data fix {fixed} of {len(found.free)} combinations of the free parameters."
+    if not found.met:
+        verdict = "The fit missed its data: they fix none of its parameters."
+    return f"Fitted with 95 % intervals: {', '.join(values)}. {_met(found)} {verdict}"
 
 
 def _met(found: FitRecord) -> str:
@@ -80,32 +78,9 @@ def _interval(found: FitRecord, name: str) -> str:
 
 
 def _warnings(found: FitRecord) -> Iterator[str]:
-    for sentence in missed(found.features):
+    """What the fit warned of, as result.json holds it, with the names of parameters in words."""
+    for sentence in found.all_warnings():
         yield f"{sentence}."
-    for name in found.at_bound:
-        yield f"{words(name)} ended at its bound."
-    for packing in (*found.packings.fitted, *found.packings.fresh):
-        if packing.failure:
-            yield f"packing {packing.seed} failed: {packing.failure}."
-    for direction in found.identifiability.directions:
-        if not direction.fixed_by_data:
-            yield f"left open by the data: {_weights(direction.weights)}."
-    if sentence_of_size := coarse(found.quality):
-        yield f"{sentence_of_size}."
-    if found.quality.get("overflow"):
-        yield "a contact list stayed too small in a run."
-
-
-def missed(features: Mapping[str, Feature]) -> Iterator[str]:
-    """One sentence for each feature that the fit did not meet, with what to do."""
-    for name, each in features.items():
-        off = abs(each.simulated - each.measured) / each.sd
-        if off > WARNED:
-            yield (
-                f"the fit did not meet {name}: {each.simulated:.4g} for {each.measured:.4g} "
-                f"measured, {off:.0f} standard deviations off; start elsewhere (--set) or free "
-                "other parameters (--free)"
-            )
 
 
 def _weights(weights: dict[str, float]) -> str:
@@ -181,7 +156,7 @@ def _directions(found: FitRecord) -> Table:
         [
             _weights(direction.weights),
             number(direction.signal_to_noise, 3),
-            "● fixed" if direction.fixed_by_data else "○ left open",
+            f"{'●' if direction.fixed_by_data else '○'} {direction.verdict}",
         ]
         for direction in found.identifiability.directions
     ]

@@ -18,8 +18,7 @@ from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import Measured, record
-from calibrate.records.fit import Feature, FitRecord
-from calibrate.reports.fit import missed
+from calibrate.records.fit import FitRecord
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import coarse, measured_json
@@ -43,7 +42,8 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     result = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
     _write_result(session.out, result, path)
     _write_history(session.out / "history.csv", result["history"])
-    figures.fit_figure(record(FitRecord, result), session.out / "fit.png")
+    found = record(FitRecord, result)
+    figures.fit_figure(found, session.out / "fit.png")
     console = Console()
     groups = {
         **{f"set '{name}'": group for name, group in result["named_sets"].items()},
@@ -54,9 +54,8 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     console.print(_parameters_table(done))
     for line in _verification(done, result):
         console.print(line, markup=False, highlight=False)
-    for line in _conclusions(done, result):
+    for line in _conclusions(done, found):
         console.print(line, markup=False, highlight=False)
-    _warn_if_coarse(console, result)
     console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
 
 
@@ -191,10 +190,10 @@ def _parameters_table(done: Calibrated) -> Table:
     for column in ("", "start", "fitted", "95 % interval", "unit"):
         table.add_column(column)
     found = done.result.identifiability
-    first = done.result.history[0]["parameters"]
+    start = done.space.start()
     for row, name in enumerate(found.names):
         low, high = found.interval[row]
-        cells = [f"{x:.4g}" for x in (first[name], found.values[row])]
+        cells = [f"{x:.4g}" for x in (start[row], found.values[row])]
         table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
     return table
 
@@ -215,19 +214,17 @@ def _verification(done: Calibrated, result: dict) -> list[str]:
     return lines
 
 
-def _conclusions(done: Calibrated, result: dict) -> list[str]:
-    """What the data fixed, what they left open, and how the fit ended."""
+def _conclusions(done: Calibrated, found: FitRecord) -> list[str]:
+    """What the data fixed, what they left open, how the fit ended, and what it warns of."""
     held = [name for name in RANGES if name not in done.space.names]
     lines = [
         f"stopped: {done.result.stopped}; {len(done.result.history)} evaluations, "
         f"{done.simulations} simulations in this start",
         "held at their starting values: " + ", ".join(held),
     ]
-    for entry in result["identifiability"]["directions"]:
-        weights = " ".join(f"{w:+.2f} {name}" for name, w in entry["weights"].items())
-        verdict = "fixed by the data" if entry["fixed_by_data"] else "LEFT OPEN by the data"
-        lines.append(f"{verdict} (signal/noise {entry['signal_to_noise']:.1f}): {weights}")
-    for name in result["at_bound"]:
-        lines.append(f"warning: {name} ended at its bound")
-    features = {name: Feature(**row) for name, row in result["features"].items()}
-    return [*lines, *(f"warning: {sentence}" for sentence in missed(features))]
+    for direction in found.identifiability.directions:
+        weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
+        verdict = {"fixed": "fixed by the data", "left open": "LEFT OPEN by the data"}
+        word = verdict.get(direction.verdict, "SEEN BY THE DATA, WHICH THE FIT MISSED")
+        lines.append(f"{word} (signal/noise {direction.signal_to_noise:.1f}): {weights}")
+    return [*lines, *(f"warning: {sentence}" for sentence in found.all_warnings())]

@@ -10,8 +10,7 @@ from rich.table import Table
 
 from calibrate.core.files import write_json, write_text
 from calibrate.designs.anova import anova
-from calibrate.designs.calibration import Designed
-from calibrate.designs.comparison import Comparison, Ending
+from calibrate.designs.comparison import Comparison, Designed, Ending
 from calibrate.designs.study import Experiment, Study, Surfaces
 from calibrate.labtests.composite import described
 from calibrate.records.base import record

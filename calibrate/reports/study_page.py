@@ -13,7 +13,6 @@ from calibrate.designs.screening import Screening
 from calibrate.designs.study import SIGNIFICANT
 from calibrate.designs.surface import Surface
 from calibrate.figures import doe as drawing
-from calibrate.figures import study as panels
 from calibrate.figures.style import panel_svg
 from calibrate.labtests.composite import described
 from calibrate.labtests.composite import label as label_of
@@ -78,7 +77,8 @@ def sentence(compared: Comparison) -> str:
         f"Of {len(judged)} slopes that matter, {agreeing} agree between surface and gradient "
         "within their joint 95 % intervals. The designs took "
         f"{designs.simulations} simulations, the gradient fit {gradients.simulations} to its best "
-        "point."
+        "point (its slopes and evaluations alone, without the scatter of packings, a choice of "
+        "parameters, slopes at the end, profiles and checks of a whole fit)."
     )
 
 
@@ -140,7 +140,7 @@ def _slopes(compared: Comparison, observable: Observable) -> Picture:
     agreeing = sum(pair.agree for pair in judged)
     label = label_of(observable)
     return Picture(
-        panel_svg(lambda axis: panels.slopes(axis, pairs, label)),
+        panel_svg(lambda axis: drawing.slopes(axis, pairs, label)),
         f"Slopes of {label} by surface against gradient: {agreeing} of {len(judged)} that matter "
         "agree.",
         f"Slopes of {label} with 95 % intervals. Filled: matters at 5 %. Crossed: the joint "
@@ -156,7 +156,7 @@ def _endings(found: StudyRecord, compared: Comparison, observable: Observable) -
         for e in compared.endings
     )
     return Picture(
-        panel_svg(lambda axis: panels.endings(axis, compared.endings, target, column, label)),
+        panel_svg(lambda axis: drawing.endings(axis, compared.endings, target, column, label)),
         f"{label} where each method ended. {ends}.",
         "Points: packings. Bars: their means. Band: measured ± scatter.",
     )
