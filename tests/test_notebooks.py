@@ -20,7 +20,7 @@ FOLDER = ROOT / "notebooks"
 BY_DEFAULT = ("01", "06")  # 05 simulates specimens of 1100 spheres: two minutes
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 PROSE = (0.4, 0.7)  # of the words
-CODE_LINES = (30, 150)
+CODE_LINES = (30, 190)
 ABSOLUTE_PATH = re.compile(r"(?<![\w.:/])/(?:home|root|work|tmp|usr|opt|var|Users)/|[A-Z]:\\\\")
 
 _spec = importlib.util.spec_from_file_location("execute", FOLDER / "execute.py")
