@@ -22,7 +22,7 @@ test-slow: $(STAMP)  ## the other tests, half an hour
 	$(TESTS) -m slow
 
 check: lint  ## lint and the fast tests, in about a minute
-	$(TESTS) -m "not thorough"
+	$(TESTS) -m "not thorough and not slow"
 
 lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .
