@@ -128,49 +128,40 @@ def export(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    """A folder with what pages take for granted: exports, a lab file, results of some commands."""
+def run(tmp_path_factory):
+    """Runs commands, with formulas in place of spheres, in a folder with what pages take for
+    granted: exports, a lab file, results of earlier commands; exit status."""
     folder = tmp_path_factory.mktemp("pages")
     for place in ("calibrate/soils", "tests/data/machine_exports"):
         shutil.copytree(ROOT / place, folder / place)
     export(folder / "export.csv")
     shutil.copy(ROOT / "calibrate/soils/trumao_2021/oedometer.csv", folder)
     shutil.copy(bundled_lab(), folder / "my_soil.toml")
-    for place in ("calibrate", "fit"):
-        shutil.copytree(ROOT / "tests/data/fit_result", folder / "results" / place)
-    shutil.copy(ROOT / "tests/data/fit_result/result.json", folder / "my_result.json")
-    return folder
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        in_place_of_spheres(monkeypatch)
+        monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+        monkeypatch.chdir(folder)
 
+        def call(*words: str) -> int:
+            monkeypatch.setattr(sys, "argv", ["calibrate", *words])
+            try:
+                cli.main()
+            except SystemExit as end:
+                return int(end.code or 0)
+            return 0
 
-@pytest.fixture
-def on_the_bench(bench, monkeypatch, capfd):
-    """Runs a command in that folder, with formulas in place of spheres; status, output, error."""
-    in_place_of_spheres(monkeypatch)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
-    monkeypatch.chdir(bench)
-
-    def call(words):
-        monkeypatch.setattr(sys, "argv", ["calibrate", *words])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        return status, *capfd.readouterr()
-
-    return call
+        assert call("fit", "--out", "results/calibrate", "--json", "my_result.json") == 0
+        assert call("audit", "--packings", "4", "--out", "results/audit") == 0
+        shutil.copytree("results/calibrate", "results/fit")
+        yield call
 
 
 @pytest.mark.slow  # half a minute each for what a library of runs is interpolated for
 @pytest.mark.parametrize("line", RUN)
-def test_commands_of_pages_run(on_the_bench, bench, line):
-    if "results/audit" in line and not (bench / "results/audit").exists():
-        assert on_the_bench(["audit", "--packings", "3", "--out", "results/audit"])[0] == 0
+def test_commands_of_pages_run(run, line, capfd):
     words = shlex.split(line)
     coarse = ["--preset", "quick"] if words[0] == "view" else []  # draws spheres, not a formula
-    status, out, error = on_the_bench([*words, *coarse])
-    assert status == 0, error
-    assert out or error
+    assert run(*words, *coarse) == 0, capfd.readouterr().err
 
 
 def test_every_verb_is_documented():
