@@ -18,11 +18,11 @@ calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in resul
 test: lint  ## lint, then the tests that take seconds, on two cores
 	$(TESTS) -m "not slow"
 
-test-slow: $(STAMP)  ## the other tests, half an hour
+test-slow: $(STAMP)  ## the other tests, some forty minutes
 	$(TESTS) -m slow
 
 check: lint  ## lint and the fast tests, in about a minute
-	$(TESTS) -m "not thorough"
+	$(TESTS) -m "not thorough and not slow"
 
 lint: $(STAMP)  ## style, format and types
 	$(BIN)/ruff check .
@@ -32,7 +32,7 @@ lint: $(STAMP)  ## style, format and types
 docs: $(STAMP)  ## the documentation as a searchable site, in build/docs/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-notebooks: $(STAMP)  ## run all notebooks in place, top to bottom
+notebooks: $(STAMP)  ## run all notebooks in place, with times; a quarter of an hour
 	$(BIN)/python notebooks/execute.py
 
 clean:  ## remove the environment, caches and build products; results/ stays

@@ -26,7 +26,6 @@ from calibrate.records.base import record
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
-IMAGES = Path(__file__).parent.parent / "docs" / "images"
 STRATEGIES = {"fit": "As fits take them", "ensemble": "All parameters in groups"}
 
 
@@ -128,8 +127,8 @@ def main() -> None:
         audits[str(seed)] = audit_json(found)
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, audits[str(seed)])
-            plotting.audit_figure(drawn, IMAGES / "audit.png")
-            plotting.curve_slopes_figure(drawn, IMAGES / "audit_curves.png")
+            plotting.audit_figure(drawn, reporting.IMAGES / "audit.png")
+            plotting.curve_slopes_figure(drawn, reporting.IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
         reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)

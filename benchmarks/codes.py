@@ -48,7 +48,7 @@ from calibrate.simulation.specimens import campaign, soil_json
 from jdem.packing.specimen import Packing
 
 WORK = reporting.CACHE / "codes"
-IMAGE = Path(__file__).parents[1] / "docs" / "images" / "codes.png"
+IMAGE = reporting.IMAGES / "codes.png"
 DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
 MADE = {  # a stiffer and stronger soil: trumao's lab file with other targets, none of them measured
     "trumao, natural state": "made soil, stiff and strong",

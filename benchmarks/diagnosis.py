@@ -282,6 +282,7 @@ def asked_for() -> list[tuple[str, ...]]:
 
 
 def main() -> None:
+    reporting.no_options(__doc__)
     parts: tuple[Callable[[], Iterator[Row]], ...] = (
         of_sealed, of_open, of_infill, of_further, of_references, of_codes, of_real_soil, of_time
     )  # fmt: skip

@@ -39,7 +39,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from support import two_spheres
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
-IMAGE = Path(__file__).parents[1] / "docs" / "images" / "export.png"
+IMAGE = reporting.IMAGES / "export.png"
 PATH = (0.02, 0.004, 0.03, -0.01)  # turning points of the overlap, radii
 TWICE = (0.5, -0.01, 1.0, -0.01)  # turning points in YADE, matched overlaps
 ONCE = (1.0, -0.01)

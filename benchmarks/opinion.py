@@ -34,6 +34,7 @@ TARGET = Path(__file__).parents[1] / "calibrate" / "discrepancy" / "comparison" 
 
 
 def main() -> None:
+    reporting.no_options(__doc__)
     some = evidences.cases()
     found, others = evidences.learn(some), evidences.by_other_folds(some)
     of_truth = [case.said(o).get(case.truth, 0.0) for case, o in zip(some, others, strict=True)]

@@ -1,5 +1,6 @@
 """What all benchmarks share: JAX's settings, provenance, JSON and Markdown files."""
 
+import argparse
 import json
 import os
 import platform
@@ -19,6 +20,7 @@ RESULTS = Path(__file__).parent / "results"  # what is committed
 SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
 OWN = ("convergence", "kills", "recovery", "sizes", "verification")  # only their script goes on
 OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
+IMAGES = Path(__file__).parents[1] / "docs" / "images"  # of pages
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -28,6 +30,13 @@ def configure(compilation_cache: bool = True) -> None:
     if compilation_cache:
         jax.config.update("jax_compilation_cache_dir", str((CACHE / "compiled").resolve()))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def no_options(what: str | None) -> None:
+    """Reads the command line of a script that has no options: so that `--help` says what it is, and
+    begins nothing that rewrites results."""
+    plain = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=what, formatter_class=plain).parse_args()
 
 
 def provenance() -> dict:

@@ -155,6 +155,7 @@ def picture(found: dict) -> None:
         axis.set(xlabel="spheres across the specimen, D/d (-)", ylabel=f"mean {label} ± s.e.")
         axis.axvline(8, color="0.7", ls=":", lw=1)
         axis.legend(fontsize=8)
+    PICTURE.parent.mkdir(parents=True, exist_ok=True)  # runs may be kept elsewhere
     figure.savefig(PICTURE, dpi=130)
     plt.close(figure)
 

@@ -77,6 +77,7 @@ def measured(count: int, exponent: float) -> dict:
 
 
 def main() -> None:
+    reporting.no_options(__doc__)
     reporting.configure()
     found = [measured(*chain) for chain in CHAINS]
     rows = [

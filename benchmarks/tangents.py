@@ -285,7 +285,7 @@ def main() -> None:
     origin = reporting.provenance()
     content = {**origin, "seed": 0, "packings": chosen.packings, "sizes": found,
                "variants": found[str(SHOWN)]["variants"]}  # fmt: skip
-    figure(found, Path("docs/images/tangents.png"))
+    figure(found, reporting.IMAGES / "tangents.png")
     reporting.write("tangents", content, markdown(found, chosen.packings, origin))
 
 

@@ -133,6 +133,7 @@ def picture(found: dict) -> None:
                   label="specimens at fine and their mean")  # fmt: skip
         axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=test)
     axes[0].legend(fontsize=8)
+    PICTURE.parent.mkdir(parents=True, exist_ok=True)  # runs may be kept elsewhere
     figure.savefig(PICTURE, dpi=120)
     plt.close(figure)
 

@@ -1,16 +1,20 @@
 """Runs notebooks from top to bottom and keeps what they show: `python notebooks/execute.py`.
 
-Executed in place, all or those named.  Timings, and all metadata that differ from machine
-to machine, are left out, so that equal results are equal files.
+Executed in place, all or those named.  A cell that fails ends its notebook, which then stays as it
+was; the others go on.  How long each took is printed, and the processor's time (other work on the
+machine lengthens only the first).  Timings, and all metadata that differ from
+machine to machine, are left out of the files, so that equal results are equal files.
 """
 
+import argparse
 import os
-import sys
+import resource
 import time
 from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
 from nbformat import NotebookNode
 
 FOLDER = Path(__file__).parent
@@ -50,12 +54,28 @@ def clean(notebook: NotebookNode) -> NotebookNode:
     return notebook
 
 
+def processor_time() -> float:
+    """Seconds of processor time of all kernels that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def main() -> None:
-    named = [Path(name) for name in sys.argv[1:]] or notebooks()
-    for path in named:
-        begun = time.perf_counter()
-        nbformat.write(executed(path, path.parent), path)
-        print(f"{path.name}: {time.perf_counter() - begun:.0f} s", flush=True)
+    plain = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
+    parser.add_argument("notebooks", nargs="*", type=Path, help="default: all")
+    failed = []
+    for path in parser.parse_args().notebooks or notebooks():
+        begun, used, ending = time.perf_counter(), processor_time(), "runs"
+        try:
+            nbformat.write(executed(path, path.parent), path)
+        except CellExecutionError as error:
+            print(error, flush=True)
+            failed.append(path.name)
+            ending = "FAILS"
+        taken, used = time.perf_counter() - begun, processor_time() - used
+        print(f"{path.name:28s} {ending:5s} {taken:5.0f} s, processor {used:5.0f} s", flush=True)
+    raise SystemExit(f"these notebooks fail: {', '.join(failed)}" if failed else 0)
 
 
 if __name__ == "__main__":

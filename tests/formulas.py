@@ -13,8 +13,12 @@ from two_tests import two_tests
 from calibrate.core.progress import Silent
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
+from calibrate.simulation.executors import Here
 from calibrate.simulation.resolution import PRESETS, virtual_lab
+from jdem.bodies.spheres import Spheres
+from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.packing.specimen import Packing
 
 LAB = load_lab(bundled_lab())
 BASE = base_soil(LAB)
@@ -96,3 +100,18 @@ class Formulas:
         self.simulated += 1
         run = specimen(soil, seed)
         return replace(run, failure="the bed exploded") if self.fails(soil) else run
+
+
+def in_place_of_spheres(monkeypatch) -> None:
+    """Whatever this process simulates from now on is a formula, of any number of spheres."""
+
+    def simulate(place, lab, bed, packing, soil):
+        return specimen(soil, round(1e6 * float(packing.height)))
+
+    def prepare(place, bed, seed, soil):
+        ones = jnp.ones(bed.count)
+        return Packing(Vector(ones, ones, ones), Spheres(ones, ones), 1.0 + seed, 1.0)
+
+    monkeypatch.setattr(Here, "warm_up", lambda place, lab, packing, soil, say: None)
+    monkeypatch.setattr(Here, "simulate", simulate)
+    monkeypatch.setattr(Here, "prepare", prepare)

@@ -8,6 +8,7 @@ import ast
 import json
 import re
 import shlex
+import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -19,8 +20,11 @@ import numpy as np
 import pytest
 import typer
 import yaml
+from formulas import BASE, in_place_of_spheres, specimen
 
 from calibrate import cli
+from calibrate.io.lab import bundled_lab
+from calibrate.io.soil import with_values
 from calibrate.labtests.base import Pace
 from calibrate.labtests.measured import Cylinder
 from calibrate.reports.effects import PLAIN
@@ -102,6 +106,62 @@ def test_commands_and_their_options_exist(page):
         known = {o for p in PROGRAM.commands[verb].params for o in (*p.opts, *p.secondary_opts)}
         given = {word.partition("=")[0] for word in arguments if word.startswith("--")}
         assert given <= known, (verb, given - known)
+
+
+# ------------------------------------------------------------------ commands, run in their order
+
+HOURS = ("library", "discrepancy", "withheld")  # small ones run in the tests of each
+RUN = list(dict.fromkeys(
+    shlex.join(line) for page in NOW for line in commands(page)
+    if line[0] not in HOURS and "--dask" not in line
+))  # fmt: skip
+
+
+def export(path: Path) -> None:
+    """Three specimens in the mould, a fifth stiffer than the bundled soil, by formulas."""
+    stiffer = with_values(BASE, {"shear_modulus": 1.2 * float(BASE.shear_modulus)})
+    rows = ["Specimen,Displacement (mm),Force (N)"]
+    for number in range(1, 4):
+        curve = specimen(stiffer, 900 + number).curves["confined"]
+        rows += [f"{number},{way:.5f},{force:.4f}" for way, force in curve]
+    path.write_text("\n".join(rows), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Runs commands, with formulas in place of spheres, in a folder with what pages take for
+    granted: exports, a lab file, results of earlier commands; exit status."""
+    folder = tmp_path_factory.mktemp("pages")
+    for place in ("calibrate/soils", "tests/data/machine_exports"):
+        shutil.copytree(ROOT / place, folder / place)
+    export(folder / "export.csv")
+    shutil.copy(ROOT / "calibrate/soils/trumao_2021/oedometer.csv", folder)
+    shutil.copy(bundled_lab(), folder / "my_soil.toml")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        in_place_of_spheres(monkeypatch)
+        monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+        monkeypatch.chdir(folder)
+
+        def call(*words: str) -> int:
+            monkeypatch.setattr(sys, "argv", ["calibrate", *words])
+            try:
+                cli.main()
+            except SystemExit as end:
+                return int(end.code or 0)
+            return 0
+
+        assert call("fit", "--out", "results/calibrate", "--json", "my_result.json") == 0
+        assert call("audit", "--packings", "4", "--out", "results/audit") == 0
+        shutil.copytree("results/calibrate", "results/fit")
+        yield call
+
+
+@pytest.mark.slow  # half a minute each for what a library of runs is interpolated for
+@pytest.mark.parametrize("line", RUN)
+def test_commands_of_pages_run(run, line, capfd):
+    words = shlex.split(line)
+    coarse = ["--preset", "quick"] if words[0] == "view" else []  # draws spheres, not a formula
+    assert run(*words, *coarse) == 0, capfd.readouterr().err
 
 
 def test_every_verb_is_documented():

@@ -173,7 +173,9 @@ class Laboratory:
     def _run(self, case: WithheldCase, number: int, values, strengths, loose: float) -> Run:
         simulator = self._simulator(case.size)
         soil = with_values(base_soil(simulator.lab), {**self.centre, **values})
-        pool = len(POROSITIES) * SPHERES.index(case.spheres) + POROSITIES.index(case.porosity)
+        usual = case.spheres in SPHERES  # of others, each number has a pool of its own too
+        kind = SPHERES.index(case.spheres) if usual else case.spheres
+        pool = len(POROSITIES) * kind + POROSITIES.index(case.porosity)
         seed = case.first_seed + 1000 * pool + case.packings[number]
         given = [strengths.get(name, 0.0) for name in self._effects]
         setting = (SMOOTHING, case.porosity + loose, PACE)

@@ -16,8 +16,8 @@ out differently before the change too, this is not the machine to tell.  A file 
 others by its spheres, their radii being drawn with the seed, and by the bed's density.
 """
 
+import argparse
 import shutil
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -114,10 +114,11 @@ def _is(packing: Packing | None, wanted: Specimen, seed: int) -> bool:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rekey", action="store_true", help="rename beds that settle as before")
+    chosen = parser.parse_args()
     configure()
-    if sys.argv[1:] == ["--rekey"]:
+    if chosen.rekey:
         print(f"{rekey()} of {len(WANTED)} beds renamed")
-    elif not sys.argv[1:]:
-        make()
     else:
-        sys.exit(f"usage: {sys.argv[0]} [--rekey]")
+        make()
