@@ -10,9 +10,7 @@ its own, and so that everybody's are the same.
 
 import errno
 import io
-import os
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,6 +23,7 @@ import xarray as xr
 from filelock import BaseFileLock, FileLock, Timeout
 
 from calibrate.core.errors import CalibrationError
+from calibrate.core.files import whole, write_bytes
 from calibrate.simulation.run import Run
 from calibrate.simulation.seal import sealed, unsealed
 from jdem.packing.specimen import Packing, load, save
@@ -70,18 +69,13 @@ class Store:
 
     def keep_packing(self, name: str, packing: Packing) -> None:
         path = self.packing_path(name)
-        draft = path.with_name(f"{name}.{uuid.uuid4().hex}.npz")
-        with _explained(self.folder):
-            try:
-                save(packing, draft)
-                _write(path, sealed(draft.read_bytes()))
-            finally:
-                for left in (draft, draft.with_suffix(".part.npz")):
-                    left.unlink(missing_ok=True)
+        with _explained(self.folder), whole(path) as part:
+            save(packing, part)
+            part.write_bytes(sealed(part.read_bytes()))
 
     def keep_run(self, key: str, run: Run) -> None:
         with _explained(self.folder):
-            _write(self.run_path(key), sealed(_bytes_of(run)))
+            write_bytes(self.run_path(key), sealed(_bytes_of(run)))
 
     @contextmanager
     def claim(self, name: str, patient: bool) -> Iterator[bool]:
@@ -138,17 +132,6 @@ def _explained(folder: Path) -> Iterator[None]:
             f"{folder}: {reason}; make room or give another --out, then the same command goes on "
             "from what is kept"
         ) from None
-
-
-def _write(path: Path, data: bytes) -> None:
-    """The whole file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _bytes_of(run: Run) -> bytes:
