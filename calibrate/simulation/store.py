@@ -1,6 +1,11 @@
 """The cache on disk: packings/ and runs/ by content, every entry whole, checked and written once.
 
-Runs are NetCDF, packings .npz, both with a seal (`calibrate.simulation.seal`).  An entry is
+Runs are NetCDF, packings .npz, both with a seal at the end, so that damage is noticed before
+anything parses the bytes:
+
+    content, newline, "sha256 ", 64 hexadecimal digits, newline
+
+HDF5 and zip files may be followed by further bytes, so a sealed file opens as it is.  An entry is
 written beside its place and renamed into it.  While an entry is made its lock in claims/ is
 held; the operating system frees it when the process dies, so no claim outlives its owner.
 
@@ -9,6 +14,7 @@ its own, and so that everybody's are the same.
 """
 
 import errno
+import hashlib
 import io
 import time
 from collections.abc import Iterator
@@ -25,13 +31,29 @@ from filelock import BaseFileLock, FileLock, Timeout
 from calibrate.core.errors import CalibrationError
 from calibrate.core.files import whole, write_bytes
 from calibrate.simulation.run import Run
-from calibrate.simulation.seal import sealed, unsealed
 from jdem.packing.specimen import Packing, load, save
 
 NETCDF = "h5netcdf"
 OBSERVED = "observable "  # before the names of observables among an entry's attributes
 POLL = 0.2  # s between looks at a lock that another process holds
 ABANDONED = 3600.0  # s; a part file older than this has no writer any more
+MARK = b"\nsha256 "
+LENGTH = len(MARK) + 64 + 1  # of a seal
+
+
+def sealed(content: bytes) -> bytes:
+    """The content with its seal."""
+    return content + MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
+
+
+def unsealed(data: bytes) -> tuple[bytes, bool]:
+    """The content, and whether a seal was there; ValueError where it is broken."""
+    content, seal = data[:-LENGTH], data[-LENGTH:]
+    if not seal.startswith(MARK):
+        return data, False
+    if sealed(content) != data:
+        raise ValueError("the checksum does not fit the content")
+    return content, True
 
 
 @dataclass(frozen=True)
