@@ -8,7 +8,7 @@ import atexit
 import gc
 import os
 import sys
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -19,13 +19,30 @@ from calibrate.core.errors import CalibrationError, InputError, one_line
 # a diagnosis took 25 s instead of 17 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-app = typer.Typer(
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Calibrate a virtual soil against laboratory tests, by gradient.",
-)
+PACKAGE = "differentiable-soil"  # under which it is installed
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 commands.register(app)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        here = ".".join(map(str, sys.version_info[:3]))
+        print(f"calibrate {version(PACKAGE)}, JAX {version('jax')}, Python {here}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Say it and stop."),
+    ] = False,
+) -> None:
+    """Calibrate a virtual soil against laboratory tests, by gradient."""
 
 
 def main() -> None:

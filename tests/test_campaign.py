@@ -30,9 +30,9 @@ from calibrate.io.soil import with_values
 from calibrate.simulation import NETCDF, compiled, side_by_side, store
 from calibrate.simulation.batches import InBatches, _Queue
 from calibrate.simulation.run import QUALITY
-from calibrate.simulation.seal import LENGTH, sealed, unsealed
 from calibrate.simulation.session import Session, place_of
 from calibrate.simulation.specimens import coarse, simulation_json
+from calibrate.simulation.store import LENGTH, sealed, unsealed
 
 SEEDS = (0, 1)
 

@@ -89,6 +89,7 @@ def test_curves_in_a_subfolder_and_with_a_byte_order_mark(folder):
     (folder / "runs").mkdir()
     (folder / "runs" / "a.csv").write_text(CURVE, encoding="utf-8-sig")
     text = GOOD.replace('"confined_1.csv"', '"runs/a.csv"').replace('"travel"', '"time"')
+    text = f'accept = ["curves[0].displacement.unit"]\n{text}'  # 1 s is no way of 1 m
     (folder / "lab.toml").write_text(text, encoding="utf-8-sig")
     (curve,) = load_lab(folder / "lab.toml").curves
     np.testing.assert_allclose(curve.displacement_mm[:2], [0, 1000])
@@ -137,7 +138,7 @@ BAD_ENTRIES = [
     ('height = "100 mm"', 'height = "5 m^9^9^9"', "specimen.height", "not understood"),
     ('height = "100 mm"', 'heigth = "100 mm"', "specimen.heigth", "did you mean 'height'?"),
     ('height = "100 mm"', "", "specimen.height", 'add height = "100 mm"'),
-    ('height = "100 mm"', 'height = "2 m"', "specimen.height", "higher than its mould"),
+    ('height = "100 mm"', 'height = "200 mm"', "specimen.height", "higher than its mould"),
     ('name = "silt loam"', "", "soil.name", "add name"),
     ('name = "silt loam"', 'name = ""', "soil.name", "at least 1 character"),
     ('"1629.4 kg/m^3"', '"-1 kg/m^3"', "soil.density[0]", "positive density"),

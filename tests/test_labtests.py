@@ -200,7 +200,7 @@ BAD = {
                       "tests[0].protocol[2].step", "remove_mould"),
     "displacement after force": ('to = "500 N"', 'to = "5 mm"', "tests[0].protocol[4].to",
                                  "go to a force"),
-    "all strain": ('to = "500 N"', 'to = "120 %"', "tests[0].protocol[4].to", "5 %"),
+    "all strain": ('to = "500 N"', 'to = "120 %"', "tests[0].protocol[4].to", "90 %"),
     "both axes": ("points = true", 'displacement = { column = "x", unit = "mm" }',
                   "tests[0].curves[0].displacement", "void_ratio"),
     "no axis": ('strain = { column = "strain (%)", unit = "%" }\n', "",

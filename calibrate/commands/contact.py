@@ -38,6 +38,7 @@ def contact_command(
     points = parse_path(path_um)
     values = parse_changes(changes or [])
     pair = single_contact.Spheres(*parse_pair(radius_mm, young_mpa, poisson))
+    check_overlap(points, pair.radius)
     result = single_contact.drive(pair, values, points, smooth)
     write_contact(result, out, json)
 
@@ -53,6 +54,15 @@ def parse_path(path_um: str) -> list[float]:
             COMMAND_LINE, "--path-um", f"'{path_um}' is no list of numbers", "write 20,2,32,-28"
         )
     return points
+
+
+def check_overlap(points: list[float], radius: float) -> None:
+    """Refuses overlaps (m) of spheres that would have gone through each other."""
+    deepest = max(points)
+    if deepest >= radius:
+        problem = f"an overlap of {1e6 * deepest:.6g} um is not below the radius"
+        repair = f"give overlaps below {1e6 * radius:.6g} um, or larger spheres by --radius-mm"
+        raise InputError(COMMAND_LINE, "--path-um", problem, repair)
 
 
 def parse_pair(radius_mm: float, young_mpa: float, poisson: float) -> tuple[float, float, float]:

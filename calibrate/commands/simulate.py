@@ -52,3 +52,4 @@ def simulate_command(
     work = session.campaign(out, values if prepare_with_soil else None)
     result, runs = specimens.simulate(session.lab, session.preset, values, seed, work)
     write_simulation(session, result, runs, json)
+    specimens.check_some_sound(runs)

@@ -2,6 +2,9 @@
 
 import json
 import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,7 @@ def make_folder(out: Path, option: str = "--out") -> None:
     """Creates the folder for results, and says so in one line where that is impossible."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / f".write-{os.getpid()}"
+        probe = part_of(out / ".write")
         probe.touch()
         probe.unlink()
     except OSError as error:
@@ -31,15 +34,52 @@ def check_writable(path: Path | None) -> None:
     make_folder(path.parent, "--json")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Writes a file whole or not at all."""
+@contextmanager
+def whole(path: Path, suffix: str = "") -> Iterator[Path]:
+    """Where to write what becomes the file `path` at the end of the block, whole or not at all.
+
+    Every writer gets a name of its own, so that two processes, or two threads, may write the same
+    file at once: the last one's stays.  `suffix` is for writers that go by the end of a name.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + f".{os.getpid()}.part")
+    part = part_of(path, suffix)
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        yield part
+        os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def part_of(path: Path, suffix: str = "") -> Path:
+    """A name beside `path` that no other writer has."""
+    return path.with_name(f"{path.name}.{os.getpid()}-{uuid.uuid4().hex[:12]}.part{suffix}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all."""
+    with whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def write_once(path: Path, text: str) -> None:
+    """Writes a file that is not there yet; of several writers at once, the first one's stays."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = part_of(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.link(part, path)
+    except FileExistsError:
+        return
+    except OSError:  # a file system without links
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file whole or not at all."""
+    with whole(path) as part:
+        part.write_bytes(content)
 
 
 def write_json(path: Path, content: dict, indent: int | None = 1) -> None:

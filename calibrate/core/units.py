@@ -37,6 +37,30 @@ STRAIN = Kind("strain", "", "5 %")
 STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 VOID_RATIO = Kind("void ratio", "", "1.2")
 
+
+@dataclass(frozen=True)
+class Range:
+    """Where the quantities of one entry usually lie: from `low` to `high`, both of `kind`.
+
+    Of a stress, the entry may be a force too, which counts by the specimen's area; of a strain, a
+    length, which counts by its height.
+    """
+
+    kind: Kind
+    low: str
+    high: str
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Both ends in `kind.unit`."""
+        return quantity(self.low, self.kind), quantity(self.high, self.kind)
+
+    def holds(self, value: float) -> bool:
+        """Whether a value (`kind.unit`) is usual; 0 or less is allowed, or refused, elsewhere."""
+        low, high = self.ends
+        return value <= 0 or low * (1 - 1e-9) <= value <= high * (1 + 1e-9)
+
+
 UNITS = pint.UnitRegistry()
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
@@ -74,6 +98,12 @@ def quantity(text: Any, kind: Kind) -> float:
     if not math.isfinite(value):
         raise BadValue(f"{shown(text)} is too large", repair)
     return value
+
+
+def number_of(text: Any) -> str:
+    """The number before the unit of a quantity, as written; "" where there is none."""
+    match = _QUANTITY.fullmatch(text.strip()) if isinstance(text, str) else None
+    return match[1] if match else ""
 
 
 def first_of(text: Any, kinds: Sequence[Kind], expected: str) -> tuple[Kind, float]:

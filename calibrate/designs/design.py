@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.errors import BadValue
+from calibrate.core.files import whole
 from calibrate.designs.factors import Factor, natural_points
 
 CODED = "(coded)"  # what follows a factor's name in the heading of its coded column
@@ -90,7 +91,7 @@ class Design:
         Lines that begin with # describe the design and its factors; keep them, and fill in the
         responses.
         """
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
+        with whole(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows(self._sheet(responses))
 
     def _sheet(self, responses: Sequence[str]) -> Iterator[list]:

@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from calibrate.core.files import whole
 from calibrate.figures.style import DARK, MIDDLE, save
 from calibrate.view.contacts import Contacts
 from calibrate.view.frames import Frame
@@ -53,8 +54,11 @@ def bed_animation(frames: list[Frame], contacts: list[Contacts], path: Path) -> 
         return []
 
     moving = FuncAnimation(figure, draw, frames=len(frames))
-    moving.save(path, writer=PillowWriter(fps=6), dpi=100)
-    plt.close(figure)
+    try:
+        with whole(path, path.suffix) as part:
+            moving.save(part, writer=PillowWriter(fps=6), dpi=100)
+    finally:
+        plt.close(figure)
 
 
 def _bed(axis: Axes, frame: Frame, touching: Contacts, top: float, window) -> None:

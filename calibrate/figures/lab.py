@@ -9,9 +9,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib import font_manager
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from calibrate.figures.style import DARK, MIDDLE
+from calibrate.figures.style import DARK, MIDDLE, save
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
@@ -44,7 +43,7 @@ def preview_figure(export: Export, path: Path) -> None:
     below = figure.add_subplot(grid[rows, :])
     below.set_axis_off()
     below.text(0, 1, "\n".join(lines), fontsize=8, va="top", family=_fonts())
-    _save(figure, path)
+    save(figure, path)
 
 
 def _fonts() -> list[str]:
@@ -116,8 +115,3 @@ def _assumptions(export: Export) -> list[str]:
     if len(lines) > MOST_LINES:
         lines = [*lines[:MOST_LINES], "... the rest stands in the lab file"]
     return lines
-
-
-def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=130)
-    plt.close(figure)

@@ -16,6 +16,8 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calibrate.core.files import whole
+
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 MAP = "cividis"
 PANEL = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
@@ -23,12 +25,10 @@ PANEL = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 
 def save(figure: Figure, path: Path) -> None:
     """Writes the figure whole or not at all, and forgets it."""
-    part = path.with_name(f".{path.name}.part")
     try:
-        figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
-        part.replace(path)
+        with whole(path) as part:
+            figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
     finally:
-        part.unlink(missing_ok=True)
         plt.close(figure)
 
 

@@ -52,7 +52,7 @@ _GLUED = re.compile(
     r"(.*?[a-z])((?:[kKMG]|da)?N|[kKMGh]?P[aA]|mm|cm|um|in|sec|min|kgf?|lbf?s?|psi|kips?)"
 )
 _NEW_WORD = re.compile(r"(?<=[a-zß-ÿ])(?=[A-Z0-9‰%])|(?<=[^\W\d_a-zA-Z])(?=[A-Za-z‰%])")
-_NUMBERED = re.compile(r"(.*[^\W\d])[\s_.#-]+(\d{1,3})")  # "displacement_mm_1"
+_NUMBERED = re.compile(r"(.*[^\W\d])[\s_.#]+(\d{1,3})")  # "displacement_mm_1"
 _TIMES = re.compile(r"(?:\d+[ .,/^-]\s?\d+|[x×*]\s?\d+|\d{2,})$", re.IGNORECASE)  # 0.01, 10
 _MOST = 4  # words of a unit: "kg per sq cm"
 _IN = ("in", "en")  # before a unit

@@ -14,7 +14,8 @@ from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import FRACTION, STRESS, Kind, positive_quantity, unit_factor
 from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
-from calibrate.io.labfile import check_parameter, read_tables
+from calibrate.io.labfile import check_parameter, checked_tables, read_toml
+from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
 from calibrate.io.tables import ParameterTable
 from calibrate.labtests.base import AbstractLabTest
@@ -141,8 +142,10 @@ class TestedSpecimen:
 
 def load_lab(path: Path) -> Lab:
     """The lab file at `path`, checked and converted; raises `InputError`."""
-    tables = read_tables(Path(path))
-    file = str(path)
+    file, raw = str(path), read_toml(Path(path))
+    usual = Plausibility(file, _accepted(raw))
+    usual.tables(raw)
+    tables = checked_tables(raw, file)
     stated = stated_tests(tables, file)
     _check_something_measured(stated, file)
     cylinders = _cylinders(stated, tables.specimen.cylinder())
@@ -155,13 +158,20 @@ def load_lab(path: Path) -> Lab:
         water_content=tuple(tables.soil.water_content),
         specimen=tables.specimen.cylinder(),
         tests=stated.tests,
-        targets=_targets(stated, cylinders, Path(path)),
-        curves=_curves(stated, cylinders, Path(path)),
+        targets=_targets(stated, cylinders, Path(path), usual),
+        curves=_curves(stated, cylinders, Path(path), usual),
         particles=Particles(**dict(tables.particles)),
         parameters={n: _choice(n, table, file) for n, table in tables.parameters.items()},
         named_sets={n: _named_set(n, table, file) for n, table in tables.named_sets.items()},
     )
+    usual.finish()
     return _as_its_conventions(lab)
+
+
+def _accepted(raw: dict[str, Any]) -> list[str]:
+    """The entries that the file accepts though they are unusual, as far as it can be read."""
+    given = raw.get("accept")
+    return [name for name in given if isinstance(name, str)] if isinstance(given, list) else []
 
 
 def _as_its_conventions(lab: Lab) -> Lab:
@@ -189,7 +199,9 @@ def _check_something_measured(stated: StatedTests, file: str) -> None:
         raise InputError(file, "targets", "nothing measured is given", repair)
 
 
-def _targets(stated: StatedTests, cylinders: Sequence[Cylinder], path: Path) -> dict[str, Target]:
+def _targets(
+    stated: StatedTests, cylinders: Sequence[Cylinder], path: Path, usual: Plausibility
+) -> dict[str, Target]:
     """The scalar targets that are given, by observable, in the order of the tests."""
     called = names_of(stated.tests)
     found: dict[str, Target] = {}
@@ -198,6 +210,9 @@ def _targets(stated: StatedTests, cylinders: Sequence[Cylinder], path: Path) -> 
         if name in found:
             raise InputError(str(path), target.field, f"{name} is given twice", "give it once")
         found[name] = _target(target, cylinders[target.test], path)
+        if target.table.file is not None:
+            place = cylinders[target.test], f"{target.field}.unit"
+            usual.repeats(found[name].mean, target.observable, *place)
     return found
 
 
@@ -252,21 +267,21 @@ def _by_size(target: StatedTarget, cylinder: Cylinder) -> tuple[Kind, float]:
     return FRACTION, 1e3 * cylinder.height
 
 
-def _curves(stated: StatedTests, cylinders: Sequence[Cylinder], path: Path) -> tuple[Curve, ...]:
+def _curves(
+    stated: StatedTests, cylinders: Sequence[Cylinder], path: Path, usual: Plausibility
+) -> tuple[Curve, ...]:
     """The measured curves; the same columns of a file given twice would be a false repeat."""
-    seen = set()
+    seen, found = set(), []
     for curve in stated.curves:
         key = curve.table.model_copy(update={"test": None}).model_dump_json()
         if key in seen:
             problem = f"{shown(curve.table.file)} is listed twice"
             raise InputError(str(path), f"{curve.field}.file", problem, "list it once")
         seen.add(key)
-    return tuple(
-        read_curve(
-            curve.table, stated.tests[curve.test].called, cylinders[curve.test], path, curve.field
-        )
-        for curve in stated.curves
-    )
+        test, cylinder = stated.tests[curve.test], cylinders[curve.test]
+        found.append(read_curve(curve.table, test.called, cylinder, path, curve.field))
+        usual.curve(found[-1], curve.table, cylinder, curve.field, test.with_soil)
+    return tuple(found)
 
 
 def _check_protocols(stated: StatedTests, cylinders: Sequence[Cylinder], file: str) -> None:

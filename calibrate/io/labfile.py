@@ -62,17 +62,25 @@ def read_text(path: Path) -> str:
         raise BadValue(f"it cannot be read ({error.strerror})", "check its permissions") from None
 
 
-def read_tables(path: Path) -> AbstractLabTables:
-    """The checked tables of the lab file at `path`; `InputError` for the first thing wrong."""
+def read_toml(path: Path) -> dict[str, Any]:
+    """What the lab file at `path` says, unchecked; `InputError` where it is no TOML."""
     try:
-        return LabTables.model_validate(tomllib.loads(read_text(path)))
+        return tomllib.loads(read_text(path))
     except BadValue as bad:
         raise bad.at(str(path), "") from None
-    except ValidationError as error:
-        raise explained(error).at(str(path), "") from None
     except (ValueError, RecursionError) as error:
         reason = str(error) or "nested too deeply"
         raise InputError(str(path), "", f"not valid TOML: {reason}", "correct that line") from None
+
+
+def checked_tables(raw: dict[str, Any], file: str) -> AbstractLabTables:
+    """The tables of a lab file, checked; `InputError` for the first thing wrong."""
+    try:
+        return LabTables.model_validate(raw)
+    except BadValue as bad:
+        raise bad.at(file, "") from None
+    except ValidationError as error:
+        raise explained(error).at(file, "") from None
 
 
 def explained(error: ValidationError) -> BadValue:

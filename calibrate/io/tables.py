@@ -16,6 +16,7 @@ from calibrate.core.tables import (
     Text,
     required,
 )
+from calibrate.core.units import DENSITY, FRACTION, LENGTH, Range
 from calibrate.labtests.composite import PLAIN
 from calibrate.labtests.measured import CurveTable, SpecimenTable, TargetTable
 from jdem.materials.conventions import DEFAULT
@@ -26,15 +27,19 @@ class SoilTable(AbstractTable):
 
     name: Text = required('name = "silt loam, field 3"')
     source: str = ""
-    density: list[Density] = Field(default_factory=list)
-    water_content: list[Fraction] = Field(default_factory=list)
+    density: Annotated[list[Density], Range(DENSITY, "200 kg/m^3", "3500 kg/m^3")] = Field(
+        default_factory=list
+    )
+    water_content: Annotated[list[Fraction], Range(FRACTION, "0.5 %", "300 %")] = Field(
+        default_factory=list
+    )
 
 
 class ParticlesTable(AbstractTable):
     """How the soil is represented; the reference diameter in m, the porosity that of the bed;
     conventions by name (`calibrate.io.conventions`)."""
 
-    reference_diameter: Length | None = None
+    reference_diameter: Annotated[Length | None, Range(LENGTH, "0.1 um", "20 mm")] = None
     poisson_ratio: float = Field(default=0.3, ge=0, lt=0.5)
     porosity: float | None = Field(default=None, gt=0, lt=1)
     conventions: str = DEFAULT
@@ -56,8 +61,10 @@ def _as_table(entry: Any) -> Any:
 
 
 class AbstractLabTables(AbstractTable):
-    """What every lab file has; `tests` are read by `calibrate.io.labfile`."""
+    """What every lab file has; `tests` are read by `calibrate.io.labfile`; `accept` names the
+    entries whose values are meant though they are unusual (`calibrate.io.plausible`)."""
 
+    accept: list[Text] = Field(default_factory=list)
     soil: SoilTable = required("a table [soil] with the soil's name")
     specimen: SpecimenTable = required("a table [specimen] with diameter and height")
     tests: list[dict[str, Any]] = Field(default_factory=list)

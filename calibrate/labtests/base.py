@@ -12,14 +12,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.tables import AbstractTable, Text
-from calibrate.core.units import FORCE, MILLIMETRES, Kind
-from calibrate.labtests.features import AbstractFeature, path_features
+from calibrate.core.units import FORCE, MILLIMETRES, STRAIN, STRESS, Kind, Range
+from calibrate.labtests.features import AbstractFeature, cyclic_course, path_features
 from calibrate.labtests.measured import Curve, CurveTable, Cylinder, SpecimenTable, TargetTable
-from calibrate.labtests.protocol import MOVING, StepTable, check_protocol, program
+from calibrate.labtests.protocol import (
+    MOVING,
+    StepTable,
+    check_protocol,
+    program,
+    written_course,
+)
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.protocol import Protocol
 from jdem.observables import AbstractGauge
@@ -28,6 +35,8 @@ STROKE = 0.35  # largest compression that is simulated, as a share of the height
 LONGEST_NAME = 60
 _STRANGE = re.compile(r"[^\w .+-]")
 UNITS = {"mm": MILLIMETRES, "N": FORCE}
+# Where what is measured usually lies: of the specimen's height, and on its area.
+USUAL = {"mm": Range(STRAIN, "0.01 %", "90 %"), "N": Range(STRESS, "0.05 kPa", "20 MPa")}
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,12 @@ class Observable:
     within: float
     drawn: bool = False
     symbol: str = ""
+    usually: Range | None = None
+
+    @property
+    def usual(self) -> Range:
+        """Where its values usually lie."""
+        return self.usually or USUAL[self.unit]
 
     @property
     def short(self) -> str:
@@ -145,7 +160,21 @@ class AbstractLabTest(AbstractTable):
 
     def refusal(self, curve: Curve) -> BadValue | None:
         """Why a measured curve cannot be compared with this test; None if it can."""
-        return None
+        return None if self.protocol else self.cyclic(curve)
+
+    def cyclic(self, curve: Curve) -> BadValue | None:
+        """The protocol that a curve followed which is loaded several times."""
+        course = () if curve.points else cyclic_course(curve.displacement_mm, curve.force_n)
+        if not course:
+            return None
+        loadings = (len(course) + 1) // 2
+        problem = f"the curve is loaded {loadings} times, and the test {self.called} once"
+        return BadValue(problem, f"give the test {written_course(course)}")
+
+    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
+        """Why the number read off a simulated curve (points, 2; mm, N) is not what the observable
+        is called; "" if it is."""
+        return ""
 
     def guides(self) -> tuple[float, ...]:
         """Forces (N) that a figure of the curve marks."""

@@ -5,6 +5,7 @@ al. 2023, Sustainability 15, 15079.
 """
 
 from collections.abc import Sequence
+from typing import Annotated
 
 from pydantic import model_validator
 
@@ -18,6 +19,7 @@ from calibrate.labtests.features import (
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
+from calibrate.labtests.protocol import LOAD, LOW_LOAD, PLATEN
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.observables import DepressionDepth
@@ -53,10 +55,10 @@ class ConfinedTest(AbstractLabTest):
         "mould compression",
     )
 
-    rate: Speed = 8e-3
-    pressed_at: Speed | None = None
-    force_low: Force = 200.0
-    force_high: Force = 400.0
+    rate: Annotated[Speed, PLATEN] = 8e-3
+    pressed_at: Annotated[Speed | None, PLATEN] = None
+    force_low: Annotated[Force, LOW_LOAD] = 200.0
+    force_high: Annotated[Force, LOAD] = 400.0
     greased: bool = True
     fresh_grease: bool = False
 
@@ -103,8 +105,10 @@ class ConfinedTest(AbstractLabTest):
         return found
 
     def refusal(self, curve: Curve) -> BadValue | None:
-        if self.protocol or curve.force_n.max() >= REACHED * self.force_high:
+        if self.protocol:
             return None
+        if curve.force_n.max() >= REACHED * self.force_high:
+            return self.cyclic(curve)
         return BadValue(
             f"the largest force is {curve.force_n.max():.4g} N, below {self.called}.force_high",
             f"give a curve that reaches {self.force_high:g} N, or lower force_high",

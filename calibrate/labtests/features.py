@@ -182,6 +182,20 @@ def turning_rows(force: np.ndarray) -> list[int]:
     return [*turns, extreme] if extreme != turns[-1] else turns
 
 
+def cyclic_course(displacement: np.ndarray, force: np.ndarray) -> tuple[float, ...]:
+    """Forces (N) between which a record goes up and down again, beginning with the end of its
+    first loading; empty where it is loaded only once.  Where the force falls while the platen goes
+    on, a specimen breaks and nothing is unloaded."""
+    rows = turning_rows(force)
+    kept = [rows[1]] if len(rows) > 1 and force[rows[1]] > force[rows[0]] else []
+    for begin, end in pairwise(rows[1:] if kept else ()):
+        falls = force[end] < force[begin]
+        if falls and displacement[end] >= displacement[begin]:
+            return ()
+        kept.append(end)
+    return tuple(float(force[row]) for row in kept) if len(kept) > 2 else ()
+
+
 def _steps(force: np.ndarray) -> list[Waypoint]:
     """Every load step; a repeated load counts once."""
     kept = [row for row in range(len(force)) if row == 0 or force[row] != force[row - 1]]

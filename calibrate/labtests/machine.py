@@ -5,18 +5,23 @@ is rigid, and no soil changes it: a fit compares nothing of this test.  What the
 a known weight on its load cell is a number of its own, for the diagnosis.
 """
 
+from typing import Annotated
+
 from pydantic import model_validator
 
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Duration, Force
+from calibrate.core.units import STRAIN, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
 from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.protocol import LOW_LOAD, WAIT
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.platen_on_base import PlatenOnBase
 
 DEFLECTION = Observable(
-    "deflection_mm", "deflection of the machine", "mm", "deflection", 1e3, within=0.15
-)
+    "deflection_mm", "deflection of the machine", "mm", "deflection", 1e3, within=0.15,
+    usually=Range(STRAIN, "0.0001 %", "50 %"),
+)  # fmt: skip
 
 
 class MachineTest(AbstractLabTest):
@@ -28,10 +33,10 @@ class MachineTest(AbstractLabTest):
     observables = (DEFLECTION,)
     with_soil = False
 
-    force: Force = 400.0
-    loading: Duration = 60.0
-    weight: Force | None = None
-    reads: Force | None = None
+    force: Annotated[Force, LOW_LOAD] = 400.0
+    loading: Annotated[Duration, WAIT] = 60.0
+    weight: Annotated[Force | None, LOW_LOAD] = None
+    reads: Annotated[Force | None, LOW_LOAD] = None
 
     @model_validator(mode="after")
     def _check_bare(self) -> "MachineTest":

@@ -5,7 +5,7 @@ force and displacement by the specimen's size.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,6 +23,7 @@ from calibrate.core.tables import (
     Text,
     required,
 )
+from calibrate.core.units import FRACTION, LENGTH, Range
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,9 @@ class Curve:
 class SpecimenTable(AbstractTable):
     """The cylinder of soil, in m."""
 
-    diameter: Length = required('diameter = "50 mm"')
-    height: Length = required('height = "100 mm"')
-    mould_height: Length | None = None
+    diameter: Annotated[Length, Range(LENGTH, "5 mm", "400 mm")] = required('diameter = "50 mm"')
+    height: Annotated[Length, Range(LENGTH, "5 mm", "1 m")] = required('height = "100 mm"')
+    mould_height: Annotated[Length | None, Range(LENGTH, "5 mm", "1 m")] = None
 
     @model_validator(mode="after")
     def _check_fits_mould(self) -> "SpecimenTable":
@@ -98,7 +99,7 @@ class TargetTable(AbstractTable):
     decimal: Literal[".", ","] = "."
     where: dict[str, str] = Field(default={})
     times: float = Field(default=1.0, gt=0)
-    published_error: Fraction | None = None
+    published_error: Annotated[Fraction | None, Range(FRACTION, "0.01 %", "200 %")] = None
 
     @model_validator(mode="after")
     def _check_complete(self) -> "TargetTable":

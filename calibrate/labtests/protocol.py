@@ -10,17 +10,36 @@ first touches, and are known only while no step before went to a force.
 """
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import AbstractTable, Duration, required
-from calibrate.core.units import FORCE, FRACTION, LENGTH, SPEED, STRAIN_RATE, STRESS, first_of
+from calibrate.core.units import (
+    FORCE,
+    FRACTION,
+    LENGTH,
+    SPEED,
+    STRAIN,
+    STRAIN_RATE,
+    STRESS,
+    TIME,
+    Range,
+    first_of,
+)
 from calibrate.labtests.measured import Cylinder
 from jdem.apparatus.protocol import HOLD, KEEP_FORCE, OPEN, REST, TO_FORCE, TRAVEL, Step
 
 KINDS = {"force": FORCE, "stress": STRESS, "displacement": LENGTH, "strain": FRACTION}
+# Where the entries of tests usually lie: loads by the specimen's area, ways by its height.
+LOAD = Range(STRESS, "0.5 kPa", "20 MPa")  # below, a free specimen falls under its own weight
+LOW_LOAD = Range(STRESS, "0.005 kPa", "20 MPa")
+WAY = Range(STRAIN, "0.001 %", "90 %")
+PLATEN = Range(SPEED, "1e-6 mm/s", "500 mm/s")
+RATE = Range(STRAIN_RATE, "1e-7 %/s", "1000 %/s")
+WAIT = Range(TIME, "0.001 s", "400 day")
+
 MOVING = ("load", "unload", "reload")
 MOST_STEPS = 200
 TOUCH = 2.0  # N; force at which the platen has come down on the specimen
@@ -33,10 +52,10 @@ class StepTable(AbstractTable):
     step: Literal["approach", "load", "unload", "reload", "hold", "remove_mould", "rest"] = (
         required('step = "load"')
     )
-    to: Any = None
-    rate: Any = None
+    to: Annotated[Any, LOW_LOAD, WAY] = None
+    rate: Annotated[Any, PLATEN, RATE] = None
     keep: Literal["displacement", "force"] | None = None
-    duration: Duration | None = Field(default=None, alias="for")
+    duration: Annotated[Duration | None, WAIT] = Field(default=None, alias="for")
 
     @model_validator(mode="after")
     def _check_complete(self) -> "StepTable":
@@ -81,6 +100,16 @@ class StepTable(AbstractTable):
         if value <= 0:
             raise BadValue(f"{self.rate} is not above zero", expected, "rate")
         return value if kind is SPEED else value * height
+
+
+def written_course(forces: Sequence[float]) -> str:
+    """Forces (N) at which loading turns, as the protocol of a lab file."""
+    words = ("load", *(("unload", "reload")[k % 2] for k in range(len(forces) - 1)))
+    steps = (
+        f'{{ step = "{word}", to = "{max(force, 0.0):.4g} N" }}'
+        for word, force in zip(words, forces, strict=True)
+    )
+    return f"protocol = [{', '.join(steps)}]"
 
 
 def check_protocol(steps: Sequence[StepTable]) -> None:

@@ -5,6 +5,7 @@ The base model loses only what its spheres still settle.
 """
 
 from collections.abc import Sequence
+from typing import Annotated
 
 from calibrate.core.tables import Duration, Force, Speed
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
@@ -15,7 +16,7 @@ from calibrate.labtests.features import (
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
-from calibrate.labtests.protocol import StepTable
+from calibrate.labtests.protocol import LOAD, PLATEN, WAIT, StepTable
 from jdem.apparatus.base import AbstractApparatus
 from jdem.observables import ForceLeft
 
@@ -33,9 +34,9 @@ class RelaxationTest(AbstractLabTest):
     observables = (FORCE_LEFT,)
     words = ("relaxation", "relajacion", "rilassamento", "松弛")
 
-    rate: Speed = 8e-3
-    force: Force = 400.0
-    hold: Duration = 60.0
+    rate: Annotated[Speed, PLATEN] = 8e-3
+    force: Annotated[Force, LOAD] = 400.0
+    hold: Annotated[Duration, WAIT] = 60.0
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         steps = self.protocol or [

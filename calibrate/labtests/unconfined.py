@@ -4,6 +4,9 @@ The crushing force F is the largest force, averaged over a short travel of the p
 """
 
 from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
 
 from calibrate.core.tables import Duration, Speed
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
@@ -15,6 +18,7 @@ from calibrate.labtests.features import (
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
+from calibrate.labtests.protocol import LOAD, PLATEN, WAIT
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.observables import CrushingForce
@@ -28,10 +32,24 @@ FORCE = Observable(
     within=0.25,
     drawn=True,
     symbol="F",
+    usually=LOAD,
 )
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
+END = 0.1  # share of the travel over which a force at the end is averaged
+RISES = 0.01  # share of the force by which it is higher there than just before
 STRAIN = 0.15  # to which a specimen is crushed
 PEAK_WINDOW = 2.5e-4  # m; travel over which the crushing force is averaged
+
+
+def still_rises(displacement_mm: np.ndarray, force_n: np.ndarray) -> bool:
+    """Whether the force is largest at the end of a curve, and rising there."""
+    if len(force_n) < 3 or np.ptp(displacement_mm) <= 0:
+        return False
+    left = (displacement_mm.max() - displacement_mm) / np.ptp(displacement_mm)
+    last, before = force_n[left <= END], force_n[(left > END) & (left <= 2 * END)]
+    if not len(before) or force_n.max() > last.max():
+        return False
+    return bool(last.mean() > (1 + RISES) * before.mean() and before.mean() > 0)
 
 
 class UnconfinedTest(AbstractLabTest):
@@ -47,8 +65,8 @@ class UnconfinedTest(AbstractLabTest):
         *("no confinad", "inconfinad", "compresion simple", "non confine", "无侧限", "crush"),
     )
 
-    rate: Speed = 1e-5
-    rest: Duration = 1.0
+    rate: Annotated[Speed, PLATEN] = 1e-5
+    rest: Annotated[Duration, WAIT] = 1.0
     lubricated: bool = False
     at_once: bool = False
 
@@ -63,6 +81,16 @@ class UnconfinedTest(AbstractLabTest):
             stroke=STRAIN * cylinder.height,
             peak_rows=rows,
             name=self.called,
+        )
+
+    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
+        if observable is not FORCE or not still_rises(*curve.T):
+            return ""
+        travel = float(np.ptp(curve[:, 0]))
+        return (
+            f"the force still rises at the end of the travel, {travel:.3g} mm: there is no crushing"
+            " force, the number is where the curve stops; a slender specimen (twice as high as "
+            "wide) breaks, a flat one is only compressed"
         )
 
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:

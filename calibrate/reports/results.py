@@ -21,7 +21,12 @@ from calibrate.records.base import Measured, record
 from calibrate.records.fit import FitRecord
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
-from calibrate.simulation.specimens import coarse, measured_json
+from calibrate.simulation.specimens import (
+    check_some_sound,
+    coarse,
+    doubts,
+    measured_json,
+)
 
 
 def write_simulation(session: Session, result: dict, runs: list[Run], path: Path | None) -> None:
@@ -30,7 +35,9 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
     measured = record(Measured, measured_json(session.lab))
     figures.simulation_figure(runs, measured, session.out / "curves.png")
     console = Console()
-    console.print(_observables_table(session.lab, {"simulated": result}))
+    if len(result["failures"]) < len(runs):
+        console.print(_observables_table(session.lab, {"simulated": result}))
+    _warn_of_observables(console, result)
     for failure in result["failures"]:
         console.print(f"failed: {failure}", markup=False)
     console.print(f"{_course(result)}; curves and figure in {session.out}", highlight=False)
@@ -40,6 +47,7 @@ def write_simulation(session: Session, result: dict, runs: list[Run], path: Path
 def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
     """result.json (and `--json`), history.csv, a figure, and what was found on the terminal."""
     result = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
+    result["observable_warnings"] = doubts(session.lab, done.fresh_runs)
     _write_result(session.out, result, path)
     _write_history(session.out / "history.csv", result["history"])
     found = record(FitRecord, result)
@@ -56,7 +64,9 @@ def write_fit(session: Session, done: Calibrated, path: Path | None) -> None:
         console.print(line, markup=False, highlight=False)
     for line in _conclusions(done, found):
         console.print(line, markup=False, highlight=False)
+    _warn_of_observables(console, result)
     console.print(f"result.json, history.csv and fit.png are in {session.out}", highlight=False)
+    check_some_sound(done.fresh_runs, "fresh packings")
 
 
 def write_audit(session: Session, found: Audit, settings: dict, path: Path | None) -> None:
@@ -167,6 +177,12 @@ def _warn_if_coarse(console: Console, result: dict) -> None:
     warning = coarse(result["quality"])
     if warning:
         console.print(f"warning: {warning}", highlight=False)
+
+
+def _warn_of_observables(console: Console, result: dict) -> None:
+    """Numbers that are not what they are called."""
+    for name, why in result.get("observable_warnings", {}).items():
+        console.print(f"warning: {label(name)}: {why}", markup=False, highlight=False)
 
 
 def _observables_table(lab: Lab, groups: dict[str, dict]) -> Table:

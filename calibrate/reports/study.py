@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from calibrate.core.files import write_json, write_text
+from calibrate.core.files import whole, write_json, write_text
 from calibrate.designs.anova import anova
 from calibrate.designs.comparison import Comparison, Designed, Ending
 from calibrate.designs.study import Experiment, Study, Surfaces
@@ -110,7 +110,7 @@ def _write_sheet(experiment: Experiment, path: Path) -> None:
     packings = range(1, experiment.packings + 1)
     header = [*experiment.design.names]
     header += [f"{name} packing {k}" for name in experiment.observables for k in packings]
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         for natural, found in zip(experiment.design.natural(), experiment.responses, strict=True):

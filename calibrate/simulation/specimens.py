@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
@@ -76,6 +77,7 @@ def simulate(
     runs = work.runs([soil], seeds, "simulating")[0]
     result = {
         **simulation_json(runs),
+        "observable_warnings": doubts(lab, runs),
         "rates": rates_json(work),
         "parameters": soil_json(soil),
         "seeds": list(seeds),
@@ -97,6 +99,21 @@ def simulation_json(runs: Sequence[Run]) -> dict:
         "runtime_s": seconds,
         "particle_steps_per_s": work / seconds,
     }
+
+
+def doubts(lab: Lab, runs: Sequence[Run]) -> dict[str, str]:
+    """By observable, why its number is not what its name says; those without a doubt are left
+    out."""
+    called, sound = names_of(lab.tests), [run for run in runs if not run.failure]
+    found = {}
+    for test in lab.tests:
+        for observable in test.observables:
+            curves = [run.curves[test.called] for run in sound if test.called in run.curves]
+            said = [doubt for curve in curves if (doubt := test.doubt(observable, curve))]
+            if len(said) > len(curves) / 2:
+                name, _ = called[test.called, observable.source]
+                found[name] = f"{said[0]} ({len(said)} of {len(curves)} packings)"
+    return found
 
 
 OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean, "repeats": np.sum}
@@ -196,7 +213,8 @@ def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
 
 
 def mean_observables(runs: Sequence[Run]) -> dict[str, float]:
-    return _over_packings(runs, np.mean)
+    """Means over the packings that did not fail; NaN where all did."""
+    return _over_packings(runs, lambda v: np.mean(v) if len(v) else float("nan"))
 
 
 def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
@@ -205,8 +223,16 @@ def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
 
 
 def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
-    names = runs[0].observables
-    return {n: float(statistic([run.observables[n] for run in runs])) for n in names}
+    names, sound = runs[0].observables, [run for run in runs if not run.failure]
+    return {n: float(statistic([run.observables[n] for run in sound])) for n in names}
+
+
+def check_some_sound(runs: Sequence[Run], which: str = "packings") -> None:
+    """`CalibrationError` where every run failed: then there are no numbers."""
+    if runs and all(run.failure for run in runs):
+        raise CalibrationError(
+            f"all {len(runs)} {which} failed, so there are no observables: {runs[0].failure}"
+        )
 
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:

@@ -1,6 +1,11 @@
 """The cache on disk: packings/ and runs/ by content, every entry whole, checked and written once.
 
-Runs are NetCDF, packings .npz, both with a seal (`calibrate.simulation.seal`).  An entry is
+Runs are NetCDF, packings .npz, both with a seal at the end, so that damage is noticed before
+anything parses the bytes:
+
+    content, newline, "sha256 ", 64 hexadecimal digits, newline
+
+HDF5 and zip files may be followed by further bytes, so a sealed file opens as it is.  An entry is
 written beside its place and renamed into it.  While an entry is made its lock in claims/ is
 held; the operating system frees it when the process dies, so no claim outlives its owner.
 
@@ -9,10 +14,9 @@ its own, and so that everybody's are the same.
 """
 
 import errno
+import hashlib
 import io
-import os
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,14 +29,31 @@ import xarray as xr
 from filelock import BaseFileLock, FileLock, Timeout
 
 from calibrate.core.errors import CalibrationError
+from calibrate.core.files import whole, write_bytes
 from calibrate.simulation.run import Run
-from calibrate.simulation.seal import sealed, unsealed
 from jdem.packing.specimen import Packing, load, save
 
 NETCDF = "h5netcdf"
 OBSERVED = "observable "  # before the names of observables among an entry's attributes
 POLL = 0.2  # s between looks at a lock that another process holds
 ABANDONED = 3600.0  # s; a part file older than this has no writer any more
+MARK = b"\nsha256 "
+LENGTH = len(MARK) + 64 + 1  # of a seal
+
+
+def sealed(content: bytes) -> bytes:
+    """The content with its seal."""
+    return content + MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
+
+
+def unsealed(data: bytes) -> tuple[bytes, bool]:
+    """The content, and whether a seal was there; ValueError where it is broken."""
+    content, seal = data[:-LENGTH], data[-LENGTH:]
+    if not seal.startswith(MARK):
+        return data, False
+    if sealed(content) != data:
+        raise ValueError("the checksum does not fit the content")
+    return content, True
 
 
 @dataclass(frozen=True)
@@ -70,18 +91,13 @@ class Store:
 
     def keep_packing(self, name: str, packing: Packing) -> None:
         path = self.packing_path(name)
-        draft = path.with_name(f"{name}.{uuid.uuid4().hex}.npz")
-        with _explained(self.folder):
-            try:
-                save(packing, draft)
-                _write(path, sealed(draft.read_bytes()))
-            finally:
-                for left in (draft, draft.with_suffix(".part.npz")):
-                    left.unlink(missing_ok=True)
+        with _explained(self.folder), whole(path) as part:
+            save(packing, part)
+            part.write_bytes(sealed(part.read_bytes()))
 
     def keep_run(self, key: str, run: Run) -> None:
         with _explained(self.folder):
-            _write(self.run_path(key), sealed(_bytes_of(run)))
+            write_bytes(self.run_path(key), sealed(_bytes_of(run)))
 
     @contextmanager
     def claim(self, name: str, patient: bool) -> Iterator[bool]:
@@ -138,17 +154,6 @@ def _explained(folder: Path) -> Iterator[None]:
             f"{folder}: {reason}; make room or give another --out, then the same command goes on "
             "from what is kept"
         ) from None
-
-
-def _write(path: Path, data: bytes) -> None:
-    """The whole file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _bytes_of(run: Run) -> bytes:

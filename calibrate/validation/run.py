@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.core.files import write_json, write_text
+from calibrate.core.files import write_json, write_once, write_text
 from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.reduction import shrinkage
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
@@ -121,8 +121,7 @@ def _plan(
     if not path.exists():
         secret = secrets.randbits(62) if seed is None else seed
         drawn = Planner(emulated, secret, beds, sizes).cases(counts)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
+        write_once(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
 
 

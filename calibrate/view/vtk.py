@@ -10,28 +10,29 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 
+from calibrate.core.files import whole
 from calibrate.view.contacts import Contacts
 from calibrate.view.frames import Frame
 
 
 def write_series(frames: list[Frame], contacts: list[Contacts], folder: Path) -> None:
-    """particles.pvd and contacts.pvd in `folder`, and the files that they list in vtk/; an
-    earlier series there is removed."""
-    (folder / "vtk").mkdir(parents=True, exist_ok=True)
+    """particles.pvd and contacts.pvd in `folder`, and the files that they list in vtk/; what an
+    earlier, longer series left there is removed at the end."""
     names: dict[str, list[str]] = {"particles": [], "contacts": []}
-    for kind in names:
-        for old in (folder / "vtk").glob(f"{kind}_[0-9]*.vtu"):
-            old.unlink()
     for number, (frame, touching) in enumerate(zip(frames, contacts, strict=True)):
         for kind, mesh in (
             ("particles", particle_mesh(frame, touching)),
             ("contacts", contact_mesh(touching)),
         ):
             name = f"vtk/{kind}_{number:04d}.vtu"
-            mesh.write(folder / name, file_format="vtu")
+            with whole(folder / name) as part:
+                mesh.write(part, file_format="vtu")
             names[kind].append(name)
     for kind, files in names.items():
         _write_collection(folder / f"{kind}.pvd", files, [frame.time for frame in frames])
+        for old in (folder / "vtk").glob(f"{kind}_[0-9]*.vtu"):
+            if f"vtk/{old.name}" not in files:
+                old.unlink(missing_ok=True)
 
 
 def particle_mesh(frame: Frame, touching: Contacts) -> meshio.Mesh:
@@ -78,4 +79,5 @@ def _write_collection(path: Path, files: list[str], times: list[float]) -> None:
     collection = ElementTree.SubElement(root, "Collection")
     for file, time in zip(files, times, strict=True):
         ElementTree.SubElement(collection, "DataSet", timestep=f"{time:.9g}", file=file)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with whole(path) as part:
+        ElementTree.ElementTree(root).write(part, encoding="utf-8", xml_declaration=True)

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from calibrate.core.units import Kind
+from calibrate.core.units import Kind, Range
 from calibrate.inference.parameters import RANGES
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS
 from calibrate.io.tables import LabTables
@@ -36,6 +36,7 @@ A unit in the column "unit" is the one that the program uses inside. You may wri
 that has several places, such as a protocol, is shown once, at its first place.
 """
 MEANING = {
+    "AbstractLabTables.accept": "entries whose values are meant though they are unusual",
     "AbstractLabTables.soil": "what was tested",
     "AbstractLabTables.specimen": "the cylinder of soil; also of each test without its own",
     "AbstractLabTables.tests": "a list of tests; the tables below show each type",
@@ -124,6 +125,7 @@ MEANING = {
     "ParameterTable.free": "true: fit it, hold the rest; false: hold it; no true: the data choose",
 }
 EXAMPLES = {
+    "accept": 'accept = ["specimen.diameter"]',
     "reference_diameter": 'reference_diameter = "80 um"',
     "porosity": "porosity = 0.43",
     "published_error": 'published_error = "3 %"',
@@ -204,6 +206,9 @@ def _meaning(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     words = next((w for kind in model.__mro__ if (w := MEANING.get(f"{kind.__name__}.{name}"))), "")
     if choices:
         words = f"{words}; one of ".lstrip("; ") + ", ".join(_shown(choice) for choice in choices)
+    usual = [f"{r.low} to {r.high}" for r in field.metadata if isinstance(r, Range)]
+    if usual:
+        words += f"; usually {' or '.join(usual)}"
     return words.replace("|", "\\|") or ("a table" if _models(field.annotation) else "")
 
 

@@ -3,6 +3,8 @@
 porosity = 1 - volume of the spheres / volume between base, platen and mould
 """
 
+import os
+import uuid
 import zipfile
 import zlib
 from dataclasses import replace
@@ -99,16 +101,20 @@ def with_density(packing: Packing, density: float) -> Packing:
 def save(packing: Packing, path: Path) -> None:
     """Writes a packing as numbers only (.npz), atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.npz")
-    np.savez(
-        part,
-        position=np.asarray(packing.position.stack()),
-        radius=np.asarray(packing.spheres.radius),
-        mass=np.asarray(packing.spheres.mass),
-        height=np.asarray(packing.height),
-        mould_radius=np.asarray(packing.mould_radius),
-    )
-    part.replace(path)
+    part = path.with_name(f"{path.name}.{os.getpid()}-{uuid.uuid4().hex[:12]}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez(
+                file,
+                position=np.asarray(packing.position.stack()),
+                radius=np.asarray(packing.spheres.radius),
+                mass=np.asarray(packing.spheres.mass),
+                height=np.asarray(packing.height),
+                mould_radius=np.asarray(packing.mould_radius),
+            )
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def load(path: Path) -> Packing:

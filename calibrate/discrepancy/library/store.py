@@ -8,7 +8,6 @@ emulator's errors.
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, replace
 from importlib import resources
@@ -18,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from calibrate.core.errors import InputError
+from calibrate.core.files import whole
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
 from calibrate.discrepancy.library.filling import Filling
@@ -79,11 +79,9 @@ def save(library: RunLibrary, path: Path) -> None:
 
 
 def _write(dataset: xr.Dataset, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part")
     packed = {name: {"zlib": True, "complevel": 6} for name in dataset.data_vars}
-    dataset.to_netcdf(part, engine=NETCDF, encoding=packed)
-    part.replace(path)
+    with whole(path) as part:
+        dataset.to_netcdf(part, engine=NETCDF, encoding=packed)
 
 
 def _kernel_variables(kernels: Sequence[Kernel], dimension: str) -> dict:
