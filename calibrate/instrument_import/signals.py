@@ -53,8 +53,9 @@ def start_of_contact(force: np.ndarray, travel: np.ndarray) -> Start:
     usual = float(np.median(steps_on[steps_on > 0])) if np.any(steps_on > 0) else 0.0
     moved = abs(float(travel[row] - travel[0])) > 0.2 * usual * row > 0
     approach = row >= 10 and moved
-    if not approach:
-        return Start(0, 0.0, noise, False)
+    if not approach:  # a few readings tell where contact is, if they are of no load
+        unloaded = abs(first) <= max(3 * noise, 2e-3 * float(force[peak_row]))
+        return Start(row if moved and unloaded and row >= 4 else 0, 0.0, noise, False)
     zero = float(np.median(force[: row // 2 + 1]))
     shifted = abs(zero) > max(3 * noise, 1e-3 * float(force[peak_row]))
     return Start(row, zero if shifted else 0.0, noise, approach)

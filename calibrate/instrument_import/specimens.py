@@ -191,7 +191,11 @@ def _tell_start(recording: Recording, start: signals.Start, findings: list[Findi
     peak = float(recording.force_n.max())
     travel, first = recording.displacement_mm, begins_at(recording)
     ran = travel[start.row] - travel[0]
-    if not start.approach:
+    if not start.approach and ran > 0:
+        text = f"contact {ran:.3g} mm after the start of the record, by few readings: displacement "
+        text += "counts from there, the zero of the force is as the file writes it"
+        findings.append(Finding("start of contact", text))
+    elif not start.approach:
         begins = "at contact" if abs(first) < 2e-3 * peak else f"under {first:.3g} N"
         text = f"the record begins {begins} and holds no reading before contact: the zero of the "
         text += "force is as the file writes it, travel counts from its first row"
@@ -248,7 +252,7 @@ def _counted(
     """The rows that count: from just before contact to where the test ends."""
     travel, force = recording.displacement_mm, recording.force_n
     reach = LEAD_SHARE * (travel[int(np.argmax(force))] - travel[start.row])
-    first = int(np.argmax(travel >= travel[start.row] - reach))
+    first = int(np.argmax(travel >= travel[start.row] - reach)) if start.approach else 0
     turn = signals.turning_row(travel)
     last = len(force)
     turns = signals.reversals(travel)
