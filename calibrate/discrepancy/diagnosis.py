@@ -215,7 +215,7 @@ def beyond_runs(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple
 
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
     """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie clearly
-    farther from the library's centre than its runs, be they of its design or added about this lab."""
+    farther from the library's centre than its runs, of its design or added about this lab."""
     library = emulated.for_lab(lab).library
     names, sd = library.design.soil_names, np.array([*library.design.soil_sd.values()])
     soil = slice(len(names))  # base coordinates begin with the soil's

@@ -229,13 +229,9 @@ def left_free(d: Linearised, found: Measurements) -> Linearised:
 def _free(d: Linearised, test: str) -> np.ndarray:
     """What is free in one test (m, q), one standard deviation each."""
     mine = np.array([f.test == test and f.kind not in APART for f in d.features])
-    sizes = {OFFSET: UNTARED_SD, GAP: None}
-    columns = [
-        d.effect_slopes[:, k] * (SEAT_SD if size is None else size / effect.typical)
-        for k, effect in enumerate(d.effects)
-        for size in [sizes.get(effect.name)]
-        if effect.name in sizes
-    ]
+    known = {e.name: (d.effect_slopes[:, k], e.typical) for k, e in enumerate(d.effects)}
+    columns = [known[OFFSET][0] * UNTARED_SD / known[OFFSET][1]] if OFFSET in known else []
+    columns += [SEAT_SD * known[GAP][0]] if GAP in known else []
     columns += [BEGUN_SD * column for column in along_travel(d.features, d.mean)]
     return np.where(mine[:, None], np.array(columns).reshape(-1, len(mine)).T, 0.0)
 
