@@ -22,8 +22,8 @@ few draws; its seed, otherwise secret, is given, so that results can be compared
     python benchmarks/kills.py --dem --verbs fit
     python benchmarks/kills.py --kills 0 --pairs 6
 
-Writes benchmarks/results/kills.json and .md (kills_dem with --dem); what was killed lies in
-results/benchmarks/kills, with a log of each folder.
+Writes kills.md and pairs.md in benchmarks/results (kills_dem, pairs_dem with --dem); what was
+killed lies in results/benchmarks/kills, with a log of each folder.
 """
 
 import argparse
@@ -62,18 +62,23 @@ LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all 
 
 
 def started(verb: str, folder: Path, dem: bool, number: int = 0) -> int:
-    """The verb in a process of its own (forked before JAX is up, so that it begins at once), of
-    several the one of this number."""
+    """The verb in a process of its own, of several the one of this number."""
+    chosen = (VERBS | PAIRED)[verb]
+    lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
+    arguments = [*chosen.arguments(folder), *lab, "--out", str(folder / chosen.out)]
+    return launched(arguments, folder.parent / f"{folder.name}{number or ''}.log", dem)
+
+
+def launched(arguments: list[str], said: Path, dem: bool) -> int:
+    """A command in a process of its own (forked before JAX is up, so that it begins at once)."""
     child = os.fork()
     if child:
         return child
     try:
-        chosen, log_file = (VERBS | PAIRED)[verb], f"{folder.name}{number or ''}.log"
-        with (folder.parent / log_file).open("a") as log:
+        with said.open("a") as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
-            lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
-            begin([*chosen.arguments(folder), *lab, "--out", str(folder / chosen.out)], dem)
+            begin(arguments, dem)
             sys.stdout.flush()
         os._exit(0)
     except SystemExit as end:
@@ -145,6 +150,10 @@ def paired(verb: str, pairs: int, seed: int, dem: bool) -> dict:
     home, chosen = FOLDER / f"{verb} pairs", (VERBS | PAIRED)[verb]
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
+    if chosen.before:
+        os.waitpid(
+            launched([*chosen.before, "--out", str(home / "made")], home / "made.log", dem), 0
+        )
     luck, expected, spent = random.Random(seed), None, 0.0
     found = {"pairs": 0, "failed": 0, "left": 0, "differ": 0}
     for number in range(pairs):
@@ -165,7 +174,7 @@ def paired(verb: str, pairs: int, seed: int, dem: bool) -> dict:
     return found
 
 
-def write(name: str, origin: dict, rows: dict[str, dict], pairs: dict[str, dict]) -> None:
+def write_kills(name: str, origin: dict, rows: dict[str, dict]) -> None:
     """What is known so far, commands of earlier calls included."""
     header = ["command", "processor time (s)", "pieces", "kills", "runs that got through"]
     header += ["pieces lost", "repeated", "results that differ", "made by"]
@@ -175,14 +184,17 @@ def write(name: str, origin: dict, rows: dict[str, dict], pairs: dict[str, dict]
     ]
     text = "# Kills at random moments\n\nPieces: finished simulations, cases and verdicts.\n\n"
     text += reporting.table(header, lines)
-    if pairs:
-        text += "\n## Two processes in one folder\n\nEvery other pair finds all runs there.\n\n"
-        header = ["command", "pairs", "processes that failed", "files left over"]
-        header += ["results that differ", "made by"]
-        each = [[verb, *(str(cell) for cell in row.values())] for verb, row in pairs.items()]
-        text += reporting.table(header, each)
-    content = {**origin, "verbs": rows, "pairs": pairs}
-    reporting.write(name, content, text + reporting.footer(origin))
+    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
+
+
+def write_pairs(name: str, origin: dict, rows: dict[str, dict]) -> None:
+    """The same of pairs."""
+    header = ["command", "pairs", "processes that failed", "files left over"]
+    header += ["results that differ", "made by"]
+    lines = [[verb, *(str(cell) for cell in row.values())] for verb, row in rows.items()]
+    text = "# Two processes in one folder\n\nEvery other pair finds all runs there.\n\n"
+    text += reporting.table(header, lines)
+    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
 
 
 def main() -> None:
@@ -194,19 +206,21 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--dem", action="store_true", help="simulate 48 spheres")
     chosen = options.parse_args()
-    name = "kills_dem" if chosen.dem else "kills"
-    origin, rows = reporting.provenance(), reporting.earlier(name, "verbs")
-    pairs = reporting.earlier(name, "pairs")
+    tail = "_dem" if chosen.dem else ""
+    origin = reporting.provenance()
+    killed_rows = reporting.earlier(f"kills{tail}", "verbs")
+    pair_rows = reporting.earlier(f"pairs{tail}", "verbs")
     for verb in chosen.verbs:
         if chosen.kills and verb in VERBS:
             found = tried(verb, chosen.kills, chosen.seed, chosen.dem)
-            rows[verb] = {**found, "made_by": origin["command"]}
+            killed_rows[verb] = {**found, "made_by": origin["command"]}
+            write_kills(f"kills{tail}", origin, killed_rows)
         if chosen.pairs:
             found = paired(verb, chosen.pairs, chosen.seed, chosen.dem)
-            pairs[verb] = {**found, "made_by": origin["command"]}
-        write(name, origin, rows, pairs)
+            pair_rows[verb] = {**found, "made_by": origin["command"]}
+            write_pairs(f"pairs{tail}", origin, pair_rows)
     bad = ("lost", "repeated", "different", "failed", "left", "differ")
-    every_row = [*rows.values(), *pairs.values()]
+    every_row = [*killed_rows.values(), *pair_rows.values()]
     raise SystemExit(any(row.get(key) for row in every_row for key in bad))
 
 

@@ -302,7 +302,7 @@ def failing(monkeypatch):
 def test_where_all_packings_failed_there_are_no_observables(calibrate, tmp_path, failing):
     failing(*range(20))
     status, out, error = calibrate("simulate", "--out", "o", "--json", "r.json")
-    assert (status, error.count("\n")) == (1, error.count("\n"))
+    assert status == 1
     assert "all 2 packings failed" in error and "did not reach 400 N" in error
     assert "depression depth" not in out and "crushing force" not in out
     result = json.loads((tmp_path / "r.json").read_text())
@@ -322,12 +322,18 @@ def test_a_mean_is_that_of_the_packings_that_did_not_fail(calibrate, tmp_path, f
 
 
 @pytest.mark.parametrize(
-    "verb", [["fit", "--free", "shear_modulus"], ["doe"], ["audit", "--packings", "2"]]
+    "verb",
+    [
+        ["fit", "--free", "shear_modulus"],
+        ["doe"],
+        pytest.param(["audit", "--packings", "2"], marks=pytest.mark.slow),
+    ],
 )
 def test_every_verb_ends_with_1_where_all_packings_failed(calibrate, failing, verb):
     failing(*range(1000))
     status, out, error = calibrate(*verb)
-    assert status == 1 and "did not reach 400 N" in error, (out, error)
+    reason = "every probe failed" if verb[0] == "audit" else "did not reach 400 N"
+    assert status == 1 and reason in error and "mm" not in out, (out, error)
 
 
 # ------------------------------------------------------------------ small things

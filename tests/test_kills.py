@@ -110,21 +110,22 @@ def test_libraries_are_compared_by_their_numbers(tmp_path):
 # ------------------------------------------------------------------ two processes in one folder
 
 ALONE = "import sys; from support.pieces import begin; begin(sys.argv[1:])"
-QUICK = ("contact", "convert", "export", "report")
+
+
+def alone(arguments: list[str], cwd: Path) -> subprocess.Popen:
+    """A command line in a process of its own, on formulas."""
+    here = Path(__file__).parents[1]
+    paths = os.pathsep.join(map(str, (here / "tests", here)))
+    environment = {**os.environ, "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}
+    return subprocess.Popen(
+        [sys.executable, "-c", ALONE, *arguments], cwd=cwd, env=environment,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 def side_by_side(arguments: list[str], cwd: Path) -> None:
     """Two processes with one command line: both end with 0, and nothing is left over."""
-    here = Path(__file__).parents[1]
-    paths = os.pathsep.join(map(str, (here / "tests", here)))
-    environment = {**os.environ, "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}
-    both = [
-        subprocess.Popen(
-            [sys.executable, "-c", ALONE, *arguments], cwd=cwd, env=environment,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )
-        for _ in range(2)
-    ]  # fmt: skip
+    both = [alone(arguments, cwd) for _ in range(2)]
     said = [process.communicate()[1] for process in both]
     assert [process.returncode for process in both] == [0, 0], said
     assert not pieces.left_over(cwd)
@@ -137,6 +138,8 @@ def test_two_processes_in_one_folder_both_end_well(verb, tmp_path):
     chosen = {**pieces.VERBS, **pieces.PAIRED}[verb]
     folder = tmp_path / "both"
     folder.mkdir()
+    if chosen.before:
+        alone([*chosen.before, "--out", str(tmp_path / "made")], tmp_path).communicate()
     arguments = [*chosen.arguments(folder), "--out", str(folder / chosen.out)]
     side_by_side(arguments, folder)
     first = pieces.result_of(folder / chosen.result)

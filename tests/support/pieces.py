@@ -41,6 +41,7 @@ class Verb:
     result: str
     out: str = "."
     takes_lab: bool = True
+    before: tuple[str, ...] = ()  # a command that makes ./made, which this one reads
 
     def arguments(self, folder: Path) -> list[str]:
         """The command; what begins with ./ lies beside the folder that it works in."""
@@ -60,10 +61,11 @@ PAIRED = {  # verbs that write, too, and lose nothing that another kill would no
     "contact": Verb(("contact", "--path-um", "20,2,32,-28"), "contact.json", takes_lab=False),
     "convert": Verb(("convert", str(DATA / "machine_exports" / "two_specimens.xlsx")),
                     "convert.json", takes_lab=False),
-    "export": Verb(("export", str(DATA / "fit_result"), "--to", "json"), "soil.json",
+    "export": Verb(("export", str(DATA / "fit_result"), "--to", "json", "--diameter", "5 mm"),
+                   "soil.json",
                    out="soil.json", takes_lab=False),
-    "report": Verb(("report", str(DATA / "fit_result"), "--json", "./summary.json"),
-                   "report.html", takes_lab=False),
+    "report": Verb(("report", "./made"), "report.html", takes_lab=False,
+                   before=("fit", "--free", "shear_modulus")),
     "diagnose": Verb(("diagnose", _LAB), "result.json", takes_lab=False),
     "next": Verb(("next", _LAB), "next.json", takes_lab=False),
 }  # fmt: skip
@@ -117,11 +119,11 @@ def left_over(folder: Path) -> list[Path]:
 
 
 def result_of(path: Path) -> dict:
-    """What a command found, from its JSON, HTML or NetCDF file."""
-    if path.suffix == ".html":
-        return {"page": path.read_text(encoding="utf-8")}
-    if path.suffix == ".json":
-        return without(json.loads(path.read_text(encoding="utf-8")))
+    """What a command found, from its JSON, HTML or NetCDF file; its own folder is not named."""
+    if path.suffix in (".html", ".json"):
+        text = path.read_text(encoding="utf-8")
+        text = text.replace(str(path.parent), "HERE")
+        return {"page": text} if path.suffix == ".html" else without(json.loads(text))
     with xr.open_dataset(path, engine=NETCDF) as data:
         return without(data.load().to_dict())
 
