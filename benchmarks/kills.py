@@ -10,6 +10,9 @@ amount of processor time and given again, until it ends; then once more in a fre
 and whenever a command got through, its result must equal that of the first run, but for
 counts of simulations and times (`support.pieces`).
 
+A round of pairs gives every command that writes twice at once, in one folder: both end with 0,
+with the same result, and nothing is left over.
+
 By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
 part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
 The bank is the smallest there is, `withheld` has two cases that the bundled bank diagnoses after
@@ -17,9 +20,10 @@ few draws; its seed, otherwise secret, is given, so that results can be compared
 
     python benchmarks/kills.py
     python benchmarks/kills.py --dem --verbs fit
+    python benchmarks/kills.py --kills 0 --pairs 6
 
-Writes benchmarks/results/kills.json and .md (kills_dem with --dem); what was killed lies in
-results/benchmarks/kills, with a log of each folder.
+Writes kills.md and pairs.md in benchmarks/results (kills_dem, pairs_dem with --dem); what was
+killed lies in results/benchmarks/kills, with a log of each folder.
 """
 
 import argparse
@@ -30,75 +34,51 @@ import shutil
 import signal
 import sys
 import time
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import psutil
 import reporting
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from support.pieces import VERBS, Tally, Whole, inspected, result_of, written
+from support.pieces import (
+    PAIRED,
+    VERBS,
+    Tally,
+    Whole,
+    begin,
+    inspected,
+    left_over,
+    low_lab,
+    result_of,
+    written,
+)
 
-from calibrate import cli
 from calibrate.discrepancy import diagnosis as diagnosed
-from calibrate.discrepancy.library import simulate
-from calibrate.io.lab import bundled_lab
 from calibrate.reports import study
 from calibrate.reports import withheld as withheld_report
-from calibrate.simulation import Campaign, session
-from calibrate.simulation import resolution as presets
-from calibrate.simulation.executors import AbstractPlace
-from calibrate.simulation.resolution import Preset
-from calibrate.validation import plan, run, trial
-from jdem.bodies.spheres import Spheres
-from jdem.core.vector import Vector
-from jdem.packing.specimen import Packing
 
-TINY = Preset("quick", 48, 0.1, 0.2, 2)
-SEED = 1  # of the withheld cases
-CASES = {"none": 1, "above 6": 1}  # 309 in earnest
-FEWER = {"DRAWS": 60, "TRAINING": 60}  # 300, 1200 in earnest
 FOLDER = reporting.CACHE / "kills"
 LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all of the above
 
 
-class FormulaPlace(AbstractPlace):
-    """Runs and packings of formulas; a packing remembers its seed as its height."""
-
-    def slots(self, workers):
-        return workers
-
-    def warm_up(self, lab, packing, soil, say):
-        pass
-
-    def simulate(self, lab, specimen, packing, soil):
-        from formulas import specimen as formula
-
-        time.sleep(0.02)
-        return formula(soil, round(float(packing.height)) - 1)
-
-    def prepare(self, specimen, seed, soil):
-        import jax.numpy as jnp
-
-        ones = jnp.ones(specimen.count)
-        return Packing(Vector(ones, ones, ones), Spheres(ones, ones), 1.0 + seed, 1.0)
+def started(verb: str, folder: Path, dem: bool, number: int = 0) -> int:
+    """The verb in a process of its own, of several the one of this number."""
+    chosen = (VERBS | PAIRED)[verb]
+    lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
+    arguments = [*chosen.arguments(folder), *lab, "--out", str(folder / chosen.out)]
+    return launched(arguments, folder.parent / f"{folder.name}{number or ''}.log", dem)
 
 
-def started(verb: str, folder: Path, dem: bool) -> int:
-    """The verb in a process of its own (forked before JAX is up, so that it begins at once)."""
+def launched(arguments: list[str], said: Path, dem: bool) -> int:
+    """A command in a process of its own (forked before JAX is up, so that it begins at once)."""
     child = os.fork()
     if child:
         return child
     try:
-        with (folder.parent / f"{folder.name}.log").open("a") as log:
+        with said.open("a") as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
-            prepare_process(dem)
-            chosen = VERBS[verb]
-            lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
-            sys.argv = ["calibrate", *chosen.command, *lab, "--out", str(folder / chosen.out)]
-            cli.main()
+            begin(arguments, dem)
             sys.stdout.flush()
         os._exit(0)
     except SystemExit as end:
@@ -106,27 +86,6 @@ def started(verb: str, folder: Path, dem: bool) -> int:
     except BaseException:
         sys.excepthook(*sys.exc_info())
         os._exit(70)
-
-
-def prepare_process(dem: bool) -> None:
-    """Small specimens, few cases and draws, a known seed, and formulas unless `dem`."""
-    presets.PRESETS["quick"] = TINY
-    for name, count in FEWER.items():
-        setattr(trial, name, count)
-    plan.COUNTS = CASES
-    run.secrets = SimpleNamespace(randbits=lambda bits: SEED)
-    if not dem:
-        session.HERE = FormulaPlace()
-        simulate.Campaign = partial(Campaign, place=FormulaPlace())
-
-
-def low_lab(path: Path) -> Path:
-    """The bundled soil in a mould that 48 spheres fill, pressed with 50 N."""
-    text = bundled_lab().read_text(encoding="utf-8")
-    for old, new in (('"100 mm"', '"50 mm"'), ('"200 N"', '"25 N"'), ('"400 N"', '"50 N"')):
-        text = text.replace(old, new)
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def processor_time(child: int) -> float:
@@ -185,7 +144,37 @@ def tried(verb: str, kills: int, seed: int, dem: bool) -> dict:
     return {"processor_s": whole.processor_s, "pieces": len(whole.pieces), **vars(tally)}
 
 
-def write(name: str, origin: dict, rows: dict[str, dict]) -> None:
+def paired(verb: str, pairs: int, seed: int, dem: bool) -> dict:
+    """Pairs of the same command in one folder, the second a random while after the first, every
+    other pair in a folder where all runs are there already: how many ended badly or differ."""
+    home, chosen = FOLDER / f"{verb} pairs", (VERBS | PAIRED)[verb]
+    shutil.rmtree(home, ignore_errors=True)
+    home.mkdir(parents=True)
+    if chosen.before:
+        os.waitpid(
+            launched([*chosen.before, "--out", str(home / "made")], home / "made.log", dem), 0
+        )
+    luck, expected, spent = random.Random(seed), None, 0.0
+    found = {"pairs": 0, "failed": 0, "left": 0, "differ": 0}
+    for number in range(pairs):
+        folder = home / f"pair-{number // 2}"
+        folder.mkdir(exist_ok=True)
+        begun = time.monotonic()
+        first = started(verb, folder, dem, 1)
+        time.sleep(luck.uniform(0.0, 0.3 * spent) if number % 2 == 0 else 0.0)
+        ends = [os.waitpid(child, 0)[1] for child in (first, started(verb, folder, dem, 2))]
+        spent = time.monotonic() - begun
+        result = result_of(folder / chosen.result) if not any(ends) else None
+        expected = result if expected is None else expected
+        found["pairs"] += 1
+        found["failed"] += sum(map(bool, ends))
+        found["left"] += len(left_over(folder))
+        found["differ"] += result != expected
+        print(f"{verb}, in pairs: {found}", file=sys.stderr)
+    return found
+
+
+def write_kills(name: str, origin: dict, rows: dict[str, dict]) -> None:
     """What is known so far, commands of earlier calls included."""
     header = ["command", "processor time (s)", "pieces", "kills", "runs that got through"]
     header += ["pieces lost", "repeated", "results that differ", "made by"]
@@ -198,21 +187,41 @@ def write(name: str, origin: dict, rows: dict[str, dict]) -> None:
     reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
 
 
+def write_pairs(name: str, origin: dict, rows: dict[str, dict]) -> None:
+    """The same of pairs."""
+    header = ["command", "pairs", "processes that failed", "files left over"]
+    header += ["results that differ", "made by"]
+    lines = [[verb, *(str(cell) for cell in row.values())] for verb, row in rows.items()]
+    text = "# Two processes in one folder\n\nEvery other pair finds all runs there.\n\n"
+    text += reporting.table(header, lines)
+    reporting.write(name, {**origin, "verbs": rows}, text + reporting.footer(origin))
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--kills", type=int, default=20, help="of each verb")
-    options.add_argument("--verbs", nargs="+", choices=list(VERBS), default=list(VERBS))
+    options.add_argument("--pairs", type=int, default=6, help="of each verb")
+    every = list(VERBS | PAIRED)
+    options.add_argument("--verbs", nargs="+", choices=every, default=every)
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--dem", action="store_true", help="simulate 48 spheres")
     chosen = options.parse_args()
-    name = "kills_dem" if chosen.dem else "kills"
-    origin, rows = reporting.provenance(), reporting.earlier(name, "verbs")
+    tail = "_dem" if chosen.dem else ""
+    origin = reporting.provenance()
+    killed_rows = reporting.earlier(f"kills{tail}", "verbs")
+    pair_rows = reporting.earlier(f"pairs{tail}", "verbs")
     for verb in chosen.verbs:
-        found = tried(verb, chosen.kills, chosen.seed, chosen.dem)
-        rows[verb] = {**found, "made_by": origin["command"]}
-        write(name, origin, rows)
-    bad = ("lost", "repeated", "different")
-    raise SystemExit(any(row[key] for row in rows.values() for key in bad))
+        if chosen.kills and verb in VERBS:
+            found = tried(verb, chosen.kills, chosen.seed, chosen.dem)
+            killed_rows[verb] = {**found, "made_by": origin["command"]}
+            write_kills(f"kills{tail}", origin, killed_rows)
+        if chosen.pairs:
+            found = paired(verb, chosen.pairs, chosen.seed, chosen.dem)
+            pair_rows[verb] = {**found, "made_by": origin["command"]}
+            write_pairs(f"pairs{tail}", origin, pair_rows)
+    bad = ("lost", "repeated", "different", "failed", "left", "differ")
+    every_row = [*killed_rows.values(), *pair_rows.values()]
+    raise SystemExit(any(row.get(key) for row in every_row for key in bad))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,14 @@ from calibrate.simulation import engine_hash
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
 SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
-OWN = ("convergence", "kills", "recovery", "sizes", "verification")  # only their script goes on
+OWN = (
+    "convergence",
+    "kills",
+    "pairs",
+    "recovery",
+    "sizes",
+    "verification",
+)  # only their script goes on
 OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
 IMAGES = Path(__file__).parents[1] / "docs" / "images"  # of pages
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")

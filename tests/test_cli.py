@@ -8,13 +8,17 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from support import pieces
 
 from calibrate.io.lab import bundled_lab
+from calibrate.simulation import resolution, session
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
 CASE = json.loads((REFERENCE / "cases.json").read_text())["c1_paper_opt"]
@@ -267,3 +271,96 @@ def test_the_process_has_the_exit_status(tmp_path, program):
         assert done.returncode == status, done.stderr
         assert "Traceback" not in done.stderr
     assert done.stdout
+
+
+# ------------------------------------------------------------------ nothing that could be believed
+
+
+@dataclass
+class Failing(pieces.FormulaPlace):
+    """Formulas whose runs fail on the packings of these seeds."""
+
+    seeds: tuple[int, ...]
+
+    def simulate(self, lab, specimen, packing, soil):
+        run = super().simulate(lab, specimen, packing, soil)
+        fails = round(float(packing.height)) - 1 in self.seeds
+        return replace(run, failure="the platen did not reach 400 N") if fails else run
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Lets a laboratory's runs fail on packings."""
+
+    def on(*seeds):
+        monkeypatch.setattr(session, "HERE", Failing(seeds))
+        monkeypatch.setitem(resolution.PRESETS, "quick", pieces.TINY)
+
+    return on
+
+
+def test_where_all_packings_failed_there_are_no_observables(calibrate, tmp_path, failing):
+    failing(*range(20))
+    status, out, error = calibrate("simulate", "--out", "o", "--json", "r.json")
+    assert status == 1
+    assert "all 2 packings failed" in error and "did not reach 400 N" in error
+    assert "depression depth" not in out and "crushing force" not in out
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert set(result["observables"].values()) == {None}
+    assert len(result["failures"]) == 2
+    assert result == json.loads((tmp_path / "o" / "result.json").read_text())
+
+
+def test_a_mean_is_that_of_the_packings_that_did_not_fail(calibrate, tmp_path, failing):
+    failing(1)
+    assert calibrate("simulate", "--json", "r.json")[0] == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    sound = next(packing for packing in result["packings"] if not packing["failure"])
+    assert len(result["packings"]) == 2 and len(result["failures"]) == 1
+    for name, mean in result["observables"].items():
+        assert mean == sound[name]
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["fit", "--free", "shear_modulus"],
+        ["doe"],
+        pytest.param(["audit", "--packings", "2"], marks=pytest.mark.slow),
+    ],
+)
+def test_every_verb_ends_with_1_where_all_packings_failed(calibrate, failing, verb):
+    failing(*range(1000))
+    status, out, error = calibrate(*verb)
+    reason = "every probe failed" if verb[0] == "audit" else "did not reach 400 N"
+    assert status == 1 and reason in error and "mm" not in out, (out, error)
+
+
+# ------------------------------------------------------------------ small things
+
+
+def test_the_version_is_said(calibrate):
+    status, out, error = calibrate("--version")
+    assert (status, error) == (0, "")
+    python = ".".join(map(str, sys.version_info[:3]))
+    assert out.split(",")[1:] == [f" JAX {jax.__version__}", f" Python {python}\n"]
+    assert out.startswith(f"calibrate {metadata.version('differentiable-soil')},")
+
+
+@pytest.mark.parametrize(
+    ("path", "radius", "status"),
+    [
+        ("20,2600,10", "2.5", 2),
+        ("2500", "2.5", 2),
+        ("2400,2", "2.5", 0),
+        ("600", "0.5", 2),
+        ("30,-6000", "2.5", 0),
+        ("30", "0.02", 2),
+    ],
+)
+def test_overlaps_stay_below_the_radius(calibrate, path, radius, status):
+    found, _, error = calibrate("contact", f"--path-um={path}", "--radius-mm", radius)
+    assert found == status
+    if status:
+        deepest = max(map(float, path.split(",")))
+        assert f"'--path-um': an overlap of {deepest:g} um is not below the radius" in error

@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from two_tests import two_tests
 
 from calibrate.core.errors import InputError
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
-from calibrate.labtests.features import path_features, turning_rows
+from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.features import cyclic_course, path_features, turning_rows
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import StepTable, program
+from calibrate.labtests.unconfined import UnconfinedTest
 from calibrate.simulation.resolution import PRESETS, virtual_lab
+from calibrate.simulation.specimens import doubts
 
 AREA = np.pi / 4 * 0.05**2  # m2, of the specimen below
 HEAD = """[soil]
@@ -308,3 +312,121 @@ def test_mutations_of_tests_load_or_are_refused_in_one_line(folder, edits):
         pose(lab)
     except InputError as error:
         assert len(str(error).splitlines()) == 1
+
+
+# ------------------------------------------------------------------ is there a crushing force?
+
+
+def crushing(shape):
+    """A simulated curve (points, 2) to 15 mm: `shape` of the share of the travel, times 100 N."""
+    share = np.linspace(0, 1, 301)
+    return np.stack([15 * share, 100 * shape(share)], axis=1)
+
+
+RISES = {  # shape of the curve, whether there is no crushing force
+    "straight": (lambda s: s, True),
+    "stiffens": (lambda s: s**2, True),
+    "softens but rises": (lambda s: 1 - np.exp(-3 * s), True),
+    "rises after a dip": (lambda s: s + 0.2 * np.sin(9 * s), True),
+    "breaks": (lambda s: 4 * s * (1 - s), False),
+    "breaks late": (lambda s: np.where(s < 0.9, s, 0.9 - 2 * (s - 0.9)), False),
+    "flows": (lambda s: np.minimum(5 * s, 1), False),
+    "breaks, then creeps up": (lambda s: np.exp(-(((s - 0.3) / 0.1) ** 2)) + 0.3 * s, False),
+    "nothing": (lambda s: 0 * s, False),
+}
+
+
+@pytest.mark.parametrize("name", RISES)
+def test_a_force_that_rises_to_the_end_is_no_crushing_force(name):
+    shape, rises = RISES[name]
+    test = UnconfinedTest()
+    (force,) = test.observables
+    assert bool(test.doubt(force, crushing(shape))) == rises
+    assert not ConfinedTest().doubt(ConfinedTest().observables[0], crushing(shape))
+
+
+def test_a_doubt_is_said_with_what_to_do(tmp_path):
+    flat = UnconfinedTest().doubt(UnconfinedTest().observables[0], crushing(lambda s: s))
+    assert "still rises at the end of the travel, 15 mm" in flat
+    assert "no crushing force" in flat and "slender" in flat
+
+
+def test_a_doubt_counts_packings_that_did_not_fail():
+    rising, broken = crushing(RISES["straight"][0]), crushing(RISES["breaks"][0])
+    lab = load_lab(bundled_lab())
+    runs = [
+        two_tests(3.0, 90.0, rising, curve, {}, failure)
+        for curve, failure in ((rising, ""), (rising, ""), (broken, ""), (broken, "x"))
+    ]
+    assert set(doubts(lab, runs)) == {"crushing_force_n"}
+    assert doubts(lab, runs)["crushing_force_n"].endswith("(2 of 3 packings)")
+    assert doubts(lab, [runs[0], runs[2]]) == {}
+    assert doubts(lab, [runs[3]]) == {}
+
+
+# ------------------------------------------------------------------ a record of several loadings
+
+
+def cycles(forces, stiffness=100.0, noise=0.0):
+    """Displacement (mm) and force (N) of a soil that yields, through these turns of the force."""
+    course, ways, way = [0.0], [0.0], 0.0
+    for target in forces:
+        for force in np.linspace(course[-1], target, 60)[1:]:
+            fresh = force > max(course)
+            way += (force - course[-1]) / (stiffness / 10 if fresh else stiffness)
+            course.append(float(force))
+            ways.append(way)
+    rng = np.random.default_rng(3)
+    return np.array(ways), np.array(course) + noise * rng.standard_normal(len(course))
+
+
+COURSES = {
+    "two cycles": (400, 20, 400, 0),
+    "growing": (100, 10, 200, 20, 400),
+    "at one level": (300, 50, 300, 50, 300, 50),
+    "small cycle": (400, 250, 400),
+    "ends loaded": (200, 0, 400),
+}
+
+
+@pytest.mark.parametrize("name", COURSES)
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_the_turns_of_a_cyclic_record_are_found(name, noise):
+    found = cyclic_course(*cycles(COURSES[name], noise=noise))
+    assert len(found) == len(COURSES[name])
+    np.testing.assert_allclose(found, COURSES[name], atol=4 * noise + 1e-9)
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        cycles((400,)),
+        cycles((400, 0)),
+        (np.linspace(0, 9, 90), 100 * np.sin(np.linspace(0, 3, 90))),
+        (np.linspace(0, 9, 90), 100 + 50 * np.sin(np.linspace(0, 20, 90))),  # breaks and recovers
+        (np.array([0.0, 1, 2, 2, 2, 2]), np.array([0.0, 200, 400, 390, 350, 300])),  # a hold
+    ],
+)
+def test_one_loading_has_no_cycles(curve):
+    assert cyclic_course(*curve) == ()
+
+
+def test_a_cyclic_curve_is_refused_with_the_protocol_that_it_followed(folder):
+    """The line of the refusal, put into the lab file, makes it readable by a fit."""
+    way, force = cycles((400, 20, 400, 0))
+    rows = "".join(f"{w!r},{f!r}\n" for w, f in zip(way.tolist(), force.tolist(), strict=True))
+    (folder / "cycles.csv").write_text(f"way,force\n{rows}")
+    test = '\n[[tests]]\ntype = "confined"\nPROTOCOL\n[[tests.curves]]\nfile = "cycles.csv"\n'
+    test += 'displacement = { column = "way", unit = "mm" }\n'
+    test += 'force = { column = "force", unit = "N" }\n'
+    path = folder / "lab.toml"
+    path.write_text(HEAD + test.replace("PROTOCOL", ""))
+    with pytest.raises(InputError, match="loaded 2 times") as caught:
+        pose(load_lab(path))
+    line = caught.value.repair.removeprefix("give the test ")
+    assert line.startswith('protocol = [{ step = "load", to = "400 N" }, { step = "unload"')
+    path.write_text(HEAD + test.replace("PROTOCOL", line))
+    lab = load_lab(path)
+    assert [step.step for step in lab.tests[0].protocol] == ["load", "unload", "reload", "unload"]
+    features = pose(lab).features
+    assert len([f for f in features if "reload" in f.name or "loading 2" in f.name]) >= 4

@@ -7,6 +7,7 @@ ParaView reads them where it is installed.
 import json
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -198,3 +199,17 @@ def test_the_verb_writes_into_its_folder_and_nowhere_else(seen, calibrate, tmp_p
     assert [frame["platen_force_n"] for frame in content["frames"]] == [
         pytest.approx(state.platen_force) for state in states[-3:]
     ]
+
+
+@pytest.mark.parametrize(
+    ("movements", "drawn"),
+    [
+        (["loading", "loading", "unloading", "resting", "crushing"], [1, 3, 4]),
+        (["load 1", "load 1", "hold 2", "unload 3", "reload 4"], [1, 3, 4]),
+        (["load"], [0]),
+        (["load", "hold"], [0, 1]),
+        (["loading", "hold"], [0]),
+    ],
+)
+def test_a_protocol_without_the_usual_movements_is_drawn_too(movements, drawn):
+    assert bed.moments([SimpleNamespace(movement=name) for name in movements]) == drawn

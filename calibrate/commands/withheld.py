@@ -52,8 +52,7 @@ def withheld_command(
     from calibrate.discrepancy.library.description import EmulatedLibrary
     from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
     from calibrate.reports import withheld as report
-    from calibrate.simulation.origin import made_by
-    from calibrate.simulation.session import place_of
+    from calibrate.simulation.session import made_by, place_of
     from calibrate.validation import run
     from calibrate.validation.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
 

@@ -29,8 +29,7 @@ SHOWN = ("loading", "resting", "crushing")  # movements whose ends are drawn
 
 def bed_figure(frames: list[Frame], contacts: list[Contacts], path: Path) -> None:
     """The bed at the end of loading, of the rest, and of crushing, cut through its axis."""
-    ends = {frame.movement: number for number, frame in enumerate(frames)}
-    shown = [ends[name] for name in SHOWN if name in ends]
+    shown = moments(frames)
     figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 5), layout="constrained")
     top = _load_scale([contacts[number] for number in shown], frames[0])
     window = _window(frames)
@@ -39,6 +38,15 @@ def bed_figure(frames: list[Frame], contacts: list[Contacts], path: Path) -> Non
     _load_bar(figure, axes, top)
     figure.supxlabel(CUT, fontsize=8)
     save(figure, path)
+
+
+def moments(frames: list[Frame]) -> list[int]:
+    """Numbers of the frames that are drawn: the ends of `SHOWN`, or, where a protocol has none of
+    these, of three of its movements, the first and the last among them."""
+    ends = {frame.movement: number for number, frame in enumerate(frames)}
+    named = [ends[name] for name in SHOWN if name in ends]
+    last = list(ends.values())
+    return named or sorted({last[0], last[len(last) // 2], last[-1]})
 
 
 def bed_animation(frames: list[Frame], contacts: list[Contacts], path: Path) -> None:

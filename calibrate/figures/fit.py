@@ -9,6 +9,7 @@ import numpy as np
 
 from calibrate.figures.panels import (
     PACKINGS,
+    Look,
     compression,
     fit_groups,
     observables,
@@ -20,6 +21,8 @@ from calibrate.records.base import Curve, Measured
 from calibrate.records.fit import FitRecord
 from calibrate.simulation import Run
 
+FAILED = Look("failed packings", "0.6", "--", "x")
+
 
 def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> None:
     """All tests' curves, one line a packing, beside measured curves and targets."""
@@ -28,8 +31,15 @@ def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> No
     figure, rows = plt.subplots(1, count, figsize=size, layout="constrained", squeeze=False)
     axes = rows[0]
     for axis, test in zip(axes, measured.tests, strict=True):
-        curves = [_curve(run.curves[test]) for run in runs]
-        compression(axis, test, [(PACKINGS, curves)], measured)
+        groups = [
+            (look, [_curve(r.curves[test]) for r in runs if wanted(r) and len(r.curves[test])])
+            for look, wanted in ((PACKINGS, lambda r: not r.failure), (FAILED, lambda r: r.failure))
+        ]
+        compression(axis, test, groups, measured)
+        if not any(curves for _, curves in groups):
+            axis.set(xlim=(0, None), ylim=(0, None))
+            place = {"transform": axis.transAxes, "ha": "center", "va": "center"}
+            axis.text(0.5, 0.5, "no simulated curve: no run came so far", color="0.4", **place)
     _finish(figure, axes, path)
 
 

@@ -1,6 +1,10 @@
 """What a verb works with: lab, preset, folder of results, progress, and where simulations run."""
 
+import platform
+import shlex
+import sys
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 from typing import cast
 
@@ -14,7 +18,7 @@ from calibrate.simulation.batches import InBatches
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign
-from calibrate.simulation.origin import made_by
+from calibrate.simulation.keys import engine_hash
 from calibrate.simulation.resolution import PRESETS, Preset
 
 
@@ -84,6 +88,19 @@ def place_of(dask: str | None = None, batch: int | None = None) -> AbstractPlace
     from calibrate.simulation.cluster import DaskCluster  # loads Dask, which takes a second
 
     return DaskCluster(dask)
+
+
+def made_by() -> dict:
+    """What made a result: command, versions, hash of the source of the plain virtual laboratory."""
+    packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
+    return {
+        "command": shlex.join(["calibrate", *sys.argv[1:]]),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in packages},
+        },
+        "engine": engine_hash(),
+    }
 
 
 def origin_of(session: Session) -> dict:

@@ -5,13 +5,32 @@
 """
 
 import json
+import sys
+import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import xarray as xr
 
-from calibrate.simulation import NETCDF
+from calibrate import cli
+from calibrate.discrepancy.library import simulate
+from calibrate.io.lab import bundled_lab
+from calibrate.simulation import NETCDF, Campaign, session
+from calibrate.simulation import resolution as presets
+from calibrate.simulation.executors import AbstractPlace
+from calibrate.simulation.resolution import Preset
 from calibrate.simulation.store import Store
+from calibrate.validation import plan, run, trial
+from jdem.bodies.spheres import Spheres
+from jdem.core.vector import Vector
+from jdem.packing.specimen import Packing
+
+TINY = Preset("quick", 48, 0.1, 0.2, 2)
+SEED = 1  # of the withheld cases
+CASES = {"none": 1, "above 6": 1}  # 309 in earnest
+FEWER = {"DRAWS": 60, "TRAINING": 60}  # 300, 1200 in earnest
 
 
 @dataclass(frozen=True)
@@ -22,6 +41,11 @@ class Verb:
     result: str
     out: str = "."
     takes_lab: bool = True
+    before: tuple[str, ...] = ()  # a command that makes ./made, which this one reads
+
+    def arguments(self, folder: Path) -> list[str]:
+        """The command; what begins with ./ lies beside the folder that it works in."""
+        return [str(folder.parent / a[2:]) if a[:2] == "./" else a for a in self.command]
 
 
 VERBS = {
@@ -30,6 +54,21 @@ VERBS = {
     "bank": Verb(("bank", "--packings", "8", "--spheres", "60"), "bank.nc", out="bank.nc"),
     "withheld": Verb(("withheld",), "withheld.json", takes_lab=False),
 }
+DATA = Path(__file__).parents[1] / "data"
+_LAB = str(DATA / "silt_loam" / "lab.toml")
+PAIRED = {  # verbs that write, too, and lose nothing that another kill would not
+    "simulate": Verb(("simulate",), "result.json"),
+    "contact": Verb(("contact", "--path-um", "20,2,32,-28"), "contact.json", takes_lab=False),
+    "convert": Verb(("convert", str(DATA / "machine_exports" / "two_specimens.xlsx")),
+                    "convert.json", takes_lab=False),
+    "export": Verb(("export", str(DATA / "fit_result"), "--to", "json", "--diameter", "5 mm"),
+                   "soil.json",
+                   out="soil.json", takes_lab=False),
+    "report": Verb(("report", "./made"), "report.html", takes_lab=False,
+                   before=("fit", "--free", "shear_modulus")),
+    "diagnose": Verb(("diagnose", _LAB), "result.json", takes_lab=False),
+    "next": Verb(("next", _LAB), "next.json", takes_lab=False),
+}  # fmt: skip
 PIECES = ("runs/*.nc", "sealed/*.attempt", "verdicts/*.json")  # simulations, cases, verdicts
 DIFFERS = ("simulations", "runtime_s", "particle_steps_per_s", "command")
 
@@ -74,10 +113,17 @@ def inspected(folder: Path, before: dict, tally: Tally) -> dict:
     return after
 
 
+def left_over(folder: Path) -> list[Path]:
+    """What is no whole file: left by a writer that was stopped or did not clean up."""
+    return [path for path in folder.rglob("*") if ".part" in path.name]
+
+
 def result_of(path: Path) -> dict:
-    """What a command found, from its JSON or NetCDF file."""
-    if path.suffix == ".json":
-        return without(json.loads(path.read_text(encoding="utf-8")))
+    """What a command found, from its JSON, HTML or NetCDF file; its own folder is not named."""
+    if path.suffix in (".html", ".json"):
+        text = path.read_text(encoding="utf-8")
+        text = text.replace(str(path.parent), "HERE")
+        return {"page": text} if path.suffix == ".html" else without(json.loads(text))
     with xr.open_dataset(path, engine=NETCDF) as data:
         return without(data.load().to_dict())
 
@@ -102,3 +148,53 @@ class Whole:
         return self.pieces == written(folder).keys() and self.result == result_of(
             folder / VERBS[verb].result
         )
+
+
+class FormulaPlace(AbstractPlace):
+    """Runs and packings of formulas; a packing remembers its seed as its height."""
+
+    def slots(self, workers):
+        return workers
+
+    def warm_up(self, lab, packing, soil, say):
+        pass
+
+    def simulate(self, lab, specimen, packing, soil):
+        from formulas import specimen as formula
+
+        time.sleep(0.02)
+        return formula(soil, round(float(packing.height)) - 1)
+
+    def prepare(self, specimen, seed, soil):
+        import jax.numpy as jnp
+
+        ones = jnp.ones(specimen.count)
+        return Packing(Vector(ones, ones, ones), Spheres(ones, ones), 1.0 + seed, 1.0)
+
+
+def prepare_process(dem: bool) -> None:
+    """Small specimens, few cases and draws, a known seed, and formulas unless `dem`."""
+    presets.PRESETS["quick"] = TINY
+    for name, count in FEWER.items():
+        setattr(trial, name, count)
+    plan.COUNTS = CASES
+    run.secrets = SimpleNamespace(randbits=lambda bits: SEED)
+    if not dem:
+        session.HERE = FormulaPlace()
+        simulate.Campaign = partial(Campaign, place=FormulaPlace())
+
+
+def low_lab(path: Path) -> Path:
+    """The bundled soil in a mould that 48 spheres fill, pressed with 50 N."""
+    text = bundled_lab().read_text(encoding="utf-8")
+    for old, new in (('"100 mm"', '"50 mm"'), ('"200 N"', '"25 N"'), ('"400 N"', '"50 N"')):
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def begin(arguments: list[str], dem: bool = False) -> None:
+    """The command line in this process, on small specimens."""
+    prepare_process(dem)
+    sys.argv = ["calibrate", *arguments]
+    cli.main()

@@ -27,7 +27,7 @@ doi 10.1137/S003614459631241X), since no two such parts ever multiply to anythin
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -70,7 +70,7 @@ class Machine:
     speed: float
     crushing_speed: float
     told: tuple[str, ...] = MACHINE
-    closing_force: float = float(SeatingGap().closing_force)
+    closing_force: float = field(default_factory=lambda: float(SeatingGap().closing_force))
     filling: Filling | None = None
     height: float = 100.0
 
