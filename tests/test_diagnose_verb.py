@@ -485,7 +485,7 @@ def test_sound_records_stay_sound_at_whatever_preload_they_begin(place, preload)
 
 def test_a_library_reaches_as_far_as_its_runs_and_those_that_were_added():
     emulated = EmulatedLibrary.of(toy_library.library())
-    lab = load_lab(toy_library.LAB.file)
+    lab = load_lab(Path(toy_library.LAB.file))
     prior = soil_prior_for(lab, emulated.library).offset
     sd = np.array([*toy_library.DESIGN.soil_sd.values()])
     for away, beyond in ((2.0, False), (2.45, False), (2.6, True), (4.0, True), (-4.0, True)):

@@ -22,6 +22,7 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.compare import prepare
+from calibrate.discrepancy.comparison.naming import Grounds, named
 from calibrate.discrepancy.diagnosis import InferenceSetup
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.validation import trial
@@ -139,7 +140,11 @@ def sealed_case(tmp_path, monkeypatch) -> Path:
         assert len(lab.curves) == 8
         return None, known, measured
 
+    def answered(lab, emulated, found, d, measured, comparison, seed):
+        return named(d, measured, comparison, Grounds(), seed)
+
     monkeypatch.setattr(trial, "described", described)
+    monkeypatch.setattr(trial, "answered", answered)
     return tmp_path
 
 
