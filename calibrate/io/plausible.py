@@ -69,10 +69,11 @@ class Plausibility:
         self._table(SoilTable, raw.get("soil"), "soil", None)
         size = self._specimen(raw.get("specimen"), "specimen", None)
         self._table(ParticlesTable, raw.get("particles"), "particles", None)
-        given = raw.get("targets")
+        found = raw.get("targets")
+        given = found if isinstance(found, dict) else {}
         for name, kind in PLAIN.items():
             self._test(kind, raw.get(name), name, size)
-            for observable in kind.observables if isinstance(given, dict) else ():
+            for observable in kind.observables:
                 where = f"targets.{observable.short}"
                 self._target(observable, given.get(observable.short), where, size)
         for field, table in _listed(raw.get("tests"), "tests"):
