@@ -102,6 +102,36 @@ class Formulas:
         return replace(run, failure="the bed exploded") if self.fails(soil) else run
 
 
+@dataclass
+class Capped(Formulas):
+    """Strength grows with surface energy by a tenth at most, then with plasticity ratio, rolling
+    friction and softness; packings scatter `luck` times as much in strength."""
+
+    luck: float = 1.0
+
+    def _run(self, soil, seed):
+        self.simulated += 1
+        run = specimen(soil, seed)
+        held = 0.6 * shift(soil, "surface_energy") + 0.1 * shift(soil, "surface_energy") ** 2
+        held += 0.2 * shift(soil, "static_friction")
+        cap = 0.1 + 1.5 * shift(soil, "plasticity_ratio")
+        strength = np.minimum(0.6 * shift(soil, "surface_energy"), cap)
+        strength += 0.8 * shift(soil, "rolling_friction") - 0.3 * shift(soil, "shear_modulus")
+        alone = (
+            np.log(run.observables["crushing_force_n"]) - held - np.log(200.0)
+        )  # of this packing
+        factor = np.exp(strength - held + (self.luck - 1) * alone)
+        curves = {
+            **run.curves,
+            "unconfined": run.curves["unconfined"] * [1.0, factor],
+        }
+        values = {
+            **run.observables,
+            "crushing_force_n": factor * run.observables["crushing_force_n"],
+        }
+        return replace(run, observables=values, curves=curves)
+
+
 def in_place_of_spheres(monkeypatch) -> None:
     """Whatever this process simulates from now on is a formula, of any number of spheres."""
 

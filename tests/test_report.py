@@ -17,19 +17,23 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from formulas import BASE, LAB, Formulas
+from formulas import BASE, LAB, Capped, Formulas, specimen
 from support import browser
 
+from calibrate import figures
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.core.progress import Silent
-from calibrate.designs.comparison import design
+from calibrate.designs.comparison import SlopePair, design
+from calibrate.figures import doe
 from calibrate.figures.panels import BANDED, FRESH, _band, _resampled
+from calibrate.figures.style import PANEL
 from calibrate.inference.audit import audit, audit_json
 from calibrate.inference.calibration import calibrate as fit
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.labtests.measured import Curve, Target
 from calibrate.records import base as records
+from calibrate.records.fit import FitRecord
 from calibrate.reports import kinds, results, study
 from calibrate.simulation import specimens
 from calibrate.simulation.resolution import PRESETS
@@ -389,6 +393,80 @@ def test_the_browser_check_sees_what_is_wrong(tmp_path):
         problems = "\n".join(browser.look(opened, page, 390).problems())
     for words in ("spoken", "127.0.0.1", "wide", "broken", "wordless"):
         assert words in problems
+
+
+# ---- a fit that missed, in every place that shows it
+
+
+@pytest.fixture(scope="module")
+def missed_fit(tmp_path_factory):
+    """A user's choice of parameters that cannot meet a curve three times as strong."""
+    folder = tmp_path_factory.mktemp("missed")
+    opened = session(folder)
+    strong = Curve("unconfined", *(specimen(BASE, 7).curves["unconfined"] * [1.0, 3.0]).T, "s.csv")
+    opened = replace(opened, lab=replace(opened.lab, targets={}, curves=(strong,)))
+    results.write_fit(opened, fit(opened.lab, PRESET, ("restitution",), {}, 0, Formulas()), None)
+    return folder
+
+
+def test_what_a_fit_warns_of_stands_in_result_and_page(missed_fit):
+    result = json.loads((missed_fit / "result.json").read_text())
+    text = " ".join(text_of(page_of(missed_fit)).split())
+    assert not result["met"] and len(result["warnings"]) > 3
+    for sentence in result["warnings"]:
+        assert sentence in text
+    assert "The fit missed its data" in text and "fixed by the data" not in text
+    assert "did not move" in text and "would help" in text
+
+
+def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit, monkeypatch):
+    kept = []
+    monkeypatch.setattr("calibrate.figures.fit.save", lambda figure, path: kept.append(figure))
+    found = records.read(missed_fit / "result.json", FitRecord)
+    figures.fit_figure(found, missed_fit / "again.png")
+    (figure,) = kept
+    said = " ".join(text.get_text() for text in figure.texts)
+    said += figure._supxlabel.get_text()
+    assert "Warning: the fit did not meet" in said
+    for axis in figure.axes:
+        assert not axis.axison or axis.lines or axis.collections or axis.patches
+        assert not axis.axison or len(axis.lines) > 1
+    plt.close(figure)
+
+
+def test_what_a_wider_round_freed_is_shown_with_its_start(tmp_path, capsys):
+    """Depth halved and strength doubled: written whole, table and history too."""
+    opened = session(tmp_path)
+    values = {"depression_depth_mm": Target(1.2, 0.05, 4), "crushing_force_n": Target(420, 20, 4)}
+    opened = replace(opened, lab=replace(opened.lab, targets=values))
+    results.write_fit(opened, fit(opened.lab, PRESET, None, {}, 0, Capped()), None)
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert len(result["rounds"]) > 1
+    assert page_of(tmp_path)
+    said = capsys.readouterr().out
+    assert all(name in said for name in result["free"])
+    lines = (tmp_path / "history.csv").read_text().splitlines()
+    assert len(lines) == 1 + len(result["history"])
+    assert set(result["free"]) <= set(lines[0].split(","))
+
+
+def test_names_of_slopes_do_not_lie_on_each_other():
+    pairs = [
+        SlopePair("screening", name, "f", y, 0.01, 9, x, 0.01, 9, True)
+        for name, x, y in (
+            ("plasticity_ratio", 0.70, 0.98), ("static_friction", 0.71, 0.97),
+            ("rolling_friction", 0.69, 0.99), ("surface_energy", 0.72, 1.0),
+            ("shear_modulus", -1.9, -1.95), ("restitution", 0.7, 0.96),
+        )
+    ]  # fmt: skip
+    figure, axis = plt.subplots(figsize=PANEL, layout="constrained")
+    doe.slopes(axis, pairs, "depth")
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in axis.texts]
+    assert len(boxes) == 6
+    assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
+    plt.close(figure)
 
 
 # ---- mean and band of several curves, also of curves that turn back

@@ -4,12 +4,12 @@ On a soil of formulas whose strength is capped, as adhesion is by plasticity: su
 makes it stronger by a tenth at most.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from formulas import BASE, LAB, Formulas, shift, specimen
+from formulas import BASE, LAB, Capped
 
 from calibrate.inference import misfit
 from calibrate.inference.calibration import calibrate, fit_json
@@ -24,31 +24,6 @@ from calibrate.simulation.resolution import PRESETS
 DEPTH, FORCE = "depression_depth_mm", "crushing_force_n"
 TWO = ("shear_modulus", "surface_energy")
 PRESET = PRESETS["quick"]
-
-
-@dataclass
-class Capped(Formulas):
-    """Strength grows with surface energy by a tenth at most, then with plasticity ratio, rolling
-    friction and softness; packings scatter `luck` times as much in strength."""
-
-    luck: float = 1.0
-
-    def _run(self, soil, seed):
-        self.simulated += 1
-        run = specimen(soil, seed)
-        held = 0.6 * shift(soil, "surface_energy") + 0.1 * shift(soil, "surface_energy") ** 2
-        held += 0.2 * shift(soil, "static_friction")
-        cap = 0.1 + 1.5 * shift(soil, "plasticity_ratio")
-        strength = np.minimum(0.6 * shift(soil, "surface_energy"), cap)
-        strength += 0.8 * shift(soil, "rolling_friction") - 0.3 * shift(soil, "shear_modulus")
-        alone = np.log(run.observables[FORCE]) - held - np.log(200.0)  # of this packing
-        factor = np.exp(strength - held + (self.luck - 1) * alone)
-        curves = {
-            **run.curves,
-            "unconfined": run.curves["unconfined"] * [1.0, factor],
-        }
-        values = {**run.observables, FORCE: factor * run.observables[FORCE]}
-        return replace(run, observables=values, curves=curves)
 
 
 def at_start(work, name):

@@ -21,6 +21,7 @@ from calibrate.records.study import StudyRecord
 from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
 
 RELIEF = (4.6, 4.2)  # inches
+ROUNDING = 1e-9  # of the response; smaller residuals are the computer's, and no picture shows them
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,8 @@ def _surfaces(found: StudyRecord, title: str) -> Stage:
     for name, surface in whole.items():
         if len(experiment.design.factors) > 1:
             pictures[f"Surface of {label_of(name)}"] = _surface(surface, experiment, label_of(name))
-        pictures[f"Residuals of {label_of(name)}"] = _residuals(surface, label_of(name))
+        if np.std(surface.y - surface(surface.X)) > ROUNDING * np.abs(surface.y).max():
+            pictures[f"Residuals of {label_of(name)}"] = _residuals(surface, label_of(name))
     best = ", ".join(f"{words(name)} {quantity(name, v)}" for name, v in stage.optimum.items())
     text = (
         f"{experiment.design.kind}, {len(experiment.design)} points on {experiment.packings} "
