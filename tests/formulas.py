@@ -8,13 +8,13 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from two_tests import two_tests
 
 from calibrate.core.progress import Silent
-from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.simulation.executors import Here
 from calibrate.simulation.resolution import PRESETS, virtual_lab
+from calibrate.simulation.run import Run
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -36,6 +36,29 @@ QUALITY = {  # what a sound run of 150 spheres reports of itself (that of the bu
     "repeats": 0.0,
     "porosity": 0.49,
 }
+
+
+def two_tests(
+    depth: float,
+    force: float,
+    confined: np.ndarray,
+    crushing: np.ndarray,
+    quality: dict[str, float],
+    failure: str = "",
+) -> Run:
+    """A run with these observables (mm, N), curves (points, 2) and checks."""
+    observables = {"depression_depth_mm": depth, "crushing_force_n": force}
+    return Run(observables, {"confined": confined, "unconfined": crushing}, quality, failure)
+
+
+def pressed_lightly(lab: Lab, height: float = 0.05) -> Lab:
+    """The lab with a specimen of this height (m), pressed with 50 N."""
+    compression = lab.tests[0].model_copy(update={"force_low": 25.0, "force_high": 50.0})
+    return replace(
+        lab,
+        specimen=replace(lab.specimen, height=height),
+        tests=(compression, *lab.tests[1:]),
+    )
 
 
 def shift(soil, name):

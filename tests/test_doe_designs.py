@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from calibrate.core.errors import BadValue, InputError
 from calibrate.designs import designs
-from calibrate.designs.aliases import alias_table, aliases
 from calibrate.designs.design import Design
 from calibrate.designs.factors import Factor
-from calibrate.designs.screening import screen
+from calibrate.designs.screening import alias_table, aliases, screen
 from calibrate.designs.surface import fit_surface
 from calibrate.designs.terms import quadratic
 

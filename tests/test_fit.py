@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from formulas import BASE, LAB, Formulas, specimen
-from two_tests import pressed_lightly
+from formulas import BASE, LAB, Formulas, pressed_lightly, specimen
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent

@@ -12,11 +12,13 @@ from machine_files import columns, text_of, written
 from support import lab_curves
 
 from calibrate.core.errors import InputError
+from calibrate.inference.problem import pose
 from calibrate.instrument_import.convert import read_export
 from calibrate.instrument_import.headings import split_heading
 from calibrate.instrument_import.measured import Units
 from calibrate.instrument_import.sizes import Size
 from calibrate.instrument_import.unittext import unit_of
+from calibrate.io.lab import load_lab
 
 TALL = Size(0.05, 0.1)
 AREA = lab_curves.AREA
@@ -339,6 +341,24 @@ def test_a_cyclic_record_says_so_and_keeps_its_first_loading(tmp_path):
     (specimen,) = read_export(path, "unconfined").specimens
     assert len(specimen.force_n) == 30
     assert any(f.fault and "cyclic" in f.text for f in specimen.findings)
+
+
+def test_a_confined_record_of_several_cycles_gets_its_protocol(calibrate, tmp_path):
+    up = np.linspace(0, 6, 60)
+    load = 400 * (up / 6) ** 2
+    back = np.linspace(6, 5.2, 30)[1:]
+    low = 400 - (6 - back) / 0.8 * 360
+    again = np.linspace(5.2, 6.1, 30)[1:]
+    high = 40 + (again - 5.2) / 0.9 * 360
+    travel = np.concatenate([up, back, again, 6.1 - (6 - back)])
+    force = np.concatenate([load, low, high, low])
+    curve_file(tmp_path, ("Displacement (mm)", "Load (N)"), travel, force)
+    status, _, error = calibrate("convert", "export.csv", "--test", "confined", "--out", "o")
+    assert (status, error) == (0, "")
+    lab = load_lab(tmp_path / "o/export.toml")
+    steps = [step.step for step in lab.tests[0].protocol]
+    assert steps == ["load", "unload", "reload", "unload"]
+    assert pose(lab).features  # a fit takes it
 
 
 @pytest.mark.parametrize("preload", [0.0, 1.0, 3.0, 5.0, 10.0])

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formulas import two_tests
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from two_tests import two_tests
 
 from calibrate.core.errors import InputError
 from calibrate.inference.problem import pose

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formulas import two_tests
 from hypothesis import given
 from hypothesis import strategies as some
 from scipy import stats
-from two_tests import two_tests
 
 from calibrate.core.errors import InputError
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free

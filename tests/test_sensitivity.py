@@ -10,8 +10,8 @@ from typing import Any, get_args
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from formulas import two_tests
 from jax import Array
-from two_tests import two_tests
 
 from calibrate.figures.audit import MARKS
 from calibrate.inference.audit import STRATEGIES, Audit, strategies, verdict

@@ -9,9 +9,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from formulas import BASE, LAB, Formulas, specimen
+from formulas import BASE, LAB, Formulas, pressed_lightly, specimen
 from rich.console import Console
-from two_tests import pressed_lightly
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent

@@ -306,3 +306,17 @@ def test_a_widened_interval_still_ends_at_the_bound():
     bounds = np.array([[1.0, 3.5]])
     after = by_profiles(found(bounds), profile(p2=0.0, m2=2.0), 0.0)
     assert after.interval[0, 1] == 3.5
+
+
+@pytest.mark.parametrize(
+    ("fitted", "fresh", "warned"),
+    [(513.0, 749.0, True), (200.0, 150.0, True), (200.0, 230.0, False), (200.0, None, False)],
+)
+def test_fresh_packings_that_differ_are_warned_of(fitted, fresh, warned):
+    result = {
+        "observables": {"crushing_force_n": fitted},
+        "fresh_packings": {
+            "observables": {"crushing_force_n": fresh}, "spread": {"crushing_force_n": 43.0},
+        },
+    }  # fmt: skip
+    assert bool([*misfit._of_fresh(result)]) == warned

@@ -15,7 +15,7 @@ import formulas
 import numpy as np
 import pytest
 import toy_library
-from judged_cases import SEAT, label, specimens, there_and_back, verdict
+from toy_library import SEAT, label, specimens, there_and_back, verdict
 
 from calibrate.commands.withheld import withheld_command
 from calibrate.core.errors import InputError

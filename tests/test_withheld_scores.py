@@ -9,8 +9,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from judged_cases import CLASSES, SEAT, label, specimens, verdict
 from rich.console import Console
+from toy_library import CLASSES, SEAT, label, specimens, verdict
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.probability_calibration import NONE

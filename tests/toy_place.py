@@ -11,7 +11,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from two_tests import two_tests
+from formulas import two_tests
 
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values

@@ -82,6 +82,7 @@ def warnings(result: Mapping, further: Sequence[str] = ()) -> list[str]:
         *_of_misses(result),
         *(f"{name} ended at its bound" for name in result["at_bound"]),
         *_of_packings(result),
+        *_of_fresh(result),
         *_of_open_directions(result),
         *_of_profiles(result),
         *result["notes"],
@@ -104,6 +105,19 @@ def _of_packings(result: Mapping) -> Iterator[str]:
     for packing in (*result["packings"]["fitted"], *result["packings"]["fresh"]):
         if packing["failure"]:
             yield f"packing {packing['seed']} failed: {packing['failure']}"
+
+
+def _of_fresh(result: Mapping) -> Iterator[str]:
+    """Observables that packings of which the fit saw nothing give otherwise."""
+    fresh = result["fresh_packings"]
+    for name, fitted in result["observables"].items():
+        found, spread = fresh["observables"].get(name), fresh["spread"].get(name)
+        if found and fitted and abs(found / fitted - 1) > A_FIFTH:
+            scatter = "" if spread is None else f" ± {spread:.2g} (one packing)"
+            yield (
+                f"fresh packings give {name} {found:.4g}{scatter}, those of the fit {fitted:.4g}: "
+                "it rests on too few packings; give a finer --preset"
+            )
 
 
 def _of_open_directions(result: Mapping) -> Iterator[str]:

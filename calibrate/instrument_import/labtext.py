@@ -106,7 +106,7 @@ def observables(export: Export) -> dict[str, list[float]]:
 
 def lab_text(export: Export) -> str:
     """The lab file that names these curves."""
-    if not export.is_plain:
+    if not export.is_plain or any(testtext.course_of(s) for s in export.specimens):
         return testtext.lab_text(export)
     document = tomlkit.document()
     add_head(document, export)

@@ -25,6 +25,7 @@ from calibrate.instrument_import.steps import turning_rows
 from calibrate.instrument_import.strengths import Strengths
 from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS
 from calibrate.labtests.base import clean_name
+from calibrate.labtests.features import cyclic_course
 
 Course = tuple[str, ...]  # the loads at which the direction of loading turns: "1200 kPa"
 _WORDS = ("load", "unload", "reload")
@@ -62,9 +63,12 @@ def _groups(export: Export) -> dict[tuple[str, Course], list[Specimen]]:
 
 
 def course_of(specimen: Specimen) -> Course:
-    """Where loading of a specimen turns, for load steps; empty for a curve."""
+    """Where loading of a specimen turns, for load steps and for a curve that is loaded several
+    times; empty for one that is loaded once.  Turns of a curve have two digits: repeats differ."""
     if not specimen.points:
-        return ()
+        turns = cyclic_course(specimen.displacement_mm, specimen.force_n)
+        loads = () if specimen.test == SOFTENS else turns
+        return tuple(f"{float(f'{max(load, 0.0):.2g}'):g} N" for load in loads)
     force, diameter = specimen.force_n, specimen.diameter
     unit, per_newton = "N", 1.0
     if diameter is not None:
@@ -142,7 +146,7 @@ def _add_protocol(table: Table, course: Course, specimens: list[Specimen]) -> No
     text = "ASSUMED: the steps between the turns are passed without a hold, at the type's own rate"
     table.add(tomlkit.comment(text))
     table["protocol"] = steps.multiline(True)
-    times = [s.time_s for s in specimens if s.time_s is not None]
+    times = [s.time_s for s in specimens if s.time_s is not None and s.points]
     if times:
         longest = max(float(np.ptp(time)) for time in times) / 3600
         text = f"read over {longest:.4g} h; drainage takes that time and is not simulated"
