@@ -158,7 +158,8 @@ def malformed_sheet(good, rng):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_no_malformed_file_gives_a_traceback(tmp_path):
-    """Each is refused in one line, or read into curves and a lab file that `fit` accepts."""
+    """Each is refused in one line, or read into curves and a lab file that `fit` accepts, or refuses
+    for numbers of which the import warned."""
     rng = np.random.default_rng(20240312)
     goods = small_exports(tmp_path)
     read = refused = 0
@@ -178,7 +179,12 @@ def test_no_malformed_file_gives_a_traceback(tmp_path):
         for name, specimen in labtext.curve_files(export).items():
             (tmp_path / name).write_text(labtext.curve_text(specimen))
         (tmp_path / "lab.toml").write_text(labtext.lab_text(export), encoding="utf-8")
-        assert load_lab(tmp_path / "lab.toml").curves
+        try:
+            assert load_lab(tmp_path / "lab.toml").curves
+        except InputError as error:
+            assert "accept" in error.repair
+            findings = [f for specimen in export.specimens for f in specimen.findings]
+            assert any(f.kind == "size of the numbers" for f in findings)
     assert read + refused == CASES
     assert min(read, refused) > CASES / 10  # the accidents are neither harmless nor all fatal
 

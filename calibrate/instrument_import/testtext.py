@@ -68,7 +68,8 @@ def course_of(specimen: Specimen) -> Course:
     if not specimen.points:
         turns = cyclic_course(specimen.displacement_mm, specimen.force_n)
         loads = () if specimen.test == SOFTENS else turns
-        return tuple(f"{float(f'{max(load, 0.0):.2g}'):g} N" for load in loads)
+        least = 0.01 * max(loads, default=0.0)  # less is no load
+        return tuple(f"{float(f'{load:.2g}'):g} N" if load > least else "0 N" for load in loads)
     force, diameter = specimen.force_n, specimen.diameter
     unit, per_newton = "N", 1.0
     if diameter is not None:
