@@ -158,7 +158,7 @@ def malformed_sheet(good, rng):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_no_malformed_file_gives_a_traceback(tmp_path):
-    """Each is refused in one line, or read into curves and a lab file that `fit` accepts, or refuses
+    """Each is refused in one line, or read into curves and a lab file. `fit` accepts it, or refuses
     for numbers of which the import warned."""
     rng = np.random.default_rng(20240312)
     goods = small_exports(tmp_path)
