@@ -18,7 +18,7 @@ calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in resul
 test: lint  ## lint, then the tests that take seconds, on two cores
 	$(TESTS) -m "not slow"
 
-test-slow: $(STAMP)  ## the other tests, some forty minutes
+test-slow: $(STAMP)  ## the other tests
 	$(TESTS) -m slow
 
 check: lint  ## lint and the fast tests, in about a minute
