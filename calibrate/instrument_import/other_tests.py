@@ -64,9 +64,9 @@ def refuse(signs: list[str], insisted: bool, named: str | None) -> tuple[str, ..
         return ()
     if insisted or (named is not None and not any("column" in sign for sign in signs)):
         text = "a test that is not simulated shows in the file"
-        return (f"{text} ({'; '.join(signs[:3])}): its strength is none of a free specimen",)
+        return (f"{text} ({'; '.join(signs[:3])}): its strength is not an unconfined one",)
     problem = f"it is a test that is not simulated: {'; '.join(signs[:2])}"
-    raise BadValue(problem, "if it is one of free compression all the same, insist with --test")
+    raise BadValue(problem, "if it is a compression test that is simulated all the same, give --test")
 
 
 def _columns(table: Table, rows: np.ndarray) -> list[str]:
