@@ -66,7 +66,7 @@ def refuse(signs: list[str], insisted: bool, named: str | None) -> tuple[str, ..
         text = "a test that is not simulated shows in the file"
         return (f"{text} ({'; '.join(signs[:3])}): its strength is not an unconfined one",)
     problem = f"it is a test that is not simulated: {'; '.join(signs[:2])}"
-    raise BadValue(problem, "if it is a compression test that is simulated all the same, give --test")
+    raise BadValue(problem, "if it is an (un)confined test all the same, give --test")
 
 
 def _columns(table: Table, rows: np.ndarray) -> list[str]:
