@@ -127,8 +127,9 @@ def main() -> None:
         audits[str(seed)] = audit_json(found)
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, audits[str(seed)])
-            plotting.audit_figure(drawn, reporting.IMAGES / "audit.png")
-            plotting.curve_slopes_figure(drawn, reporting.IMAGES / "audit_curves.png")
+            plotting.save(plotting.audit_figure(drawn), reporting.IMAGES / "audit.png")
+            slopes = plotting.curve_slopes_figure(drawn)
+            plotting.save(slopes, reporting.IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
         reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)

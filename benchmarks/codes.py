@@ -38,8 +38,8 @@ import one_contact
 
 from calibrate.core.files import write_text
 from calibrate.core.progress import for_terminal
-from calibrate.export import liggghts
-from calibrate.export.source import Found, find
+from calibrate.exporters import liggghts
+from calibrate.exporters.source import Found, find
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation.resolution import PRESETS, Preset

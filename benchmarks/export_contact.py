@@ -25,9 +25,9 @@ import numpy as np
 import reporting
 
 from calibrate.core.files import write_text
-from calibrate.export import liggghts, yade
-from calibrate.export.notes import PRESSURE, overlap_under
-from calibrate.export.source import Found, find
+from calibrate.exporters import liggghts, yade
+from calibrate.exporters.notes import PRESSURE, overlap_under
+from calibrate.exporters.source import Found, find
 from calibrate.io.lab import bundled_lab
 from calibrate.io.soil import with_values
 from jdem.apparatus.pair import SpherePair, collide, drive_overlap

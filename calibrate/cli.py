@@ -7,6 +7,7 @@ field and repair), 1 anything else.
 import atexit
 import gc
 import os
+import shlex
 import sys
 from typing import Annotated, NoReturn
 
@@ -48,7 +49,7 @@ def program(
 def main() -> None:
     """Entry point: turns wrong input into one line and exit status 2."""
     _spare_collections()
-    _configure_jax()
+    _configure()
     try:
         status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:
@@ -81,9 +82,10 @@ def _spare_collections() -> None:
     atexit.register(gc.freeze)
 
 
-def _configure_jax() -> None:
+def _configure() -> None:
     from calibrate.core import runtime
 
+    runtime.COMMAND.set(shlex.join(["calibrate", *sys.argv[1:]]))
     runtime.configure()
 
 

@@ -68,5 +68,5 @@ def command_line(monkeypatch, tmp_path, capfd):
 @pytest.fixture
 def calibrate(command_line, monkeypatch):
     """The same with JAX as it is set above."""
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+    monkeypatch.setattr(cli, "_configure", lambda: None)
     return command_line

@@ -147,7 +147,7 @@ def clients() -> list[Client]:
 def test_verbs_that_simulate_many_take_an_address(verb, monkeypatch, tmp_path, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
-    monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+    monkeypatch.setattr(cli, "_configure", lambda: None)
     monkeypatch.setattr("sys.argv", ["calibrate", verb, "--dask", "tcp://127.0.0.1:9"])
     with pytest.raises(SystemExit) as end:
         cli.main()

@@ -18,8 +18,8 @@ from hand_made_beds import SHARP, advanced, bed_of, spheres_of, state_of
 from law_cases import MOST, PAIR, SLIP, contact_at, law_of, path_through_every_kink
 
 from calibrate.core.errors import InputError
-from calibrate.export import liggghts
-from calibrate.export.source import RESULT, find
+from calibrate.exporters import liggghts
+from calibrate.exporters.source import RESULT, find
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from jdem.apparatus.pair import SpherePair

@@ -153,7 +153,7 @@ def run(tmp_path_factory):
         in_place_of_spheres(monkeypatch)
         toy_library.write_library(folder / "library.nc")
         monkeypatch.setattr("calibrate.discrepancy.infill.run_points", toy_library.run_points)
-        monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+        monkeypatch.setattr(cli, "_configure", lambda: None)
         monkeypatch.chdir(folder)
 
         def call(*words: str) -> int:

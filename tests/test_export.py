@@ -19,9 +19,9 @@ import pytest
 from support import two_spheres
 
 from calibrate.core.errors import InputError
-from calibrate.export import asjson, edem, liggghts, yade
-from calibrate.export.notes import PRESSURE, overlap_under
-from calibrate.export.source import RESULT, find
+from calibrate.exporters import edem, liggghts, parameters_json, yade
+from calibrate.exporters.notes import PRESSURE, overlap_under
+from calibrate.exporters.source import RESULT, find
 from calibrate.io.lab import bundled_lab
 from calibrate.io.soil import with_values
 from jdem.apparatus.pair import SpherePair, drive_overlap
@@ -218,9 +218,9 @@ def test_every_warning_of_a_fit_is_in_its_exports(calibrate, tmp_path, to, sente
 
 def test_json_lists_the_warnings_and_whether_the_fit_met_its_data(tmp_path):
     result_with(tmp_path, MISSED, warnings=[SAID])
-    content = json.loads(asjson.text(find(tmp_path, {}, 0.004)))
+    content = json.loads(parameters_json.text(find(tmp_path, {}, 0.004)))
     assert content["warnings"] == [SAID] and content["met"] is False
-    content = json.loads(asjson.text(fitted()))
+    content = json.loads(parameters_json.text(fitted()))
     assert content["warnings"] == [] and content["met"] is True
 
 
@@ -277,7 +277,7 @@ def test_the_table_for_edem_has_its_names_units_and_intervals():
 
 def test_json_holds_every_parameter():
     found = fitted()
-    content = json.loads(asjson.text(found))
+    content = json.loads(parameters_json.text(found))
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
     assert values == found.values
     assert content["parameters"]["surface_energy"]["fitted"]

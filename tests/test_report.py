@@ -34,10 +34,12 @@ from calibrate.inference.parameters import FACTORS, space
 from calibrate.labtests.measured import Curve, Target
 from calibrate.records import base as records
 from calibrate.records.fit import FitRecord
-from calibrate.reports import kinds, results, study
+from calibrate.reports import kinds, study
 from calibrate.simulation import specimens
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.session import Session, origin_of
+from calibrate.verbs import fit as fit_verb
+from calibrate.verbs import simulate
 
 HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"
@@ -57,7 +59,7 @@ def session(folder: Path, **changes) -> Session:
 
 def written_fit(folder: Path, free=None, **changes) -> Path:
     opened = session(folder, **changes)
-    results.write_fit(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()), None)
+    fit_verb.kept(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()))
     return folder
 
 
@@ -72,7 +74,7 @@ def written_audit(folder: Path) -> Path:
 
 def written_study(folder: Path) -> Path:
     opened = session(folder)
-    study.write(opened, design(opened.lab, PRESET, {}, 0, Formulas()), None)
+    study.write(opened, design(opened.lab, PRESET, {}, 0, Formulas()))
     return folder
 
 
@@ -177,7 +179,8 @@ def test_an_audit_shows_its_verdicts(folders, pages):
 def test_a_simulation_keeps_its_figure(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     runs = Formulas().runs([BASE], range(3), "simulating")[0]
-    results.write_simulation(opened, specimens.simulation_json(runs), runs, None)
+    found = simulate.kept(opened, specimens.simulation_json(runs), runs)
+    assert found.failures == [] and "simulated" in repr(found)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "result.json").read_text())["engine"]
 
@@ -216,7 +219,7 @@ def test_curves_without_targets_have_a_page(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     opened = replace(opened, lab=replace(opened.lab, targets={}))
     found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Formulas())
-    results.write_fit(opened, found, None)
+    fit_verb.kept(opened, found)
     text = text_of(page_of(tmp_path))
     assert re.search(r"\d of \d numbers read from curves lie within 2 s\.d\.", text)
     assert "targets are met" not in text
@@ -405,7 +408,7 @@ def missed_fit(tmp_path_factory):
     opened = session(folder)
     strong = Curve("unconfined", *(specimen(BASE, 7).curves["unconfined"] * [1.0, 3.0]).T, "s.csv")
     opened = replace(opened, lab=replace(opened.lab, targets={}, curves=(strong,)))
-    results.write_fit(opened, fit(opened.lab, PRESET, ("restitution",), {}, 0, Formulas()), None)
+    fit_verb.kept(opened, fit(opened.lab, PRESET, ("restitution",), {}, 0, Formulas()))
     return folder
 
 
@@ -419,12 +422,9 @@ def test_what_a_fit_warns_of_stands_in_result_and_page(missed_fit):
     assert "did not move" in text and "would help" in text
 
 
-def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit, monkeypatch):
-    kept = []
-    monkeypatch.setattr("calibrate.figures.fit.save", lambda figure, path: kept.append(figure))
+def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit):
     found = records.read(missed_fit / "result.json", FitRecord)
-    figures.fit_figure(found, missed_fit / "again.png")
-    (figure,) = kept
+    figure = figures.fit_figure(found)
     said = " ".join(text.get_text() for text in figure.texts)
     said += figure._supxlabel.get_text()
     assert "Warning: the fit did not meet" in said
@@ -434,16 +434,16 @@ def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit, m
     plt.close(figure)
 
 
-def test_what_a_wider_round_freed_is_shown_with_its_start(tmp_path, capsys):
+def test_what_a_wider_round_freed_is_shown_with_its_start(tmp_path):
     """Depth halved and strength doubled: written whole, table and history too."""
     opened = session(tmp_path)
     values = {"depression_depth_mm": Target(1.2, 0.05, 4), "crushing_force_n": Target(420, 20, 4)}
     opened = replace(opened, lab=replace(opened.lab, targets=values))
-    results.write_fit(opened, fit(opened.lab, PRESET, None, {}, 0, Capped()), None)
+    found = fit_verb.kept(opened, fit(opened.lab, PRESET, None, {}, 0, Capped()))
     result = json.loads((tmp_path / "result.json").read_text())
     assert len(result["rounds"]) > 1
     assert page_of(tmp_path)
-    said = capsys.readouterr().out
+    said = repr(found)
     assert all(name in said for name in result["free"])
     lines = (tmp_path / "history.csv").read_text().splitlines()
     assert len(lines) == 1 + len(result["history"])

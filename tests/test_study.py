@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from formulas import BASE, LAB, Formulas, pressed_lightly, specimen
-from rich.console import Console
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
@@ -136,11 +135,11 @@ def test_one_target_is_a_goal_of_both_surfaces_and_the_rest_are_responses(tmp_pa
     assert titles == ["screening", "force", "force, 3 factors", "refinement"]
     assert set(found.study.screens) == set(TARGETS) and found.study.goals == ("crushing_force_n",)
     assert abs(found.study.fitted[:, 1].mean() - 185.0) < 8.0
-    report.write(Session(lab, PRESETS["quick"], tmp_path, Silent()), found, None)
+    report.write(Session(lab, PRESETS["quick"], tmp_path, Silent()), found)
     page = (tmp_path / report.PAGE).read_text(encoding="utf-8")
     assert "Surface of depression depth" in page and "Force, 3 factors" in page
     assert (tmp_path / "force, 3 factors.csv").exists()
-    report.show(found, Console(width=100))
+    assert len(list(report.words(found))) == 3
 
 
 def test_stages_are_called_after_their_goals():
@@ -157,7 +156,7 @@ def test_stages_are_called_after_their_goals():
 def test_everything_is_written(found, tmp_path):
     """JSON, a page without requests, one run sheet a design with every response in it."""
     session = Session(replace(LAB, targets=TARGETS), PRESETS["quick"], tmp_path, Silent())
-    report.write(session, found, None)
+    report.write(session, found)
     page = (tmp_path / report.PAGE).read_text(encoding="utf-8")
     assert "http://" not in page.replace("http://www.w3.org", "") and "<script" not in page
     for experiment in found.study.experiments:

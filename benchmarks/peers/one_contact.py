@@ -14,8 +14,8 @@ import numpy as np
 from hand_made_beds import SHARP, advanced, bed_of, state_of
 from support import two_spheres
 
-from calibrate.export import liggghts
-from calibrate.export.source import Found
+from calibrate.exporters import liggghts
+from calibrate.exporters.source import Found
 from calibrate.io.soil import with_values
 from jdem.apparatus.pair import SpherePair, drive_overlap
 from jdem.bodies.spheres import Spheres

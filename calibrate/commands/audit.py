@@ -1,6 +1,5 @@
 """`calibrate audit`: gradients beside the slope of the response."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +14,9 @@ from calibrate.commands.options import (
     Out,
     PresetName,
     Seed,
+    answer,
     parse_changes,
 )
-from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 
 
 def register(app: typer.Typer) -> None:
@@ -47,33 +46,10 @@ def audit_command(
     json: Json = None,
 ) -> None:
     """Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
-    from calibrate.core.files import check_writable
-    from calibrate.inference.audit import audit, traces
-    from calibrate.inference.parameters import FACTORS, space
-    from calibrate.io.soil import base_soil, with_values
-    from calibrate.reports.results import write_audit
-    from calibrate.simulation.session import Session
-    from calibrate.simulation.specimens import soil_json
+    from calibrate.verbs.audit import audit
 
-    check_writable(json)
-    session = Session.open(lab, preset, out, dask, batch=batch).resized(spheres)
-    values = parse_changes(changes or [], session.lab.particles.conventions)
-    names = parse_strategies(strategy or ["fit"])
-    base = with_values(base_soil(session.lab), values)
-    audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
-    seeds = range(100 * seed, 100 * seed + packings)
-    campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
-    found = audit(audited, campaign(out, None), seeds, names)
-    settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
-    write_audit(session, found, settings, json)
-
-
-def parse_strategies(names: Sequence[str]) -> tuple[str, ...]:
-    """`--strategy` options as names of sensitivity strategies."""
-    from calibrate.inference.audit import STRATEGIES
-
-    for name in names:
-        if name not in STRATEGIES:
-            repair = suggestion(name, STRATEGIES) or f"give {', '.join(STRATEGIES)}"
-            raise InputError(COMMAND_LINE, "--strategy", f"no strategy '{name}'", repair)
-    return tuple(dict.fromkeys(names))
+    answer(
+        json, "audit.json, audit.png and audit_curves.png", audit, lab,
+        strategies=strategy or ["fit"], values=parse_changes(changes), spheres=spheres,
+        packings=packings, preset=preset, seed=seed, out=out, dask=dask, batch=batch,
+    )  # fmt: skip

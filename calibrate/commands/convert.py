@@ -1,19 +1,9 @@
 """`calibrate convert`: the export of a testing machine becomes curves and a lab file."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
-
-if TYPE_CHECKING:
-    from calibrate.instrument_import.convert import Export
-    from calibrate.instrument_import.measured import Units
-    from calibrate.instrument_import.sizes import Size
-    from calibrate.instrument_import.specimens import Specimen
-    from calibrate.instrument_import.strengths import Strengths
-    from calibrate.instrument_import.unittext import Unit
 
 
 def register(app: typer.Typer) -> None:
@@ -68,180 +58,12 @@ def convert_command(
     json: Annotated[Path | None, typer.Option("--json", help="Write what was found here.")] = None,
 ) -> None:
     """Turn exports of testing machines into clean curves and a lab file for `calibrate fit`."""
-    from calibrate.core.files import check_writable, write_json
-    from calibrate.instrument_import.convert import joined, read_export
-    from calibrate.instrument_import.vocabulary import TESTS
+    from calibrate.commands.options import answer
+    from calibrate.verbs.convert import convert
 
-    check_writable(json)
-    if test is not None and test not in TESTS:
-        repair = f"give one of {', '.join(sorted(TESTS))}"
-        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
-    units = _units(force_unit, displacement_unit, stress_unit, strain_unit, time_unit)
-    size = _size(diameter, height, void_ratio, settlement)
-    read = joined([read_export(export, test, units, size, points) for export in exports])
-    lab = _write(read, out)
-    result = summary(read, lab)
-    write_json(out / "convert.json", result)
-    if json is not None:
-        write_json(json, result)
-    _tell(read, lab)
-
-
-def _write(read: "Export", out: Path) -> Path:
-    """Writes curves, lab file and preview; returns the path of the lab file."""
-    from calibrate.core.files import make_folder, write_text
-    from calibrate.figures.lab import preview_figure
-    from calibrate.instrument_import import labtext
-    from calibrate.instrument_import.convert import file_stem
-
-    if read.strengths is None and not labtext.fitted(read):
-        problem = "no specimen carries more than 2 N"
-        option = "force" if read.is_plain else "stress"
-        repair = f"check the unit of {option}, or give --{option}-unit"
-        raise InputError(read.file, "", problem, repair)
-    make_folder(out)
-    lab = out / f"{file_stem(Path(read.file).stem)}.toml"
-    for name, specimen in labtext.curve_files(read).items():
-        write_text(out / name, labtext.curve_text(specimen))
-    if read.strengths is not None:
-        write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
-    write_text(lab, labtext.lab_text(read))
-    preview_figure(read, out / "preview.png")
-    return lab
-
-
-def summary(read: "Export", lab: Path) -> dict:
-    """What was read and assumed, as plain data."""
-    from calibrate.instrument_import import labtext
-
-    files = {id(specimen): name for name, specimen in labtext.curve_files(read).items()}
-    result = {
-        "file": read.file,
-        "layout": read.layout,
-        "lab": str(lab),
-        "specimens": [_row(specimen, files[id(specimen)]) for specimen in read.specimens],
-        "left_out": list(read.skipped),
-        "observables": labtext.observables(read),
-    }
-    if read.strengths is not None:
-        result["strengths"] = _strengths_row(read.strengths)
-    return result
-
-
-def _strengths_row(strengths: "Strengths") -> dict:
-    return {
-        "test": strengths.test,
-        "place": strengths.place,
-        "labels": list(strengths.labels),
-        "compressive_strength_kpa": strengths.stress_kpa.tolist(),
-        "diameter_m": strengths.diameter,
-        "assumed": list(strengths.notes),
-    }
-
-
-def _row(specimen: "Specimen", file: str) -> dict:
-    row = {
-        "label": specimen.label,
-        "test": specimen.test,
-        "file": file,
-        "place": specimen.place,
-        "points": len(specimen.force_n),
-        "largest_force_n": float(specimen.force_n.max()),
-        "largest_displacement_mm": float(specimen.displacement_mm.max()),
-        "rate_m_s": specimen.rate,
-        "contact_mm": specimen.contact_mm,
-        "zero_force_n": specimen.zero_n,
-        "begins_at_n": specimen.begins_n,
-        "reading_before_contact": specimen.approach,
-        "unloading_mm": specimen.unloading_mm,
-        "saturated": specimen.clipped,
-        "assumed": [f.text for f in specimen.findings if not f.fault],
-        "warnings": [f"{f.kind}: {f.text}" for f in specimen.findings if f.fault],
-    }
-    if specimen.raw.is_converted or specimen.points:
-        row["load_steps"] = specimen.points
-        row["converted"] = _conversion(specimen)
-    return row
-
-
-def _conversion(specimen: "Specimen") -> dict:
-    """What was recorded, from which size it was converted, and how."""
-    raw, size = specimen.raw, specimen.raw.size
-    return {
-        "from": [raw.load, raw.travel],
-        "diameter_m": size.diameter,
-        "height_m": size.height,
-        "initial_void_ratio": size.void_ratio,
-        "how": list(size.sentences),
-    }
-
-
-def _units(
-    force: str | None,
-    displacement: str | None,
-    stress: str | None,
-    strain: str | None,
-    time: str | None,
-) -> "Units":
-    """The units that the user insists on, each of its kind."""
-    from calibrate.instrument_import.measured import Units
-
-    return Units(
-        force=_checked(force, "force", "kN"),
-        displacement=_checked(displacement, "displacement", "mm"),
-        stress=_checked(stress, "stress", "kPa"),
-        strain=_checked(strain, "strain", "%"),
-        time=_checked(time, "time", "min"),
-    )
-
-
-def _checked(text: str | None, kind: str, example: str) -> "Unit | None":
-    """A unit from the command line, refused if it is none of this kind."""
-    from calibrate.instrument_import.unittext import doubt, unit_of
-
-    unit = None if text is None else unit_of(text)
-    if text is None or (unit is not None and unit.kind == kind):
-        return unit
-    problem = f"{shown(text, 20)} {doubt(text) or f'is not a unit of {kind}'}"
-    raise InputError(COMMAND_LINE, f"--{kind}-unit", problem, f"use a unit such as {example}")
-
-
-def _size(
-    diameter: str | None, height: str | None, void_ratio: str | None, settlement: str | None
-) -> "Size":
-    """The specimen's size from the command line, SI."""
-    from calibrate.core.units import LENGTH, positive_quantity
-    from calibrate.instrument_import.sizes import Size, initial_void_ratios, settlements
-
-    def read(text, option, reader):
-        try:
-            return None if text is None else reader(text)
-        except BadValue as bad:
-            raise bad.at(COMMAND_LINE, option) from None
-
-    return Size(
-        diameter=read(diameter, "--diameter", lambda text: positive_quantity(text, LENGTH)),
-        height=read(height, "--height", lambda text: positive_quantity(text, LENGTH)),
-        void_ratios=read(void_ratio, "--void-ratio", initial_void_ratios),
-        settlements=read(settlement, "--settlement", settlements),
-    )
-
-
-def _tell(read: "Export", lab: Path) -> None:
-    """One line a specimen, then what was assumed, warnings last."""
-    print(f"{read.file}: {read.layout}")
-    for specimen in read.specimens:
-        print(
-            f"{specimen.label}: {specimen.test}, {len(specimen.force_n)} points, "
-            f"up to {specimen.force_n.max():.4g} N and {specimen.displacement_mm.max():.4g} mm"
-        )
-        for finding in sorted(specimen.findings, key=lambda f: f.fault):
-            print(f"  {'WARNING: ' if finding.fault else ''}{finding.text}")
-    if read.strengths is not None:
-        force = read.strengths.force_n
-        print(f"{read.strengths.test}: {len(force)} strengths, {force.mean():.4g} N in the mean")
-        for note in read.strengths.notes:
-            print(f"  {note}")
-    for sentence in read.skipped:
-        print(f"WARNING: {sentence}")
-    print(f"look at {lab.parent / 'preview.png'}, then: calibrate fit {lab}")
+    answer(
+        json, "", convert, *exports, test=test, diameter=diameter, height=height,
+        void_ratio=void_ratio, settlement=settlement, points=points, force_unit=force_unit,
+        displacement_unit=displacement_unit, stress_unit=stress_unit, strain_unit=strain_unit,
+        time_unit=time_unit, out=out,
+    )  # fmt: skip

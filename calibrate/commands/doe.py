@@ -13,6 +13,7 @@ from calibrate.commands.options import (
     Out,
     PresetName,
     Seed,
+    answer,
     parse_changes,
 )
 
@@ -33,18 +34,9 @@ def doe_command(
     json: Json = None,
 ) -> None:
     """Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
-    from rich.console import Console
+    from calibrate.verbs.doe import doe
 
-    from calibrate.core.files import check_writable
-    from calibrate.designs.comparison import design
-    from calibrate.reports import study as report
-    from calibrate.simulation.session import Session
-
-    check_writable(json)
-    session = Session.open(lab, preset, out, dask, batch=batch).on_soil()
-    values = parse_changes(changes or [], session.lab.particles.conventions)
-    work = session.campaign(out, None)
-    done = design(session.lab, session.preset, values, seed, work)
-    report.write(session, done, json)
-    report.show(done, Console())
-    print(f"result.json, {report.PAGE} and run sheets are in {out}")
+    answer(
+        json, "result.json, study.html and run sheets", doe, lab, values=parse_changes(changes),
+        preset=preset, seed=seed, out=out, dask=dask, batch=batch,
+    )  # fmt: skip

@@ -15,9 +15,10 @@ from calibrate.commands.options import (
     Preparation,
     PresetName,
     Seed,
+    answer,
     parse_changes,
+    parse_names,
 )
-from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 
 
 def register(app: typer.Typer) -> None:
@@ -40,41 +41,11 @@ def fit_command(
     json: Json = None,
 ) -> None:
     """Calibrate the parameters that the data can fix; say which those are."""
-    from calibrate.core.files import check_writable
-    from calibrate.inference.calibration import calibrate
-    from calibrate.inference.resolutions import Coarse
-    from calibrate.io.conventions import check_free
-    from calibrate.reports.results import write_fit
-    from calibrate.simulation.session import Session
+    from calibrate.verbs.fit import fit
 
-    check_writable(json)
-    session = Session.open(lab, preset, out, dask, conventions)
-    values = parse_changes(changes or [], session.lab.particles.conventions)
-    names = parse_free(free)
-    check_free(session.lab.particles.conventions, names or (), COMMAND_LINE, "--free ")
-    preparation = values if prepare_with_soil else None
-    work, spheres = session.campaign(out, preparation), session.preset.explored
-    coarse = None
-    if spheres is not None:
-        smaller = session.resized(spheres).campaign(out, preparation)
-        coarse = Coarse(smaller, spheres, session.preset.spheres)
-    done = calibrate(session.lab, session.preset, names, values, seed, work, coarse)
-    write_fit(session, done, json)
-
-
-def parse_free(free: str | None) -> tuple[str, ...] | None:
-    """`--free` as names of parameters that may be fitted."""
-    from calibrate.inference.parameters import RANGES
-
-    if free is None:
-        return None
-    names = tuple(name.strip() for name in free.split(",") if name.strip())
-    for name in names:
-        if name not in RANGES:
-            repair = suggestion(name, RANGES) or f"give some of {', '.join(RANGES)}"
-            raise InputError(COMMAND_LINE, "--free", f"'{name}' cannot be fitted", repair)
-    if not names or len(set(names)) < len(names):
-        raise InputError(
-            COMMAND_LINE, "--free", "no name, or one name twice", "name each parameter once"
-        )
-    return names
+    names = None if free is None else parse_names(free)
+    answer(
+        json, "result.json, history.csv and fit.png", fit, lab, free=names,
+        values=parse_changes(changes), preset=preset, seed=seed,
+        prepare_with_soil=prepare_with_soil, conventions=conventions, out=out, dask=dask,
+    )  # fmt: skip

@@ -7,11 +7,14 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError
+
+if TYPE_CHECKING:
+    from calibrate.verbs.base import AbstractResult
 
 LabFile = Annotated[
     Path | None, typer.Argument(metavar="[LAB.toml]", help="Lab file; default: the bundled soil.")
@@ -67,19 +70,45 @@ def renamed(command: Callable[..., None], old: str, new: str) -> Callable[..., N
     return with_notice
 
 
-def parse_changes(changes: Sequence[str], conventions: str | None = None) -> dict[str, float]:
-    """`--set name=value` options as numbers in SI units; `conventions` are those of the lab."""
-    from calibrate.io.conventions import check_values
-    from calibrate.io.labfile import check_parameter
-
+def parse_changes(changes: Sequence[str] | None) -> dict[str, str]:
+    """`--set name=value` options by name; the verb reads the values."""
     values = {}
-    for change in changes:
+    for change in changes or ():
         name, equals, value = change.partition("=")
         if not equals:
             raise InputError(COMMAND_LINE, f"--set {change}", "no '='", "write name=value")
-        values[name.strip()] = check_parameter(
-            name.strip(), value.strip(), COMMAND_LINE, f"--set {name.strip()}"
-        )
-    if conventions is not None:
-        check_values(conventions, values, COMMAND_LINE, "--set ")
+        values[name.strip()] = value.strip()
     return values
+
+
+def parse_names(names: str) -> tuple[str, ...]:
+    """Names separated by commas."""
+    return tuple(name.strip() for name in names.split(",") if name.strip())
+
+
+def answer(
+    json: Path | None, files: str, verb: Callable[..., "AbstractResult"], /, *arguments: Any,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Does what a verb does, writes `--json`, and shows what was found and where its `files` are;
+    also where it then could not go on."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from calibrate.core.files import check_writable
+
+    check_writable(json)
+    try:
+        found, error = verb(*arguments, **options), None
+    except CalibrationError as stopped:
+        found, error = stopped.result, stopped
+    if found is not None:
+        if json is not None:
+            found.to_json(json)
+        console = Console()
+        for part in found.words():
+            console.print(part, soft_wrap=not console.is_terminal and isinstance(part, Text))
+        if files:
+            print(f"{files} are in {found.folder}")
+    if error is not None:
+        raise error

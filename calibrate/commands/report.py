@@ -27,20 +27,7 @@ def report_command(
     ] = None,
 ) -> None:
     """Write report.html: one file with figures, tables, settings and versions, to hand on."""
-    from calibrate.core.files import check_writable, make_folder, write_json, write_text
-    from calibrate.reports import kinds
+    from calibrate.commands.options import answer
+    from calibrate.verbs.report import report
 
-    check_writable(json)
-    kind, file = kinds.find(place)
-    folder = file.parent if out is None else out
-    make_folder(folder)
-    page = kinds.page_of(kind, file)
-    write_text(folder / PAGE, page.html)
-    if json is not None:
-        summary = {"kind": kind.name, "summary": page.sentence, "report": str(folder / PAGE)}
-        write_json(json, summary)
-    print(page.sentence)
-    print(f"report of {file} in {folder / PAGE}")
-
-
-PAGE = "report.html"
+    answer(json, "", report, place, out=out)

@@ -15,6 +15,7 @@ from calibrate.commands.options import (
     Preparation,
     PresetName,
     Seed,
+    answer,
     parse_changes,
 )
 
@@ -39,17 +40,10 @@ def simulate_command(
     json: Json = None,
 ) -> None:
     """Run the lab's virtual tests on several packings: curves, observables, scatter."""
-    from calibrate.core.files import check_writable
-    from calibrate.reports.results import write_simulation
-    from calibrate.simulation import specimens
-    from calibrate.simulation.session import Session
+    from calibrate.verbs.simulate import simulate
 
-    check_writable(json)
-    session = Session.open(lab, preset, out, dask, conventions)
-    if single:
-        session = session.in_single_precision()
-    values = parse_changes(changes or [], session.lab.particles.conventions)
-    work = session.campaign(out, values if prepare_with_soil else None)
-    result, runs = specimens.simulate(session.lab, session.preset, values, seed, work)
-    write_simulation(session, result, runs, json)
-    specimens.check_some_sound(runs)
+    answer(
+        json, "result.json and curves.png", simulate, lab, values=parse_changes(changes),
+        preset=preset, seed=seed, single=single, prepare_with_soil=prepare_with_soil,
+        conventions=conventions, out=out, dask=dask,
+    )  # fmt: skip

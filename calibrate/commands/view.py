@@ -34,6 +34,7 @@ def view_command(
     from calibrate.figures import bed
     from calibrate.io.soil import base_soil, with_values
     from calibrate.simulation.session import Session
+    from calibrate.verbs.base import parameter_values
     from calibrate.view.contacts import contacts_of
     from calibrate.view.frames import frames as states
     from calibrate.view.vtk import write_series
@@ -41,9 +42,8 @@ def view_command(
     check_writable(json)
     session = Session.open(lab, preset, out)
     make_folder(out / "vtk")
-    soil = with_values(
-        base_soil(session.lab), parse_changes(changes or [], session.lab.particles.conventions)
-    )
+    values = parameter_values(parse_changes(changes), session.lab.particles.conventions)
+    soil = with_values(base_soil(session.lab), values)
     work = session.campaign_of_one(out, None)
     (packing,) = work.packings([seed])
     seen = states(work.lab, packing, soil, frames, session.progress.say)

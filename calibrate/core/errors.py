@@ -8,6 +8,7 @@ message of the exception.  Nothing here is raised for faults of the program itse
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 COMMAND_LINE = "command line"  # the "file" of an option that is wrong
 
@@ -69,4 +70,11 @@ def one_line(text: str) -> str:
 
 
 class CalibrationError(RuntimeError):
-    """A calibration cannot go on, in one sentence; what was simulated stays on disk."""
+    """A calibration cannot go on, in one sentence; what was simulated stays on disk.
+
+    `result` is what there is all the same, where a verb found something; None otherwise.
+    """
+
+    def __init__(self, sentence: str, result: Any = None):
+        super().__init__(sentence)
+        self.result = result

@@ -1,9 +1,18 @@
-"""How JAX is set up before anything is simulated: by the command line and in a notebook."""
+"""How JAX is set up before anything is simulated, and what was typed to start it."""
 
 import os
+import sys
+from contextvars import ContextVar
 from pathlib import Path
 
 import jax
+
+COMMAND: ContextVar[str] = ContextVar("command", default="")  # the command line, where there is one
+
+
+def command() -> str:
+    """What was typed, for results: the command line, or the Python program that called."""
+    return COMMAND.get() or f"python {Path(sys.argv[0]).name}".rstrip()
 
 
 def configure() -> None:

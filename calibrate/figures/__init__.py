@@ -5,9 +5,10 @@
 """
 
 from calibrate.figures.audit import MARKS, audit_figure, curve_slopes_figure
-from calibrate.figures.fit import contact_figure, fit_figure, simulation_figure
+from calibrate.figures.fit import contact_figure, export_figure, fit_figure, simulation_figure
+from calibrate.figures.lab import preview_figure
 from calibrate.figures.panels import RATIOS
-from calibrate.figures.style import DARK, LIGHT, MIDDLE
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, Figure, closed, save
 
 __all__ = [
     "DARK",
@@ -15,9 +16,14 @@ __all__ = [
     "MARKS",
     "MIDDLE",
     "RATIOS",
+    "Figure",
     "audit_figure",
+    "closed",
     "contact_figure",
     "curve_slopes_figure",
+    "export_figure",
     "fit_figure",
+    "preview_figure",
+    "save",
     "simulation_figure",
 ]

@@ -1,13 +1,13 @@
 """Figures of an audit of gradients: estimates against the reference, and slopes of curves."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty, save
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
 from calibrate.labtests.composite import described
 from calibrate.records.audit import AuditSlopes, Slope, SlopesOfCurve
 from calibrate.records.base import Observable
@@ -25,14 +25,14 @@ MARKS = {
 }
 
 
-def audit_figure(found: AuditSlopes, path: Path) -> None:
+def audit_figure(found: AuditSlopes) -> Figure:
     """Estimates against the reference, one panel an observable; the band is what passes."""
     shown = found.observables
     size = (5.5 * len(shown), 5)
     figure, axes = plt.subplots(1, len(shown), figsize=size, layout="constrained", squeeze=False)
     for axis, observable in zip(axes[0], shown, strict=True):
         agreement(axis, found, observable)
-    save(figure, path)
+    return figure
 
 
 def agreement(axis: Axes, found: AuditSlopes, observable: Observable) -> None:
@@ -77,7 +77,7 @@ def _band(axis: Axes, within: float) -> None:
     axis.plot(span, span, color="0.5", lw=0.8)
 
 
-def curve_slopes_figure(found: AuditSlopes, path: Path) -> None:
+def curve_slopes_figure(found: AuditSlopes) -> Figure:
     """Slopes of all whole curves in every parameter: the reference's band and the estimates."""
     names = found.parameters_of_curves
     size = (2.1 * len(names), 2.6 * len(found.curves))
@@ -93,7 +93,7 @@ def curve_slopes_figure(found: AuditSlopes, path: Path) -> None:
     for name, axis in zip(names, axes[0], strict=True):
         axis.set_title(pretty(name), fontsize=9)
     axes[0, 0].legend(fontsize=7, frameon=False)
-    save(figure, path)
+    return figure
 
 
 def abscissa_of(curve: SlopesOfCurve) -> str:

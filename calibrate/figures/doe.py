@@ -14,6 +14,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from calibrate.designs.comparison import Ending, SlopePair
 from calibrate.designs.diagnostics import BoxCox, Diagnostics, box_cox, diagnose, without_profile
@@ -21,7 +22,9 @@ from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Effect, Screening
 from calibrate.designs.surface import Surface
 from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, above, save
+from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Target
+from calibrate.records.study import StudyRecord
 
 GRID = 61  # points along each side of a surface
 NAMED = 0.12  # of the largest effect: smaller ones lie too close together to be named
@@ -331,6 +334,21 @@ def _name(axis: Axes, named: dict[str, tuple[float, float]]) -> None:
         right = point[0] > middle
         away = {"ha": "right" if right else "left", "textcoords": "offset points", "fontsize": 8}
         axis.annotate(_pretty(name), point, (-7 if right else 7, lowest - height), **away)
+
+
+def study_figure(found: StudyRecord) -> Figure:
+    """Slopes of every response and where each method ended, one column a response."""
+    compared, columns = found.compared(), len(found.observables)
+    size = (4.8 * columns, 8.0)
+    figure, axes = plt.subplots(2, columns, figsize=size, layout="constrained", squeeze=False)
+    for column, name in enumerate(found.observables):
+        label, above_it, below = label_of(name), axes[0, column], axes[1, column]
+        slopes(above_it, [pair for pair in compared.slopes if pair.observable == name], label)
+        if name in found.goals:
+            endings(below, compared.endings, found.measured.targets[name], column, label)
+        else:
+            below.set_axis_off()
+    return figure
 
 
 def endings(axis: Axes, found: Sequence[Ending], target: Target, column: int, label: str) -> None:

@@ -1,11 +1,11 @@
 """Figures of a simulation, of a fit at a glance, of one contact."""
 
 import textwrap
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from calibrate.figures.panels import (
     PACKINGS,
@@ -16,7 +16,7 @@ from calibrate.figures.panels import (
     parameters,
     read_numbers,
 )
-from calibrate.figures.style import DARK, save
+from calibrate.figures.style import DARK, pretty
 from calibrate.records.base import Curve, Measured
 from calibrate.records.fit import FitRecord
 from calibrate.simulation import Run
@@ -24,7 +24,7 @@ from calibrate.simulation import Run
 FAILED = Look("failed packings", "0.6", "--", "x")
 
 
-def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> None:
+def simulation_figure(runs: Sequence[Run], measured: Measured) -> Figure:
     """All tests' curves, one line a packing, beside measured curves and targets."""
     count = len(measured.tests)
     size = (5.0 * count, 4.2)
@@ -40,14 +40,14 @@ def simulation_figure(runs: Sequence[Run], measured: Measured, path: Path) -> No
             axis.set(xlim=(0, None), ylim=(0, None))
             place = {"transform": axis.transAxes, "ha": "center", "va": "center"}
             axis.text(0.5, 0.5, "no simulated curve: no run came so far", color="0.4", **place)
-    _finish(figure, axes, path)
+    return _finished(figure, axes)
 
 
 LINE = 130  # characters of a line of warnings, at the width of two panels
 MOST_LINES = 12
 
 
-def fit_figure(found: FitRecord, path: Path) -> None:
+def fit_figure(found: FitRecord) -> Figure:
     """Curves of fitted and fresh packings, observables against targets (where there are none, the
     numbers read from curves), parameters; below, what the fit warned of."""
     tests = list(found.measured.tests)
@@ -61,7 +61,7 @@ def fit_figure(found: FitRecord, path: Path) -> None:
     _warn(figure, found.all_warnings(), columns)
     for axis in (*axes[0, len(tests) :], *axes[1, 2:]):
         axis.set_axis_off()
-    _finish(figure, (*axes[0, : len(tests)], axes[1, 0]), path)
+    return _finished(figure, (*axes[0, : len(tests)], axes[1, 0]))
 
 
 def _warn(figure, sentences: Sequence[str], columns: int) -> None:
@@ -74,21 +74,35 @@ def _warn(figure, sentences: Sequence[str], columns: int) -> None:
         figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=8, x=0.02, ha="left")
 
 
-def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray, path: Path) -> None:
+def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray) -> Figure:
     """Normal force against overlap of one contact."""
     figure, axis = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
     axis.plot(1e6 * overlap_m, force_n, color=DARK)
     axis.axhline(0, color="0.6", linewidth=0.8)
     axis.set(xlabel="overlap (µm)", ylabel="normal force (N)")
-    save(figure, path)
+    return figure
+
+
+def export_figure(values: Mapping[str, float], intervals: Mapping[str, tuple]) -> Figure:
+    """Parameters over their exported values, with 95 % intervals; hollow: not fitted."""
+    names = [name for name, value in values.items() if value]
+    size = (5.5, 1.2 + 0.24 * len(names))
+    figure, axis = plt.subplots(figsize=size, layout="constrained")
+    for row, name in enumerate(reversed(names)):
+        low, high = (end / values[name] for end in intervals.get(name, (values[name],) * 2))
+        axis.plot([low, high], [row, row], color=DARK, lw=2)
+        axis.plot(1, row, "o", color=DARK, mfc=DARK if name in intervals else "white")
+    axis.set_yticks(range(len(names)), [pretty(name) for name in reversed(names)], fontsize=8)
+    axis.set_xlabel("value over the exported one; bars: 95 % interval; hollow: not fitted")
+    return figure
 
 
 def _curve(points: np.ndarray) -> Curve:
     return Curve(displacement_mm=points[:, 0].tolist(), force_n=points[:, 1].tolist())
 
 
-def _finish(figure, axes, path: Path) -> None:
+def _finished(figure: Figure, axes) -> Figure:
     for axis in axes:
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize=8, frameon=False)
-    save(figure, path)
+    return figure

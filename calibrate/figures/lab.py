@@ -9,8 +9,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib import font_manager
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from calibrate.figures.style import DARK, MIDDLE, save
+from calibrate.figures.style import DARK, MIDDLE
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
@@ -23,7 +24,7 @@ MOST_LINES = 40
 CHINESE = ("Noto Sans CJK SC", "WenQuanYi Zen Hei", "Microsoft YaHei", "SimHei", "PingFang SC")
 
 
-def preview_figure(export: Export, path: Path) -> None:
+def preview_figure(export: Export) -> Figure:
     """Each specimen as recorded and as kept, with what was assumed written underneath."""
     shown = export.specimens[:MOST_PANELS]
     columns = max(min(COLUMNS, len(shown)), 1)
@@ -43,7 +44,7 @@ def preview_figure(export: Export, path: Path) -> None:
     below = figure.add_subplot(grid[rows, :])
     below.set_axis_off()
     below.text(0, 1, "\n".join(lines), fontsize=8, va="top", family=_fonts())
-    save(figure, path)
+    return figure
 
 
 def _fonts() -> list[str]:

@@ -1,4 +1,5 @@
-"""What all figures share: no display, and colours that differ in lightness as well as in hue.
+"""What all figures share: colours that differ in lightness as well as in hue, and no display where
+none was chosen.
 
 Figures survive a greyscale printer; colour maps run from dark to light.  A figure becomes a
 file (`save`) or, for a page, SVG text of one panel that a phone can show (`panel_svg`).
@@ -11,7 +12,8 @@ from typing import Any
 
 import matplotlib
 
-matplotlib.use("Agg")
+if matplotlib.get_backend(auto_select=False) is None:  # a notebook has chosen one
+    matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -30,6 +32,12 @@ def save(figure: Figure, path: Path) -> None:
             figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
     finally:
         plt.close(figure)
+
+
+def closed(figure: Figure) -> Figure:
+    """The figure, which pyplot forgets: a notebook shows it once, where it is asked for."""
+    plt.close(figure)
+    return figure
 
 
 def panel_svg(

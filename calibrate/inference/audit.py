@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from calibrate.core.errors import CalibrationError
+from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, suggestion
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
 from calibrate.inference.traced import Certificate, traced_slopes
@@ -123,6 +123,15 @@ def strategies(space: Space) -> dict[str, AbstractStrategy]:
         "virtual_power": VirtualPower(),
         "virtual_power_blend": Blend(VirtualPower(), ensemble(space)),
     }
+
+
+def checked_strategies(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of strategies, each once; refused where one is unknown."""
+    for name in names:
+        if name not in STRATEGIES:
+            repair = suggestion(name, STRATEGIES) or f"give {', '.join(STRATEGIES)}"
+            raise InputError(COMMAND_LINE, "--strategy", f"no strategy '{name}'", repair)
+    return tuple(dict.fromkeys(names))
 
 
 def traces(names: Sequence[str]) -> bool:

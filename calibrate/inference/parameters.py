@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.core.errors import InputError
+from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from jdem.core.parameter import Search as Range
@@ -32,6 +32,18 @@ FACTORS = (
 
 # Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
 RANGES = {name: entry.search for name, entry in CATALOGUE.items() if entry.search is not None}
+
+
+def checked_free(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of parameters that are to be fitted, refused where one cannot be."""
+    for name in names:
+        if name not in RANGES:
+            repair = suggestion(name, RANGES) or f"give some of {', '.join(RANGES)}"
+            raise InputError(COMMAND_LINE, "--free", f"'{name}' cannot be fitted", repair)
+    if not names or len(set(names)) < len(names):
+        problem = "no name, or one name twice"
+        raise InputError(COMMAND_LINE, "--free", problem, "name each parameter once")
+    return tuple(names)
 
 
 @dataclass(frozen=True)

@@ -140,8 +140,23 @@ class TestedSpecimen:
     tests: tuple[AbstractLabTest, ...]
 
 
-def load_lab(path: Path) -> Lab:
-    """The lab file at `path`, checked and converted; raises `InputError`."""
+def load_lab(path: str | Path) -> Lab:
+    """Reads a lab file and the curves that it names.
+
+    Args:
+        path: the TOML file; curves lie in its folder or below it.
+
+    Returns:
+        The lab, checked, in SI units (curves and targets in mm and N).
+
+    Raises:
+        InputError: the file, or an entry of it, is wrong; says which, and what to write instead.
+
+    Example:
+        >>> lab = calibrate.load_lab(calibrate.bundled_lab())
+        >>> lab.name
+        'wheat after rice, Lishui, Jiangsu'
+    """
     file, raw = str(path), read_toml(Path(path))
     usual = Plausibility(file, _accepted(raw))
     usual.tables(raw)
@@ -183,12 +198,35 @@ def _as_its_conventions(lab: Lab) -> Lab:
 
 
 def bundled_lab(name: str = "wheat_after_rice") -> Path:
-    """The path of the lab file `name` that comes with the package."""
+    """A lab file that comes with the package.
+
+    Args:
+        name: of the soil.
+
+    Returns:
+        The path of its file.
+
+    Raises:
+        InputError: there is no such soil.
+
+    Example:
+        >>> path = calibrate.bundled_lab("trumao")
+    """
     folder = Path(str(resources.files("calibrate") / "soils"))
     known = sorted(file.stem for file in folder.glob("*.toml"))
     if name not in known:
         raise InputError("bundled soils", "", f"no soil {shown(name)}", suggestion(name, known))
     return folder / f"{name}.toml"
+
+
+LabLike = Lab | str | Path | None  # what verbs take for a soil; None: the bundled one
+
+
+def lab_of(lab: LabLike) -> Lab:
+    """The lab that is meant: read from its file, unless it has been read."""
+    if lab is None or isinstance(lab, str | Path):
+        return load_lab(bundled_lab() if lab is None else lab)
+    return lab
 
 
 def _check_something_measured(stated: StatedTests, file: str) -> None:

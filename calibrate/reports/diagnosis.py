@@ -3,16 +3,16 @@
 The page opens with one paragraph, one figure and one table; all that they rest on stands below.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import RenderableType
 from rich.table import Table as Terminal
+from rich.text import Text
 
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.comparison.next_test import BEFORE_TESTS
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.labtests.diagnosis.curves import TESTS
@@ -22,7 +22,6 @@ from calibrate.records.diagnosis import (
     DiagnosisRecord,
     ExplanationRow,
     SegmentRow,
-    content,
 )
 from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title
@@ -38,18 +37,14 @@ STATUS = {
 }
 
 
-def write(out: Path, diagnosis: Diagnosis, origin: dict, path: Path | None) -> DiagnosisRecord:
-    """result.json (and `--json`), figures/ and the page, in a folder that exists."""
-    plain_data = content(diagnosis, origin)
+def write(out: Path, plain_data: dict) -> None:
+    """result.json, figures/ and the page, in a folder that exists."""
     write_json(out / "result.json", plain_data)
-    if path is not None:
-        write_json(path, plain_data)
     found = record(DiagnosisRecord, plain_data)
     pictures = _pictures(found)
     for name, picture in pictures.items():
         write_text(out / "figures" / f"{name}.svg", picture.svg)
     write_text(out / PAGE, _page(found, pictures).html)
-    return found
 
 
 def page(path: Path) -> Page:
@@ -83,9 +78,9 @@ def _page(found: DiagnosisRecord, pictures: dict[str, Picture]) -> Page:
     return Page(shown["sentence"], render(PAGE, found=found, **shown))
 
 
-def show(found: DiagnosisRecord, console: Console) -> None:
+def said(found: DiagnosisRecord) -> Iterator[RenderableType]:
     """The paragraph and, where a cause could be named, the likeliest explanations."""
-    console.print(sentence(found), markup=False, highlight=False)
+    yield Text(sentence(found))
     if found.which.reason in BEFORE_TESTS:
         return
     table = Terminal(box=None, pad_edge=False)
@@ -95,7 +90,7 @@ def show(found: DiagnosisRecord, console: Console) -> None:
         table.add_row(
             title(explanation.label), percent(explanation.probability), _if_so(explanation)
         )
-    console.print(table)
+    yield table
 
 
 # ---------------------------------------------------------------- figures

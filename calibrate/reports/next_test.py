@@ -1,10 +1,12 @@
 """What to measure next: a table for the terminal, a picture, and a lab file for the answer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rich.console import Console
+from matplotlib.figure import Figure
+from rich.console import RenderableType
 from rich.table import Table as Terminal
+from rich.text import Text
 
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.comparison.naming import BEYOND, FEW, FEWEST, MUTE
@@ -16,7 +18,7 @@ from calibrate.discrepancy.library.further_tests import ANSWER, answer_file
 from calibrate.figures import diagnosis as plots
 from calibrate.figures.style import svg
 from calibrate.records.base import record
-from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord, content
+from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord
 from calibrate.reports.diagnosis_words import ENOUGH, beginnings, percent, verdict
 from calibrate.reports.effects import title
 from calibrate.reports.html import number
@@ -38,43 +40,48 @@ LEGEND = (
 )
 
 
-def write(
-    out: Path, diagnosis: Diagnosis, origin: dict, path: Path | None, console: Console
-) -> None:
-    """next.json (and `--json`), figures/next_test.svg and a lab file for the answer; what the
-    diagnosis says, and the table."""
+def content(diagnosis: Diagnosis) -> dict:
+    """Verdict, probabilities and all further tests as plain data."""
     comparison = diagnosis.comparison
     stop = why_stop(comparison, diagnosis.proposals)
-    found = {
+    return {
         "verdict": comparison.verdict, "reason": comparison.reason, "stop": stop,
         "probability_by_class": comparison.by_class,
         "tests": [proposed(proposal, stop) for proposal in diagnosis.proposals],
     }  # fmt: skip
-    for place in (out / "next.json", path):
-        if place is not None:
-            write_json(place, found)
-    said = record(DiagnosisRecord, content(diagnosis, origin))
-    words = " ".join(filter(None, (verdict(said), beginnings(said))))
-    console.print(words, markup=False, highlight=False)
-    if comparison.reason not in BEFORE_TESTS:
-        _leading(comparison.by_class, console)
+
+
+def write(out: Path, diagnosis: Diagnosis, found: dict) -> None:
+    """next.json, figures/next_test.svg and a lab file for the answer."""
+    write_json(out / "next.json", found)
     if diagnosis.proposals:
         best = diagnosis.proposals[0]
         write_text(out / ANSWER, answer_file(diagnosis.lab, best))
-        write_text(out / "figures" / "next_test.svg", _picture(best, stop))
-        console.print(_table(diagnosis.proposals))
-        console.print(LEGEND)
-        if not stop:
-            more = "Next: more specimens, or" if comparison.verdict == NONE else "Next:"
-            console.print(f"{more} {best.name}. Record it as {out / ANSWER} shows.")
-    if stop:
-        console.print(WHY[stop])
+        write_text(out / "figures" / "next_test.svg", svg(picture(best, found["stop"])))
 
 
-def _leading(by_class: Mapping[str, float], console: Console) -> None:
+def said(
+    out: Path, diagnosis: Diagnosis, found: dict, whole: DiagnosisRecord
+) -> Iterator[RenderableType]:
+    """What the diagnosis says, and the table of further tests."""
+    yield Text(" ".join(filter(None, (verdict(whole), beginnings(whole)))))
+    if found["reason"] not in BEFORE_TESTS:
+        yield _leading(found["probability_by_class"])
+    if diagnosis.proposals:
+        yield _table(diagnosis.proposals)
+        yield Text(LEGEND)
+        if not found["stop"]:
+            more = "Next: more specimens, or" if found["verdict"] == NONE else "Next:"
+            best = diagnosis.proposals[0].name
+            yield Text(f"{more} {best}. Record it as {out / ANSWER} shows.")
+    if found["stop"]:
+        yield Text(WHY[found["stop"]])
+
+
+def _leading(by_class: Mapping[str, float]) -> Text:
     order = sorted(by_class, key=lambda name: -by_class[name])
     shown = [f"{title(name)} {percent(by_class[name])}" for name in order[:4]]
-    console.print("So far: " + ", ".join(shown) + ".")
+    return Text("So far: " + ", ".join(shown) + ".")
 
 
 def _table(proposals: Sequence[Proposal]) -> Terminal:
@@ -93,10 +100,11 @@ def nats(gain: float) -> str:
     return number(gain, 2) if gain >= LEAST_NATS else "0"
 
 
-def _picture(proposal: Proposal, stop: str) -> str:
+def picture(proposal: Proposal, stop: str) -> Figure:
+    """What a further test would show under each of the leading explanations."""
     found = record(NextTestRecord, {**proposed(proposal, stop), "all": []})
     units = {label: "mm" if _is_length(label) else "N" for label in proposal.labels}
-    return svg(plots.next_figure(found, units, title))
+    return plots.next_figure(found, units, title)
 
 
 def _is_length(label: str) -> bool:

@@ -1,12 +1,14 @@
 """A study by designed experiments as JSON, run sheets, an HTML page, and a summary."""
 
 import csv
+from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from calibrate.core.files import whole, write_json, write_text
 from calibrate.designs.anova import anova
@@ -24,8 +26,8 @@ from calibrate.simulation.specimens import measured_json
 PAGE = "study.html"
 
 
-def write(session: Session, found: Designed, path: Path | None) -> None:
-    """result.json (and `--json`), one CSV a design, and study.html in `session.out`."""
+def write(session: Session, found: Designed) -> dict:
+    """result.json, one CSV a design, and study.html in `session.out`; what result.json holds."""
     out = session.out
     content = {
         **origin_of(session),
@@ -36,11 +38,10 @@ def write(session: Session, found: Designed, path: Path | None) -> None:
         **as_json(found.study, found.comparison),
     }
     write_json(out / "result.json", content)
-    if path is not None:
-        write_json(path, content)
     for experiment in found.study.experiments:
         _write_sheet(experiment, out / f"{experiment.title}.csv")
     write_text(out / PAGE, study_page.of(record(StudyRecord, content)).html)
+    return content
 
 
 def as_json(done: Study, compared: Comparison) -> dict:
@@ -118,8 +119,8 @@ def _write_sheet(experiment: Experiment, path: Path) -> None:
             writer.writerow([f"{number:.8g}" for number in numbers])
 
 
-def show(found: Designed, console: Console) -> None:
-    """Endings and slopes as tables on the terminal."""
+def words(found: Designed) -> Iterator[RenderableType]:
+    """Endings and slopes as tables."""
     compared = found.comparison
     table = _plain("where each method ended (mean ± one packing)")
     goals = [(found.study.observables.index(name), described(name)) for name in found.study.goals]
@@ -129,7 +130,7 @@ def show(found: Designed, console: Console) -> None:
     for ending in compared.endings:
         cells = [cell(values, m) for m, _ in goals for values in (ending.fitted, ending.fresh)]
         table.add_row(ending.method, str(ending.simulations), *cells)
-    console.print(table)
+    yield table
     units = ", ".join(f"{short(n)} in {described(n).unit}" for n in found.study.observables)
     table = _plain(f"slopes per ln p of factors that matter ({units})")
     for column in ("design", "factor", "of", "surface", "gradient", "intervals"):
@@ -140,8 +141,8 @@ def show(found: Designed, console: Console) -> None:
             cells += [f"{pair.gradient:.3g} ± {number(pair.gradient_se, 1)}"]
             word = "agree" if pair.agree else "DISAGREE"
             table.add_row(pair.design, pair.factor, short(pair.observable), *cells, word)
-    console.print(table)
-    console.print(sentence(compared), highlight=False)
+    yield table
+    yield Text(sentence(compared))
 
 
 def short(name: str) -> str:

@@ -1,17 +1,16 @@
 """What a verb works with: lab, preset, folder of results, progress, and where simulations run."""
 
 import platform
-import shlex
-import sys
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import cast
 
+from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder
 from calibrate.core.progress import AbstractProgress, for_terminal
-from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.lab import Lab, LabLike, lab_of
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import specimens
 from calibrate.simulation.batches import InBatches
@@ -35,14 +34,14 @@ class Session:
 
     @staticmethod
     def open(
-        lab: Path | None, preset: str, out: Path, dask: str | None = None,
+        lab: LabLike, preset: str, out: Path, dask: str | None = None,
         conventions: str | None = None, batch: int | None = None,
     ) -> "Session":  # fmt: skip
         """`conventions` stand in for those that the lab file states."""
         if preset not in PRESETS:
             known = ", ".join(PRESETS)
             raise InputError(COMMAND_LINE, "--preset", f"no preset '{preset}'", f"give {known}")
-        loaded = load_lab(bundled_lab() if lab is None else lab)
+        loaded = lab_of(lab)
         if conventions is not None:
             loaded = loaded.following(conventions)
         make_folder(out)
@@ -94,7 +93,7 @@ def made_by() -> dict:
     """What made a result: command, versions, hash of the source of the plain virtual laboratory."""
     packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
     return {
-        "command": shlex.join(["calibrate", *sys.argv[1:]]),
+        "command": runtime.command(),
         "versions": {
             "python": platform.python_version(),
             **{name: metadata.version(name) for name in packages},

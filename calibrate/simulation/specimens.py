@@ -227,12 +227,11 @@ def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
     return {n: float(statistic([run.observables[n] for run in sound])) for n in names}
 
 
-def check_some_sound(runs: Sequence[Run], which: str = "packings") -> None:
-    """`CalibrationError` where every run failed: then there are no numbers."""
+def check_some_sound(runs: Sequence[Run], which: str = "packings", result: object = None) -> None:
+    """`CalibrationError` with the `result` where every run failed: then there are no numbers."""
     if runs and all(run.failure for run in runs):
-        raise CalibrationError(
-            f"all {len(runs)} {which} failed, so there are no observables: {runs[0].failure}"
-        )
+        sentence = f"all {len(runs)} {which} failed, so there are no observables"
+        raise CalibrationError(f"{sentence}: {runs[0].failure}", result)
 
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:

@@ -47,7 +47,18 @@ class SpherePair(eqx.Module):
 
 
 def overlap_path(turning_points, points_per_leg: int) -> Array:
-    """Overlaps (m) from 0 through the turning points, evenly spaced on each leg."""
+    """A path of overlaps from 0 through turning points, evenly spaced on each leg.
+
+    Args:
+        turning_points: overlaps, m; below zero the spheres are apart.
+        points_per_leg: how many overlaps from one turning point to the next.
+
+    Returns:
+        Overlaps (points,), m.
+
+    Example:
+        >>> path = jdem.overlap_path([20e-6, 2e-6, 32e-6], points_per_leg=100)
+    """
     corners = [0.0, *turning_points]
     share = jnp.arange(1, points_per_leg + 1) / points_per_leg
     legs = [a + (b - a) * share for a, b in pairwise(corners)]
@@ -55,7 +66,21 @@ def overlap_path(turning_points, points_per_leg: int) -> Array:
 
 
 def drive_overlap(law: AbstractContactLaw, pair: SpherePair, overlaps: Array) -> Array:
-    """Normal force (N) along a quasi-static path of overlaps (m), history carried along."""
+    """The normal force of one contact along a quasi-static path, its history carried along.
+
+    Args:
+        law: the contact law between the spheres.
+        pair: both spheres.
+        overlaps: overlaps along the path (points,), m.
+
+    Returns:
+        Normal force (points,), N; attraction is negative.
+
+    Example:
+        >>> law = jdem.particle_law(jdem.SoilParameters(), 5e-3, jdem.Smoothing.sharp())
+        >>> path = jdem.overlap_path([20e-6, 2e-6, 32e-6], points_per_leg=100)
+        >>> force = jdem.drive_overlap(law, jdem.SpherePair(2.5e-3), path)
+    """
 
     def advance(history, overlap):
         force, history = law.force(pair.contact(overlap, jnp.zeros_like(overlap)), history)

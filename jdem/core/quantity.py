@@ -38,3 +38,12 @@ def cast(tree, dtype):
         return leaf.astype(dtype) if floating else leaf
 
     return jax.tree.map(to_dtype, tree)
+
+
+def check_precision(dtype) -> None:
+    """`ValueError` where JAX would silently round to single what is to be computed in double."""
+    if jnp.dtype(dtype) == jnp.dtype("float64") and not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "JAX is in single precision: call jax.config.update('jax_enable_x64', True) before "
+            "anything else"
+        )

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.apparatus.base import AbstractApparatus, Movement, Readings
-from jdem.core.quantity import cast
+from jdem.core.quantity import cast, check_precision
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
@@ -186,6 +186,34 @@ class VirtualLab(eqx.Module):
         if time_step is None and isinstance(around, Altered):
             time_step = around.time_step(packing.spheres, self.numerics.safety)
         return build_bed(packing.spheres, soil, self.grid, self.numerics, time_step)
+
+
+_run = eqx.filter_jit(VirtualLab.run)
+
+
+def simulate(lab: VirtualLab, packing: Packing, soil: SoilParameters | None = None) -> Outcome:
+    """Runs all tests of a virtual laboratory on one packing.
+
+    The first call compiles; further packings of the specimen and other soils do not.  Inside a
+    function that is itself jitted or differentiated, call `lab.run`.
+
+    Args:
+        lab: tests, numerics, effects: `VirtualLab.of(specimen, tests, numerics)`.
+        packing: what `prepare` made.
+        soil: parameters of the soil, SI; None: the defaults.
+
+    Returns:
+        Observables by test (SI), curves by test (m, N), the full record, and whether it failed.
+
+    Raises:
+        ValueError: the numerics ask for double precision, and JAX is not switched to it.
+
+    Example:
+        >>> found = jdem.simulate(lab, packing, jdem.SoilParameters(surface_energy=12.0))
+        >>> found.observables["unconfined"]["crushing_force"]
+    """
+    check_precision(lab.numerics.dtype)
+    return _run(lab, packing, SoilParameters() if soil is None else soil)
 
 
 def outcome(

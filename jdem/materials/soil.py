@@ -94,7 +94,19 @@ class SoilParameters(eqx.Module):
 def particle_law(
     soil: SoilParameters, mean_diameter: Array, smoothing: Smoothing
 ) -> AbstractContactLaw:
-    """Law between spheres of `mean_diameter` (m)."""
+    """The contact law between spheres of a soil.
+
+    Args:
+        soil: its parameters, SI.
+        mean_diameter: of the spheres, m, to which surface energy is scaled.
+        smoothing: widths over which the law's corners are rounded.
+
+    Returns:
+        The law, with normal force, tangential force and rolling resistance.
+
+    Example:
+        >>> law = jdem.particle_law(jdem.SoilParameters(), 5e-3, jdem.Smoothing())
+    """
     return _law(soil, mean_diameter, 1.0, smoothing)
 
 

@@ -13,10 +13,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from calibrate import cli
-from calibrate.figures import lab as preview
+from calibrate import figures as preview
 from calibrate.io.lab import bundled_lab
 from calibrate.simulation import Campaign
 from support.accidents import spoiled_bytes, spoiled_curve, spoiled_lab
@@ -137,7 +138,10 @@ def nothing_simulated() -> Iterator[None]:
         raise Accepted
 
     changed = [(Campaign, "runs", accepted), (Campaign, "each", accepted)]
-    changed += [(preview, "preview_figure", lambda *_: None), (cli, "_configure_jax", lambda: None)]
+    changed += [
+        (preview, "preview_figure", lambda *_: plt.figure()),
+        (cli, "_configure", lambda: None),
+    ]
     before = [(owner, name, getattr(owner, name)) for owner, name, _ in changed]
     for owner, name, value in changed:
         setattr(owner, name, value)

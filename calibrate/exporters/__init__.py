@@ -1,5 +1,5 @@
 """Calibrated parameters in the words of other programs: LIGGGHTS, EDEM, YADE, JSON.
 
 `source` reads them from a fit or a lab file, `notes` says what every export says beside the
-numbers, and each program has one file with a function `text(found) -> str`.
+numbers, each program has one file, and `composite` lists them.
 """

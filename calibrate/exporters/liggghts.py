@@ -14,11 +14,19 @@ rolling model that goes with it.
 from math import sqrt
 
 from calibrate.core.errors import InputError
-from calibrate.export.notes import PRESSURE, comment, heading, overlap_under, scale_up, uncertainty
-from calibrate.export.source import Found
+from calibrate.exporters.notes import (
+    PRESSURE,
+    comment,
+    heading,
+    overlap_under,
+    scale_up,
+    uncertainty,
+)
+from calibrate.exporters.source import Found
 from jdem.materials.catalogue import CATALOGUE
 from jdem.materials.conventions import FRICTION_VISCOSITY
 
+NAME, FILE = "liggghts", "soil.liggghts"
 HISTORY = "edinburgh tangential history rolling_friction epsd2"
 LUDING = "edinburgh tangential tan_luding rolling_friction luding"
 OWN = {"liggghts": LUDING, "liggghts_history": HISTORY}  # models of LIGGGHTS' own conventions

@@ -7,7 +7,7 @@ Strength of a cohesive packing scales as surface energy over diameter (Rumpf 196
 
 import textwrap
 
-from calibrate.export.source import UNITS, Found, in_order
+from calibrate.exporters.source import UNITS, Found, in_order
 from jdem.materials.conventions import DEFAULT
 
 PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ

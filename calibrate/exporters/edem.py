@@ -7,10 +7,11 @@ them, and the table was never loaded into it.
 import csv
 import io
 
-from calibrate.export.notes import heading, scale_up, uncertainty, warned
-from calibrate.export.source import Found
+from calibrate.exporters.notes import heading, scale_up, uncertainty, warned
+from calibrate.exporters.source import Found
 from jdem.materials.catalogue import CATALOGUE
 
+NAME, FILE = "edem", "soil_edem.csv"
 COLUMNS = ("Section", "Parameter", "Value", "Unit", "Low 95 %", "High 95 %")
 
 _SHOWN = (  # rows in EDEM's order

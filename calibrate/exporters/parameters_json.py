@@ -2,9 +2,10 @@
 
 import json
 
-from calibrate.export.notes import scale_up
-from calibrate.export.source import UNITS, Found
+from calibrate.exporters.notes import scale_up
+from calibrate.exporters.source import UNITS, Found
 
+NAME, FILE = "json", "soil.json"
 LAW = "EEPA (Thakur et al. 2014, Granular Matter 16, 383); docs/theory.md has the equations"
 
 

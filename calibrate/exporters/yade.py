@@ -13,10 +13,12 @@ radius get a material of their own.
 """
 
 from calibrate.core.errors import InputError
-from calibrate.export.notes import PRESSURE, comment, heading, scale_up, uncertainty
-from calibrate.export.source import Found
+from calibrate.exporters.notes import PRESSURE, comment, heading, scale_up, uncertainty
+from calibrate.exporters.source import Found
 from jdem.materials.catalogue import CATALOGUE
 
+NAME, FILE = "yade", "soil_yade.py"
+NAME, FILE = "yade", "soil_yade.py"
 DENSITY = 2650.0  # kg/m^3; a placeholder that the script says to change
 
 _LOST = (

@@ -1,0 +1,56 @@
+"""Tables and sentences that several verbs show on the terminal, and in notebooks."""
+
+from collections.abc import Iterator
+
+from rich.table import Table
+from rich.text import Text
+
+from calibrate.io.lab import Lab
+from calibrate.labtests.composite import label
+from calibrate.simulation.specimens import coarse
+
+
+def course(result: dict) -> str:
+    """How the runs went: their resolution, how quasi-static and how fast they were."""
+    if not result["quality"]["spheres"]:
+        return "no test has soil in it"
+    speed = result["particle_steps_per_s"] / 1e6
+    inertial = result["quality"]["inertial_number"]
+    each = f"{speed:.2f} M particle-steps/s per run"
+    return f"{_resolution(result)}, inertial number {inertial:.1e}, {each}"
+
+
+def _resolution(result: dict) -> str:
+    """How finely the specimen is resolved."""
+    quality = result["quality"]
+    return f"{quality['spheres_across']:.1f} spheres across, porosity {quality['porosity']:.2f}"
+
+
+def warned_of_resolution(result: dict) -> Iterator[Text]:
+    """That the specimen is too few spheres across."""
+    warning = coarse(result["quality"])
+    if warning:
+        yield Text(f"warning: {warning}")
+
+
+def warned_of_observables(result: dict) -> Iterator[Text]:
+    """Numbers that are not what they are called."""
+    for name, why in result.get("observable_warnings", {}).items():
+        yield Text(f"warning: {label(name)}: {why}")
+
+
+def observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
+    """Observables of groups of runs below what was measured, each with its scatter."""
+    table = Table(title=lab.name, title_justify="left")
+    names = list(next(iter(groups.values()))["observables"])
+    for column in ("", *map(label, names)):
+        table.add_column(column)
+    measured = [
+        f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
+        for n in names
+    ]
+    table.add_row("measured (± one repeat)", *measured)
+    for which, group in groups.items():
+        cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
+        table.add_row(f"{which} (± one packing)", *cells)
+    return table

@@ -1,0 +1,150 @@
+"""Auditing derivatives: slopes by some strategies beside the slope of the response itself."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+
+from calibrate import figures
+from calibrate.core.files import write_json
+from calibrate.figures import Figure
+from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
+from calibrate.inference.audit import audit as slopes_of
+from calibrate.inference.parameters import FACTORS, space
+from calibrate.io.lab import LabLike
+from calibrate.io.soil import base_soil, with_values
+from calibrate.records.audit import AuditRecord
+from calibrate.records.base import record
+from calibrate.simulation.session import Session, origin_of
+from calibrate.simulation.specimens import soil_json
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AuditResult(AbstractDrawnResult):
+    """Slopes of observables and curves in every parameter, and how far from the reference they are.
+
+    Attributes:
+        slopes: the estimates and the reference.
+        folder: where audit.json, audit.png and audit_curves.png are.
+        content: everything, with the keys of audit.json.
+    """
+
+    slopes: Audit
+    folder: Path
+    content: dict
+
+    @cached_property
+    def record(self) -> AuditRecord:
+        """The whole result with typed entries."""
+        return record(AuditRecord, self.content)
+
+    def words(self) -> Iterator[RenderableType]:
+        for name in self.slopes.estimates:
+            yield self._table(name)
+            yield line(f"{name}: {_judgement(self.slopes.rows(name))}")
+            yield from (line(f"{name}: {sentence}") for sentence in self._refusals(name))
+
+    def plot(self) -> Figure:
+        """Estimates against the reference, one panel an observable."""
+        return figures.closed(figures.audit_figure(self.record))
+
+    def plot_curves(self) -> Figure:
+        """Slopes of whole curves in every parameter.
+
+        Returns:
+            A matplotlib figure.
+        """
+        return figures.closed(figures.curve_slopes_figure(self.record))
+
+    def _table(self, strategy: str) -> Table:
+        title = f"{strategy}, {self.slopes.packings} packings"
+        table = Table(title=title, title_justify="left")
+        for column in (
+            "parameter",
+            "observable",
+            "estimate per ln p",
+            "reference per ln p",
+            "verdict",
+        ):
+            table.add_column(column)
+        for row in self.slopes.rows(strategy):
+            cells = [f"{row[k]:.3g} ± {row[k + '_se']:.2g}" for k in ("estimate", "reference")]
+            table.add_row(row["parameter"], row["observable"], *cells, _word(row))
+        return table
+
+    def _refusals(self, strategy: str) -> Iterator[str]:
+        """Which tests have slopes that their strategy does not believe, on how many packings, and
+        why on the first of them."""
+        certificates = self.slopes.certificates.get(strategy, [])
+        for test, reading in enumerate(self.slopes.points.readings):
+            why = [reason for each in certificates for reason in each.refused[test] if reason]
+            packings = sum(any(each.refused[test]) for each in certificates)
+            if why:
+                share = f"{packings} of {len(certificates)} packings"
+                yield f"no derivative of {reading.test} on {share}: {why[0]}"
+
+
+def _word(row: dict) -> str:
+    if not np.isfinite(row["estimate"]):
+        return "no derivative"
+    if not row["judged"]:
+        return "too small to judge"
+    return "passed" if row["passed"] else "FAILED"
+
+
+def _judgement(rows: list[dict]) -> str:
+    judged = [row for row in rows if row["judged"]]
+    passed = sum(bool(row["passed"]) for row in judged)
+    return f"{passed} of {len(judged)} slopes that can be judged pass"
+
+
+@verb
+def audit(
+    lab: LabLike = None, *, strategies: Sequence[str] = ("fit",),
+    values: Mapping[str, float | str] | None = None, spheres: int = 300, packings: int = 8,
+    preset: str = "quick", seed: int = 0, out: str | Path = "results/audit",
+    dask: str | None = None, batch: int | None = None,
+) -> AuditResult:  # fmt: skip
+    """Compares derivatives with the slope of the response over ±20 %, parameter by parameter.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
+        strategies: ways to a derivative, by name ("fit": the one that fits take).
+        values: parameters in place of the lab file's, by name, in SI units or with a unit.
+        spheres: number of spheres of a packing.
+        packings: number of packings.
+        preset: "quick", "standard" or "fine": all other settings.
+        seed: choice of packings, from 0.
+        out: folder for results.
+        dask: address of a Dask cluster that simulates; None: this machine.
+        batch: specimens to simulate at once on an accelerator; None: on processor cores.
+
+    Returns:
+        Slopes with standard errors and what passes; audit.json and two figures in `out`.
+
+    Raises:
+        InputError: the lab file or an argument is wrong.
+
+    Example:
+        >>> found = calibrate.audit(strategies=["fit", "regression"])
+        >>> found.plot()
+    """
+    folder, names = Path(out), checked_strategies(strategies)
+    session = Session.open(lab, preset, folder, dask, batch=batch).resized(spheres)
+    changes = parameter_values(values, session.lab.particles.conventions)
+    base = with_values(base_soil(session.lab), changes)
+    audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
+    seeds = range(100 * seed, 100 * seed + packings)
+    campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
+    slopes = slopes_of(audited, campaign(folder, None), seeds, names)
+    settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
+    found = AuditResult(slopes, folder, {**origin_of(session), **settings, **audit_json(slopes)})
+    write_json(folder / "audit.json", found.content)
+    figures.save(found.plot(), folder / "audit.png")
+    figures.save(found.plot_curves(), folder / "audit_curves.png")
+    return found

@@ -1,0 +1,110 @@
+"""One contact: the normal force of two equal spheres that are driven through overlaps."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.files import make_folder, write_json
+from calibrate.figures import Figure
+from calibrate.simulation import single_contact
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContactResult(AbstractDrawnResult):
+    """The force-overlap loop of one contact.
+
+    Attributes:
+        folder: where contact.json and contact.png are.
+        content: everything, with the keys of contact.json.
+    """
+
+    folder: Path
+    content: dict
+
+    @property
+    def overlap_m(self) -> np.ndarray:
+        """Overlap of the spheres along the path, m."""
+        return np.array(self.content["overlap_m"])
+
+    @property
+    def normal_force_n(self) -> np.ndarray:
+        """Normal force at each overlap, N; attraction is negative."""
+        return np.array(self.content["normal_force_n"])
+
+    def words(self) -> Iterator[RenderableType]:
+        force = self.normal_force_n
+        yield line(f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N")
+
+    def plot(self) -> Figure:
+        """Normal force against overlap."""
+        return figures.closed(figures.contact_figure(self.overlap_m, self.normal_force_n))
+
+
+@verb
+def contact(
+    path_um: Sequence[float], *, values: Mapping[str, float | str] | None = None,
+    radius_mm: float = 2.5, young_mpa: float = 5.0, poisson: float = 0.3, smooth: bool = False,
+    out: str | Path = "results/contact",
+) -> ContactResult:  # fmt: skip
+    """Drives two equal spheres through overlaps, quasi-statically.
+
+    Args:
+        path_um: turning points of the overlap, micrometres; below zero the spheres are apart.
+        values: the soil's parameters by name, in SI units or with a unit; surface energy acts
+            unscaled on these spheres.
+        radius_mm: radius of both spheres, mm.
+        young_mpa: Young's modulus of both, MPa.
+        poisson: Poisson's ratio of both.
+        smooth: with the roundings that simulations have; False: the law as printed.
+        out: folder for results.
+
+    Returns:
+        Overlaps and normal forces, and contact.json and contact.png in `out`.
+
+    Raises:
+        InputError: an argument is wrong.
+
+    Example:
+        >>> loop = calibrate.contact([20, 2, 32, -28], values={"surface_energy": 20.0})
+        >>> loop.normal_force_n.max()
+    """
+    points = [1e-6 * float(point) for point in path_um]
+    pair = single_contact.Spheres(*_checked(radius_mm, young_mpa, poisson))
+    _check_path(points, pair.radius)
+    folder = Path(out)
+    make_folder(folder)
+    found = single_contact.drive(pair, parameter_values(values), points, smooth)
+    result = ContactResult(folder, found)
+    write_json(folder / "contact.json", found)
+    figures.save(result.plot(), folder / "contact.png")
+    return result
+
+
+def _check_path(points: list[float], radius: float) -> None:
+    """Refuses what is no list of overlaps (m), and overlaps of spheres that would have gone through
+    each other."""
+    if not points or not all(map(math.isfinite, points)):
+        problem = "the turning points are no list of numbers"
+        raise InputError(COMMAND_LINE, "--path-um", problem, "write 20,2,32,-28")
+    deepest = max(points)
+    if deepest >= radius:
+        problem = f"an overlap of {1e6 * deepest:.6g} um is not below the radius"
+        repair = f"give overlaps below {1e6 * radius:.6g} um, or larger spheres by --radius-mm"
+        raise InputError(COMMAND_LINE, "--path-um", problem, repair)
+
+
+def _checked(radius_mm: float, young_mpa: float, poisson: float) -> tuple[float, float, float]:
+    """Radius (m), modulus (Pa) and Poisson's ratio, checked."""
+    for field, value in (("--radius-mm", radius_mm), ("--young-mpa", young_mpa)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(COMMAND_LINE, field, f"{value:g} is not positive", "give e.g. 2.5")
+    if not -1 < poisson < 0.5:
+        raise InputError(COMMAND_LINE, "--poisson", f"{poisson:g} is out of range", "give e.g. 0.3")
+    return radius_mm * 1e-3, young_mpa * 1e6, poisson

@@ -1,0 +1,253 @@
+"""Converting a testing machine's export: clean curves, a lab file, and what was assumed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
+from calibrate.core.files import make_folder, write_json, write_text
+from calibrate.core.units import LENGTH, positive_quantity
+from calibrate.figures import Figure
+from calibrate.instrument_import import labtext
+from calibrate.instrument_import.convert import Export, file_stem, joined, read_export
+from calibrate.instrument_import.measured import Units
+from calibrate.instrument_import.sizes import Size, initial_void_ratios, settlements
+from calibrate.instrument_import.specimens import Specimen
+from calibrate.instrument_import.strengths import Strengths
+from calibrate.instrument_import.unittext import Unit, doubt, unit_of
+from calibrate.instrument_import.vocabulary import TESTS
+from calibrate.io.lab import Lab, load_lab
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ConvertResult(AbstractDrawnResult):
+    """What a testing machine's export holds.
+
+    Attributes:
+        export: specimens as read and kept, with what was assumed of each.
+        lab_file: the lab file that was written.
+        folder: where it is, with the curves, convert.json and preview.png.
+        content: everything, with the keys of convert.json.
+    """
+
+    export: Export
+    lab_file: Path
+    folder: Path
+    content: dict
+
+    @property
+    def lab(self) -> Lab:
+        """The lab file, read."""
+        return load_lab(self.lab_file)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to look at before the curves are used, one sentence each."""
+        found = [f.text for each in self.export.specimens for f in each.findings if f.fault]
+        return [*found, *self.export.skipped]
+
+    def words(self) -> Iterator[RenderableType]:
+        yield from map(line, self._sentences())
+
+    def _sentences(self) -> Iterator[str]:
+        """One line a specimen, then what was assumed, warnings last."""
+        read = self.export
+        yield f"{read.file}: {read.layout}"
+        for specimen in read.specimens:
+            yield (
+                f"{specimen.label}: {specimen.test}, {len(specimen.force_n)} points, "
+                f"up to {specimen.force_n.max():.4g} N and {specimen.displacement_mm.max():.4g} mm"
+            )
+            for finding in sorted(specimen.findings, key=lambda f: f.fault):
+                yield f"  {'WARNING: ' if finding.fault else ''}{finding.text}"
+        if read.strengths is not None:
+            force = read.strengths.force_n
+            yield f"{read.strengths.test}: {len(force)} strengths, {force.mean():.4g} N in the mean"
+            yield from (f"  {note}" for note in read.strengths.notes)
+        yield from (f"WARNING: {sentence}" for sentence in read.skipped)
+        yield f"look at {self.folder / 'preview.png'}, then: calibrate fit {self.lab_file}"
+
+    def plot(self) -> Figure:
+        """Each specimen as recorded and as kept, with what was assumed."""
+        return figures.closed(figures.preview_figure(self.export))
+
+
+@verb
+def convert(
+    *exports: str | Path, test: str | None = None, diameter: str | None = None,
+    height: str | None = None, void_ratio: str | None = None, settlement: str | None = None,
+    points: bool | None = None, force_unit: str | None = None,
+    displacement_unit: str | None = None, stress_unit: str | None = None,
+    strain_unit: str | None = None, time_unit: str | None = None,
+    out: str | Path = "results/convert",
+) -> ConvertResult:  # fmt: skip
+    """Turns exports of testing machines into clean curves and a lab file for `fit`.
+
+    Args:
+        exports: .csv, .txt or .xlsx files of one soil.
+        test: which test it is ("confined", "unconfined", "oedometer", ...); None: found out.
+        diameter: of the specimen, with its unit ("50 mm"), for stresses.
+        height: of the specimen, with its unit, for strains.
+        void_ratio: the initial one, or one a specimen ("1.2,1.3"), or "first".
+        settlement: the whole one of a degree of consolidation ("0.2 mm", "1 %").
+        points: rows are load steps (True) or a curve (False); None: found out.
+        force_unit: unit of force, against the file ("kN").
+        displacement_unit: unit of travel, against the file ("mm").
+        stress_unit: unit of stress, against the file ("kPa").
+        strain_unit: unit of strain, against the file ("%" or "-").
+        time_unit: unit of time, against the file ("min").
+        out: folder for results.
+
+    Returns:
+        Curves and what was assumed; lab file, curves, convert.json and preview.png in `out`.
+
+    Raises:
+        InputError: the export cannot be read without a doubt; says which option would settle it.
+
+    Example:
+        >>> read = calibrate.convert("export.csv", diameter="50 mm", height="100 mm")
+        >>> calibrate.fit(read.lab_file)
+    """
+    if not exports:
+        raise InputError(COMMAND_LINE, "exports", "no file is given", "give an export's path")
+    if test is not None and test not in TESTS:
+        repair = f"give one of {', '.join(sorted(TESTS))}"
+        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
+    units = _units(force_unit, displacement_unit, stress_unit, strain_unit, time_unit)
+    size = _size(diameter, height, void_ratio, settlement)
+    paths = [Path(export) for export in exports]
+    read = joined([read_export(export, test, units, size, points) for export in paths])
+    return _kept(read, Path(out))
+
+
+def _kept(read: Export, out: Path) -> ConvertResult:
+    """Writes curves, lab file, preview and convert.json."""
+    if read.strengths is None and not labtext.fitted(read):
+        problem = "no specimen carries more than 2 N"
+        option = "force" if read.is_plain else "stress"
+        repair = f"check the unit of {option}, or give --{option}-unit"
+        raise InputError(read.file, "", problem, repair)
+    make_folder(out)
+    lab = out / f"{file_stem(Path(read.file).stem)}.toml"
+    for name, specimen in labtext.curve_files(read).items():
+        write_text(out / name, labtext.curve_text(specimen))
+    if read.strengths is not None:
+        write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
+    write_text(lab, labtext.lab_text(read))
+    found = ConvertResult(read, lab, out, summary(read, lab))
+    figures.save(found.plot(), out / "preview.png")
+    write_json(out / "convert.json", found.content)
+    return found
+
+
+def summary(read: Export, lab: Path) -> dict:
+    """What was read and assumed, as plain data."""
+    files = {id(specimen): name for name, specimen in labtext.curve_files(read).items()}
+    result = {
+        "file": read.file,
+        "layout": read.layout,
+        "lab": str(lab),
+        "specimens": [_row(specimen, files[id(specimen)]) for specimen in read.specimens],
+        "left_out": list(read.skipped),
+        "observables": labtext.observables(read),
+    }
+    if read.strengths is not None:
+        result["strengths"] = _strengths_row(read.strengths)
+    return result
+
+
+def _strengths_row(strengths: Strengths) -> dict:
+    return {
+        "test": strengths.test,
+        "place": strengths.place,
+        "labels": list(strengths.labels),
+        "compressive_strength_kpa": strengths.stress_kpa.tolist(),
+        "diameter_m": strengths.diameter,
+        "assumed": list(strengths.notes),
+    }
+
+
+def _row(specimen: Specimen, file: str) -> dict:
+    row = {
+        "label": specimen.label,
+        "test": specimen.test,
+        "file": file,
+        "place": specimen.place,
+        "points": len(specimen.force_n),
+        "largest_force_n": float(specimen.force_n.max()),
+        "largest_displacement_mm": float(specimen.displacement_mm.max()),
+        "rate_m_s": specimen.rate,
+        "contact_mm": specimen.contact_mm,
+        "zero_force_n": specimen.zero_n,
+        "begins_at_n": specimen.begins_n,
+        "reading_before_contact": specimen.approach,
+        "unloading_mm": specimen.unloading_mm,
+        "saturated": specimen.clipped,
+        "assumed": [f.text for f in specimen.findings if not f.fault],
+        "warnings": [f"{f.kind}: {f.text}" for f in specimen.findings if f.fault],
+    }
+    if specimen.raw.is_converted or specimen.points:
+        row["load_steps"] = specimen.points
+        row["converted"] = _conversion(specimen)
+    return row
+
+
+def _conversion(specimen: Specimen) -> dict:
+    """What was recorded, from which size it was converted, and how."""
+    raw, size = specimen.raw, specimen.raw.size
+    return {
+        "from": [raw.load, raw.travel],
+        "diameter_m": size.diameter,
+        "height_m": size.height,
+        "initial_void_ratio": size.void_ratio,
+        "how": list(size.sentences),
+    }
+
+
+def _units(
+    force: str | None,
+    displacement: str | None,
+    stress: str | None,
+    strain: str | None,
+    time: str | None,
+) -> Units:
+    """The units that the user insists on, each of its kind."""
+    return Units(
+        force=_checked(force, "force", "kN"),
+        displacement=_checked(displacement, "displacement", "mm"),
+        stress=_checked(stress, "stress", "kPa"),
+        strain=_checked(strain, "strain", "%"),
+        time=_checked(time, "time", "min"),
+    )
+
+
+def _checked(text: str | None, kind: str, example: str) -> Unit | None:
+    """A unit from the command line, refused if it is none of this kind."""
+    unit = None if text is None else unit_of(text)
+    if text is None or (unit is not None and unit.kind == kind):
+        return unit
+    problem = f"{shown(text, 20)} {doubt(text) or f'is not a unit of {kind}'}"
+    raise InputError(COMMAND_LINE, f"--{kind}-unit", problem, f"use a unit such as {example}")
+
+
+def _size(
+    diameter: str | None, height: str | None, void_ratio: str | None, settlement: str | None
+) -> Size:
+    """The specimen's size from the command line, SI."""
+
+    def read(text, option, reader):
+        try:
+            return None if text is None else reader(text)
+        except BadValue as bad:
+            raise bad.at(COMMAND_LINE, option) from None
+
+    return Size(
+        diameter=read(diameter, "--diameter", lambda text: positive_quantity(text, LENGTH)),
+        height=read(height, "--height", lambda text: positive_quantity(text, LENGTH)),
+        void_ratios=read(void_ratio, "--void-ratio", initial_void_ratios),
+        settlements=read(settlement, "--settlement", settlements),
+    )

@@ -1,0 +1,161 @@
+"""Diagnosing the gap: where a calibrated model misses the curves, and which effect it lacks."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.core.progress import for_terminal
+from calibrate.discrepancy.diagnosis import Diagnosis, diagnosed
+from calibrate.discrepancy.infill import InfillPlan, with_infill_runs
+from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.run_library import RunLibrary
+from calibrate.discrepancy.library.store import bundled_library, load
+from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
+from calibrate.figures import Figure
+from calibrate.figures import diagnosis as plots
+from calibrate.io.lab import LabLike, load_lab
+from calibrate.labtests.diagnosis.curves import TESTS
+from calibrate.records.base import record
+from calibrate.records.diagnosis import DiagnosisRecord, content
+from calibrate.reports import diagnosis as report
+from calibrate.reports.effects import title
+from calibrate.simulation.session import Session, origin_of
+from calibrate.verbs.base import AbstractDrawnResult, verb
+
+RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder
+NO_PRESET = "none: a library of runs stands for simulations"
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult(AbstractDrawnResult):
+    """Where model and curves differ, which effect is left out, how far the gap shrinks with it.
+
+    Attributes:
+        folder: where result.json, diagnosis.html and figures are.
+        content: everything, with the keys of result.json.
+    """
+
+    folder: Path
+    content: dict
+
+    @cached_property
+    def record(self) -> DiagnosisRecord:
+        """The whole result with typed entries."""
+        return record(DiagnosisRecord, self.content)
+
+    @property
+    def verdict(self) -> str:
+        """The cause that is named; "none", or "unknown" for one that the library lacks."""
+        return self.record.which.verdict
+
+    @property
+    def reason(self) -> str:
+        """Why the likeliest cause is not named; "" where it is."""
+        return self.record.which.reason
+
+    @property
+    def probability(self) -> dict[str, float]:
+        """Of each explanation, effects that look alike taken together."""
+        return self.record.which.probability_by_class
+
+    def words(self) -> Iterator[RenderableType]:
+        yield from report.said(self.record)
+
+    def plot(self, test: str | None = None) -> Figure:
+        """Curves of one test and what is left of them, place by place.
+
+        Args:
+            test: "confined" or "unconfined"; None: the first that was measured.
+
+        Returns:
+            A matplotlib figure.
+        """
+        measured = {row.test for row in self.record.features}
+        chosen = test or next(name for name in TESTS if name in measured)
+        return figures.closed(plots.where_figure(self.record, chosen, title))
+
+    def plot_probability(self) -> Figure:
+        """How likely each explanation is.
+
+        Returns:
+            A matplotlib figure.
+        """
+        return figures.closed(plots.probability_figure(self.record, title))
+
+
+@verb
+def diagnose(
+    lab: LabLike, *, further: Sequence[str | Path] = (), simulate: int = 0,
+    library: str | Path | None = None, discrepancy: str | Path | None = None, seed: int = 0,
+    out: str | Path = "results/diagnose", batch: int | None = None,
+) -> DiagnosisResult:  # fmt: skip
+    """Says where model and curves differ, which effect is left out, how far the gap shrinks.
+
+    A library of simulations answers, so that nothing is simulated unless `simulate` asks for it.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned: curves of both tests.
+        further: lab files of further tests on the same soil.
+        simulate: number of packings on which the leading explanations are simulated as well.
+        library: file of a library of runs; None: the bundled one.
+        discrepancy: what `calibrate discrepancy` wrote; None: the model is taken as it is.
+        seed: of simulated statistics.
+        out: folder for results.
+        batch: specimens to simulate at once on an accelerator; None: on processor cores.
+
+    Returns:
+        Verdict, probabilities, places, what to test next; result.json, diagnosis.html and figures
+        in `out`.
+
+    Raises:
+        InputError: the lab has other tests than the library, or an argument is wrong.
+
+    Example:
+        >>> found = calibrate.diagnose("my_soil.toml")
+        >>> found.verdict, found.probability
+    """
+    folder = Path(out)
+    session = Session.open(lab, "quick", folder, batch=batch)
+    found, used = found_by_library(session, further, simulate, library, discrepancy, seed)
+    origin = {**origin_of(session), "preset": NO_PRESET, "settings": used}
+    plain_data = content(found, origin)
+    report.write(folder, plain_data)
+    return DiagnosisResult(folder, plain_data)
+
+
+def found_by_library(
+    session: Session, further: Sequence[str | Path], simulate: int,
+    library: str | Path | None, discrepancy: str | Path | None, seed: int,
+) -> tuple[Diagnosis, dict[str, str | int]]:  # fmt: skip
+    """The diagnosis of a session's lab, and which library answered."""
+    session.lab.pair()  # refuses other tests than those of a library
+    source = bundled_library() if library is None else Path(library)
+    simulated, say = load(source), for_terminal().say
+    say(f"library of {len(simulated.values)} runs: preparing its emulator")
+    emulated = EmulatedLibrary.of(simulated)
+    estimated = None if discrepancy is None else load_discrepancy(Path(discrepancy), emulated)
+    if simulate:
+        plan = InfillPlan(simulate, session.out / RUNS, for_terminal(), session.place)
+        emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
+    labs = [load_lab(path) for path in further]
+    found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say, further=labs)
+    return found, library_used(source.name, simulated, emulated.library, seed)
+
+
+def library_used(
+    name: str, library: RunLibrary, used: RunLibrary, seed: int
+) -> dict[str, str | int]:
+    """Which library answers, how many simulations it holds, and how many infill runs were added for
+    this lab."""
+    return {
+        "library": name,
+        "seed": seed,
+        "simulations": len(library.values),
+        "simulated_about_this_lab": len(used.values) - len(library.values),
+        "packings": len(set(library.packing.tolist())),
+    }

@@ -1,0 +1,88 @@
+"""Calibrating by designed experiments, with gradients beside them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.designs.comparison import Designed, design
+from calibrate.figures import Figure
+from calibrate.figures.doe import study_figure
+from calibrate.io.lab import LabLike
+from calibrate.records.base import record
+from calibrate.records.study import StudyRecord
+from calibrate.reports import study as report
+from calibrate.simulation.session import Session
+from calibrate.verbs.base import AbstractDrawnResult, parameter_values, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DoeResult(AbstractDrawnResult):
+    """A study by designed experiments: screening, response surfaces, optimum, gradients beside.
+
+    Attributes:
+        study: designs, surfaces and the comparison.
+        folder: where result.json, study.html and a run sheet for each design are.
+        content: everything, with the keys of result.json.
+    """
+
+    study: Designed
+    folder: Path
+    content: dict
+
+    @cached_property
+    def record(self) -> StudyRecord:
+        """The whole result with typed entries."""
+        return record(StudyRecord, self.content)
+
+    @property
+    def optimum(self) -> dict[str, float]:
+        """Parameters (SI) at which the last surfaces meet the targets best."""
+        return self.content["optimum"]
+
+    def words(self) -> Iterator[RenderableType]:
+        yield from report.words(self.study)
+
+    def plot(self) -> Figure:
+        """Slopes by surfaces against gradients, and where each method ended."""
+        return figures.closed(study_figure(self.record))
+
+
+@verb
+def doe(
+    lab: LabLike = None, *, values: Mapping[str, float | str] | None = None,
+    preset: str = "quick", seed: int = 0, out: str | Path = "results/doe",
+    dask: str | None = None, batch: int | None = None,
+) -> DoeResult:  # fmt: skip
+    """Calibrates by Plackett-Burman, central composite and Box-Behnken designs.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned, with at least one target; None: the
+            bundled soil.
+        values: parameters in place of the lab file's, by name, in SI units or with a unit.
+        preset: "quick", "standard" or "fine": how many spheres and packings.
+        seed: choice of packings, from 0.
+        out: folder for results; a second call goes on where the first one stopped.
+        dask: address of a Dask cluster that simulates; None: this machine.
+        batch: specimens to simulate at once on an accelerator; None: on processor cores.
+
+    Returns:
+        Designs, surfaces, the optimum and what gradients say beside; result.json, study.html and
+        run sheets in `out`.
+
+    Raises:
+        InputError: the lab has no target, or an argument is wrong.
+
+    Example:
+        >>> study = calibrate.doe(preset="quick")
+        >>> study.optimum
+    """
+    folder = Path(out)
+    session = Session.open(lab, preset, folder, dask, batch=batch).on_soil()
+    changes = parameter_values(values, session.lab.particles.conventions)
+    work = session.campaign(folder, None)
+    done = design(session.lab, session.preset, changes, seed, work)
+    return DoeResult(done, folder, report.write(session, done))

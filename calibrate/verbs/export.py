@@ -1,0 +1,106 @@
+"""Exporting parameters to another program: its input as text, with intervals and warnings."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.core.errors import COMMAND_LINE, BadValue, InputError
+from calibrate.core.files import make_folder, write_text
+from calibrate.core.units import LENGTH, positive_quantity
+from calibrate.exporters import notes
+from calibrate.exporters.composite import EXPORTERS, NAMES
+from calibrate.exporters.parameters_json import content as content_of
+from calibrate.exporters.source import Found, find
+from calibrate.figures import Figure
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.fit import FitResult
+
+FOLDER = Path("results/export")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExportResult(AbstractDrawnResult):
+    """Parameters in the words of another program.
+
+    Attributes:
+        path: the file that was written.
+        text: what it holds.
+        found: the parameters, their intervals, and what the fit warned of.
+        folder: where the file is.
+        content: every parameter with unit and interval, and the surface energy at the wanted size.
+    """
+
+    path: Path
+    text: str
+    found: Found
+    folder: Path
+    content: dict
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the fit warned of."""
+        return self.found.warnings
+
+    def words(self) -> Iterator[RenderableType]:
+        yield from map(line, [*notes.heading(self.found), *notes.scale_up(self.found)])
+        yield line(f"written to {self.path}")
+
+    def plot(self) -> Figure:
+        """The exported parameters over their values, with 95 % intervals of those fitted."""
+        return figures.closed(figures.export_figure(self.found.values, self.found.intervals))
+
+
+@verb
+def export(
+    source: FitResult | str | Path, *, to: str, diameter: str | None = None,
+    values: Mapping[str, float | str] | None = None, out: str | Path | None = None,
+    force: bool = False,
+) -> ExportResult:  # fmt: skip
+    """Writes a soil's parameters for another program, with uncertainty and a note on scaling.
+
+    Args:
+        source: what `fit` returned, the folder of a fit, or a lab file (its starting values).
+        to: "liggghts", "edem", "yade" or "json".
+        diameter: of your particles, with its unit ("4 mm"); None: as calibrated.
+        values: parameters in place of the fitted ones, by name, in SI units or with a unit.
+        out: the file to write; None: in results/export.
+        force: also of a fit that missed its data.
+
+    Returns:
+        The text and where it was written.
+
+    Raises:
+        InputError: the source is no fit, the fit missed its data, or an argument is wrong.
+
+    Example:
+        >>> calibrate.export("results/fit", to="yade", diameter="4 mm")
+    """
+    if to not in EXPORTERS:
+        raise InputError(COMMAND_LINE, "--to", f"no program '{to}'", f"give {NAMES}")
+    place = Path(source) if isinstance(source, str | Path) else source.folder
+    found = find(place, parameter_values(values), _length(diameter))
+    if found.missed and not force:
+        repair = "fit again, or give --force to export it all the same, with this warning"
+        rest = len(found.missed) - 1
+        problem = found.missed[0] + (f", and {rest} more" if rest else "")
+        raise InputError(str(place), "", problem, repair)
+    exporter = EXPORTERS[to]
+    text = exporter.text(found)
+    path = FOLDER / exporter.FILE if out is None else Path(out)
+    if path.is_dir():
+        raise InputError(COMMAND_LINE, "--out", f"{path} is a folder", "give the name of a file")
+    make_folder(path.parent)
+    write_text(path, text)
+    return ExportResult(path, text, found, path.parent, content_of(found))
+
+
+def _length(diameter: str | None) -> float | None:
+    if diameter is None:
+        return None
+    try:
+        return positive_quantity(diameter, LENGTH)
+    except BadValue as bad:
+        raise bad.at(COMMAND_LINE, "--diameter") from None

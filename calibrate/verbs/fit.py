@@ -1,0 +1,227 @@
+"""Fitting the parameters that the data can fix: the function, and the result with its words."""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from rich.console import RenderableType
+from rich.table import Table
+
+from calibrate import figures
+from calibrate.core.errors import COMMAND_LINE
+from calibrate.core.files import write_json, write_text
+from calibrate.figures import Figure
+from calibrate.inference.calibration import Calibrated, calibrate, fit_json
+from calibrate.inference.parameters import RANGES, checked_free
+from calibrate.inference.resolutions import Coarse
+from calibrate.io.conventions import check_free
+from calibrate.io.lab import Lab, LabLike
+from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.labtests.composite import label
+from calibrate.records.base import record
+from calibrate.records.fit import FitRecord
+from calibrate.reports.terminal import observables_table, warned_of_observables
+from calibrate.simulation.session import Session, origin_of
+from calibrate.simulation.specimens import check_some_sound, doubts
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitResult(AbstractDrawnResult):
+    """Fitted parameters of one soil, how well the data fix them, and the check on fresh packings.
+
+    Attributes:
+        lab: the soil that was fitted.
+        folder: where result.json, history.csv and fit.png are.
+        content: everything, with the keys of result.json.
+    """
+
+    lab: Lab
+    folder: Path
+    content: dict
+
+    @cached_property
+    def record(self) -> FitRecord:
+        """The whole result with typed entries."""
+        return record(FitRecord, self.content)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name, SI; those that were not free at their starting values."""
+        return self.content["parameters"]
+
+    @property
+    def free(self) -> list[str]:
+        """Names of the parameters that were fitted."""
+        return self.content["free"]
+
+    @property
+    def interval_95(self) -> dict[str, tuple[float, float]]:
+        """95 % intervals of the free parameters, SI."""
+        return self.record.identifiability.interval_95
+
+    @property
+    def observables(self) -> dict[str, float]:
+        """Means over the packings of the fit, in the unit that the name ends with (mm or N)."""
+        return self.content["observables"]
+
+    @property
+    def fresh_observables(self) -> dict[str, float]:
+        """The same over packings that took no part in the fit."""
+        return self.content["fresh_packings"]["observables"]
+
+    @property
+    def met(self) -> bool:
+        """Whether the fit met everything that was measured."""
+        return self.content["met"]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to know before the numbers are used, one sentence each."""
+        return self.record.all_warnings()
+
+    def words(self) -> Iterator[RenderableType]:
+        found = self.content
+        groups = {
+            **{f"set '{name}'": group for name, group in found["named_sets"].items()},
+            "fitted packings": found,
+            "fresh packings": found["fresh_packings"],
+        }
+        yield observables_table(self.lab, groups)
+        yield self._parameters()
+        yield from map(line, [*self._verification(), *self._conclusions()])
+        yield from warned_of_observables(found)
+
+    def plot(self) -> Figure:
+        """Curves, observables and parameters at a glance; below them what the fit warned of."""
+        return figures.closed(figures.fit_figure(self.record))
+
+    def _parameters(self) -> Table:
+        table = Table(title="free parameters", title_justify="left")
+        for column in ("", "start", "fitted", "95 % interval", "unit"):
+            table.add_column(column)
+        for name in self.free:
+            low, high = self.interval_95[name]
+            cells = [f"{x:.4g}" for x in (self.record.start(name), self.parameters[name])]
+            table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
+        return table
+
+    def _verification(self) -> Iterator[str]:
+        """How far fresh packings' means are from what was measured, and a publication's error."""
+        fresh = self.content["fresh_packings"]
+        count = len([packing for packing in self.record.packings.fresh if not packing.failure])
+        for name, target in self.lab.targets.items():
+            mean, error = fresh["observables"][name], fresh["spread"][name] / max(count, 1) ** 0.5
+            said = (
+                f"{label(name)} on {count} fresh packings: {mean:.4g} ± {error:.2g} (standard "
+                f"error), {100 * (mean / target.mean - 1):+.1f} % of what was measured"
+            )
+            if target.published_error is not None:
+                off = 100 * target.published_error
+                said += f"; the publication's own simulation: {off:.1f} % off"
+            yield said
+
+    def _conclusions(self) -> Iterator[str]:
+        """What the data fixed, what they left open, how the fit ended, and what it warns of."""
+        found = self.content
+        yield (
+            f"stopped: {found['stopped']}; {len(found['history'])} evaluations, "
+            f"{found['simulations']} simulations in this start"
+        )
+        held = [name for name in RANGES if name not in self.free]
+        yield "held at their starting values: " + ", ".join(held)
+        for direction in self.record.identifiability.directions:
+            weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
+            word = VERDICTS[direction.verdict]
+            yield f"{word} (signal/noise {direction.signal_to_noise:.1f}): {weights}"
+        yield from (f"warning: {sentence}" for sentence in self.warnings)
+
+
+VERDICTS = {
+    "fixed": "fixed by the data",
+    "left open": "LEFT OPEN by the data",
+    "seen, but the fit missed": "SEEN BY THE DATA, WHICH THE FIT MISSED",
+}
+
+
+@verb
+def fit(
+    lab: LabLike = None, *, free: Sequence[str] | None = None,
+    values: Mapping[str, float | str] | None = None, preset: str = "quick", seed: int = 0,
+    prepare_with_soil: bool = False, conventions: str | None = None,
+    out: str | Path = "results/fit", dask: str | None = None,
+) -> FitResult:  # fmt: skip
+    """Fits the parameters that the data can fix, and says which those are.
+
+    Simulations are kept in `out`; a second call with the same arguments goes on where the first
+    one stopped.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
+        free: names of the parameters to fit; None: the lab file's choice, or what the data can fix.
+        values: parameters to start from in place of the lab file's, by name, in SI units or with a
+            unit ("12 J/m^2").
+        preset: "quick", "standard" or "fine": how many spheres and packings.
+        seed: choice of packings, from 0.
+        prepare_with_soil: beds settle with the soil under test, not with a slippery one.
+        conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
+            file's.
+        out: folder for results.
+        dask: address of a Dask cluster that simulates; None: this machine.
+
+    Returns:
+        Parameters with intervals, the check on fresh packings, warnings; result.json, history.csv
+        and fit.png in `out`.
+
+    Raises:
+        InputError: the lab file or an argument is wrong.
+        CalibrationError: nothing could be fitted; its `result` holds what there is.
+
+    Example:
+        >>> fitted = calibrate.fit(preset="quick")
+        >>> fitted.parameters["shear_modulus"], fitted.interval_95["shear_modulus"]
+    """
+    folder = Path(out)
+    session = Session.open(lab, preset, folder, dask, conventions)
+    followed = session.lab.particles.conventions
+    changes = parameter_values(values, followed)
+    names = None if free is None else checked_free(free)
+    check_free(followed, names or (), COMMAND_LINE, "--free ")
+    preparation = changes if prepare_with_soil else None
+    work, spheres = session.campaign(folder, preparation), session.preset.explored
+    coarse = None
+    if spheres is not None:
+        smaller = session.resized(spheres).campaign(folder, preparation)
+        coarse = Coarse(smaller, spheres, session.preset.spheres)
+    done = calibrate(session.lab, session.preset, names, changes, seed, work, coarse)
+    return kept(session, done)
+
+
+def kept(session: Session, done: Calibrated) -> FitResult:
+    """The result, with result.json, history.csv and a figure in the session's folder."""
+    content = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
+    content["observable_warnings"] = doubts(session.lab, done.fresh_runs)
+    found = FitResult(session.lab, session.out, content)
+    write_json(session.out / "result.json", content)
+    write_text(session.out / "history.csv", _table_of(content["history"]))
+    figures.save(found.plot(), session.out / "fit.png")
+    check_some_sound(done.fresh_runs, "fresh packings", found)
+    return found
+
+
+def _table_of(history: list[dict]) -> str:
+    """The evaluations as CSV, one row each."""
+    rows = [
+        {k: v for k, v in row.items() if k not in ("parameters", "features")}
+        | row["parameters"]
+        | row["features"]
+        for row in history
+    ]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

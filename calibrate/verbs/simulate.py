@@ -1,0 +1,134 @@
+"""Simulating a lab's tests on several packings: curves, observables, their scatter."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import RenderableType
+
+from calibrate import figures
+from calibrate.core.files import write_json
+from calibrate.figures import Figure
+from calibrate.io.lab import Lab, LabLike
+from calibrate.records.base import Measured, record
+from calibrate.reports.terminal import (
+    course,
+    observables_table,
+    warned_of_observables,
+    warned_of_resolution,
+)
+from calibrate.simulation import specimens
+from calibrate.simulation.run import Run
+from calibrate.simulation.session import Session, origin_of
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationResult(AbstractDrawnResult):
+    """Simulated tests of one soil on several packings.
+
+    Attributes:
+        lab: the soil that was simulated.
+        folder: where result.json and curves.png are.
+        content: everything, with the keys of result.json.
+        runs: one run a packing, failed ones among them.
+    """
+
+    lab: Lab
+    folder: Path
+    content: dict
+    runs: tuple[Run, ...]
+
+    @property
+    def observables(self) -> dict[str, float]:
+        """Means over packings by name, in the unit that the name ends with (mm or N)."""
+        return self.content["observables"]
+
+    @property
+    def spread(self) -> dict[str, float]:
+        """Standard deviations over packings: the scatter of one specimen."""
+        return self.content["spread"]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The soil's parameters by name, SI."""
+        return self.content["parameters"]
+
+    @property
+    def curves(self) -> list[dict[str, np.ndarray]]:
+        """Of each packing the curves by test: arrays (points, 2) of mm and N."""
+        return [run.curves for run in self.runs]
+
+    @property
+    def failures(self) -> list[str]:
+        """Why packings failed; empty where none did."""
+        return self.content["failures"]
+
+    def words(self) -> Iterator[RenderableType]:
+        found = self.content
+        if len(self.failures) < len(self.runs):
+            yield observables_table(self.lab, {"simulated": found})
+        yield from warned_of_observables(found)
+        yield from (line(f"failed: {failure}") for failure in self.failures)
+        yield line(course(found))
+        yield from warned_of_resolution(found)
+
+    def plot(self) -> Figure:
+        """Curves of all packings, one panel a test, beside what was measured."""
+        measured = record(Measured, specimens.measured_json(self.lab))
+        return figures.closed(figures.simulation_figure(self.runs, measured))
+
+
+@verb
+def simulate(
+    lab: LabLike = None, *, values: Mapping[str, float | str] | None = None,
+    preset: str = "quick", seed: int = 0, single: bool = False, prepare_with_soil: bool = False,
+    conventions: str | None = None, out: str | Path = "results/simulate", dask: str | None = None,
+) -> SimulationResult:  # fmt: skip
+    """Simulates the tests of a lab file on several packings of spheres.
+
+    Simulations are kept in `out`; a second call with the same arguments reads them.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
+        values: parameters in place of the lab file's, by name, in SI units or with a unit
+            ("12 J/m^2").
+        preset: "quick", "standard" or "fine": how many spheres and packings.
+        seed: choice of packings, from 0.
+        single: in single precision, which is faster.
+        prepare_with_soil: beds settle with the soil under test, not with a slippery one.
+        conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
+            file's.
+        out: folder for results.
+        dask: address of a Dask cluster that simulates; None: this machine.
+
+    Returns:
+        Observables, curves and scatter, and result.json and curves.png in `out`.
+
+    Raises:
+        InputError: the lab file or an argument is wrong.
+        CalibrationError: every packing failed; its `result` holds them.
+
+    Example:
+        >>> found = calibrate.simulate(values={"surface_energy": 12.0})
+        >>> found.observables["depression_depth_mm"]
+    """
+    folder = Path(out)
+    session = Session.open(lab, preset, folder, dask, conventions)
+    if single:
+        session = session.in_single_precision()
+    changes = parameter_values(values, session.lab.particles.conventions)
+    work = session.campaign(folder, changes if prepare_with_soil else None)
+    content, runs = specimens.simulate(session.lab, session.preset, changes, seed, work)
+    return kept(session, content, runs)
+
+
+def kept(session: Session, content: dict, runs: Sequence[Run]) -> SimulationResult:
+    """The result, with result.json and a figure in the session's folder."""
+    content = {**origin_of(session), **content}
+    found = SimulationResult(session.lab, session.out, content, tuple(runs))
+    write_json(session.out / "result.json", content)
+    figures.save(found.plot(), session.out / "curves.png")
+    specimens.check_some_sound(runs, result=found)
+    return found
