@@ -107,9 +107,7 @@ def first_row(ax: Axes) -> None:
     box(ax, 0.1, 1.9, 3.45, 3.0)
     head(ax, 0.22, 6.33, "1", "Specimen")
     soil(ax, 0.72, 4.1, 0.66, 1.32)
-    ax.text(
-        1.05, 3.95, "of soil, for example\n50 by 100 mm", fontsize=SMALL, ha="center", va="top"
-    )
+    ax.text(1.05, 3.95, "of soil, for example\n50 by 100 mm", fontsize=SMALL, ha="center", va="top")
 
     box(ax, 2.5, 3.5, 3.45, 3.0)
     head(ax, 2.62, 6.33, "2", "Laboratory tests")
