@@ -298,6 +298,23 @@ def test_the_page_of_json_keys_has_the_keys_of_a_fit():
     assert all(f"`{key}`" in text for key in given)
 
 
+def strings(node: ast.AST) -> str:
+    """A string of a program without what is filled in; "" of anything else."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    return "".join(str(p.value) for p in parts if isinstance(p, ast.Constant))
+
+
+def test_messages_on_the_page_of_failures_are_those_of_the_program():
+    page = (ROOT / "docs" / "howto" / "when-it-fails.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| ")]
+    messages = [text for row in rows for text in re.findall(r"`([^`]+)`", row)]
+    files = [p for name in OURS for p in (ROOT / name).rglob("*.py")]
+    nodes = [n for p in files for n in ast.walk(ast.parse(p.read_text(encoding="utf-8")))]
+    known = "\n".join(map(strings, nodes))
+    parts = [part.strip() for text in messages for part in text.split("...")]
+    assert len(messages) > 60 and not [part for part in parts if part not in known]
+
+
 OURS = ("jdem", "calibrate")
 
 
