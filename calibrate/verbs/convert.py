@@ -109,7 +109,7 @@ def convert(
         InputError: the export cannot be read without a doubt; says which option would settle it.
 
     Example:
-        >>> read = calibrate.convert("export.csv", diameter="50 mm", height="100 mm")
+        >>> read = calibrate.convert("export.csv", test="confined")
         >>> calibrate.fit(read.lab_file)
     """
     if not exports:

@@ -89,7 +89,7 @@ def next_test(
 
     Example:
         >>> found = calibrate.next_test("my_soil.toml")
-        >>> found.tests[0]["name"]
+        >>> [test["name"] for test in found.tests]
     """
     folder = Path(out)
     session = Session.open(lab, "quick", folder)

@@ -1,4 +1,4 @@
-"""The reference of modules: one page a folder, written by mkdocstrings from the docstrings."""
+"""The reference of modules: public names first, then one page a folder, from the docstrings."""
 
 import ast
 from pathlib import Path
@@ -24,7 +24,35 @@ def dotted(path: Path) -> str:
 
 def pages() -> dict[str, str]:
     """One page a folder: what the folder is, then every module in it."""
-    return {f"reference/api/{dotted(folder)}.md": _page(folder) for folder in folders()}
+    made = {f"reference/api/{dotted(folder)}.md": _page(folder) for folder in folders()}
+    return {f"reference/api/names_{p}.md": names_page(p) for p in PACKAGES} | made
+
+
+def public(package: str) -> dict[str, str]:
+    """The public names of a package, each with the module that defines it."""
+    stub = ast.parse((ROOT / package / "__init__.pyi").read_text(encoding="utf-8"))
+    return {
+        alias.name: f"{package}.{node.module}.{alias.name}"
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+def names_page(package: str) -> str:
+    """Everything that `import package` offers, by name."""
+    lines = [f"# import {package}", "", first_paragraph(ROOT / package / "__init__.py"), ""]
+    for name, place in sorted(public(package).items(), key=lambda item: item[0].lower()):
+        lines += [f"## {package}.{name}", "", f"::: {place}", *OPTIONS, ""]
+    return "\n".join(lines)
+
+
+OPTIONS = (
+    "    options:",
+    "      docstring_style: google",
+    "      show_root_heading: false",
+    "      heading_level: 3",
+)
 
 
 def _page(folder: Path) -> str:
