@@ -25,7 +25,7 @@ CURVES = (
     "parameter",
     "confined curve: mean square error over that of the slope",
 )
-BELIEVED = ("spheres", "seed", "engine", "test", "accepted packings and parameters",
+BELIEVED = ("spheres", "seed", "physics", "test", "accepted packings and parameters",
             "largest growth")  # fmt: skip
 POOLED = ("spheres", "seeds", "packings", "parameter", "reference", "overdamped", "error",
           "packings wrong by more than 30 %")  # fmt: skip
@@ -132,7 +132,9 @@ def markdown(audits: list[dict], origin: dict) -> str:
         for parameter, error in curve_errors(audit).items()
     ]
     believed = [
-        [*named(audit), audit["engine"], *row] for audit in audits for row in certified(audit)
+        [*named(audit), reporting.physics_of(audit), *row]
+        for audit in audits
+        for row in certified(audit)
     ]
     return (
         "# Derivatives that JAX takes\n\nPer unit of ln p, mm or N; slopes above three standard "

@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 
 from calibrate.core.files import write_json, write_text
-from calibrate.simulation import engine_hash
+from jdem.physics import PHYSICS
 
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
@@ -28,6 +28,7 @@ OWN = (
 )  # only their script goes on
 OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
 IMAGES = Path(__file__).parents[1] / "docs" / "images"  # of pages
+FIRST = "cd59c67cb0da6576"  # engine in files that have the numbers of physics 1
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -55,7 +56,7 @@ def provenance() -> dict:
             "python": platform.python_version(),
             **{name: metadata.version(name) for name in PACKAGES},
         },
-        "engine": engine_hash(),
+        "physics": PHYSICS,
     }
 
 
@@ -86,12 +87,19 @@ def write_page(name: str, markdown: str) -> None:
 
 
 def earlier(name: str, key: str) -> dict:
-    """Entry `key` of results written before by the same engine, or an empty dict."""
+    """Entry `key` of results written before with the same physics, or an empty dict."""
     path = file_of(name)
     if not path.exists():
         return {}
     content = json.loads(path.read_text(encoding="utf-8"))
-    return content[key] if content.get("engine") == engine_hash() and key in content else {}
+    return content[key] if physics_of(content) == str(PHYSICS) and key in content else {}
+
+
+def physics_of(content: dict) -> str:
+    """Version of the physics that made a result.  Files from before it had one name an engine, a
+    hash of the source; one of these hashes is that of the first version."""
+    engine = content.get("engine", FIRST)
+    return str(content.get("physics", 1 if engine == FIRST else f"before 1, engine {engine}"))
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -106,7 +114,7 @@ def footer(origin: dict) -> str:
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     return (
         f"\nMade by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
-        f"{listed}; engine {origin['engine']}.\n"
+        f"{listed}; physics {physics_of(origin)}.\n"
     )
 
 

@@ -34,6 +34,7 @@ from calibrate.labtests.pair import KINDS
 from calibrate.simulation import Run
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import campaign
+from jdem.physics import PHYSICS
 
 PACKINGS = {150: 6, 250: 10, 500: 8, 1000: 6, 2000: 6, 5000: 3, 10_000: 2, 20_000: 1}
 MATCHED = 0.46  # reached by every size from 500 spheres on
@@ -176,7 +177,7 @@ def check(lab: Lab, most: int) -> str | None:
                 print(f"{spheres} spheres, {name}: {mean:+.1f} +- {error:.1f} % on average, "
                       f"{np.abs(change).max():.1f} % at most in a packing")  # fmt: skip
                 differ += [f"{name} of {spheres}"] if abs(mean) > DIFFERS * error else []
-    print(f"file: engine {kept['engine']}; now {reporting.provenance()['engine']}")
+    print(f"file: physics {reporting.physics_of(kept)}; now {PHYSICS}")
     return f"differ: {', '.join(differ)} spheres" if differ else None
 
 

@@ -13,7 +13,7 @@ and of both.
     python benchmarks/sizes.py --soils wheat_after_rice --starts base
 
 `--ways` picks fits.  They are kept in results/benchmarks/sizes; a second call resumes at the next
-one.  Writes benchmarks/results/sizes.json and .md after each; other fits of the same engine keep
+one.  Writes benchmarks/results/sizes.json and .md after each; other fits with the same physics keep
 their rows.
 """
 

@@ -9,7 +9,7 @@ and the time that the whole command took.  One fit takes some ten minutes on two
 
 Fits are kept in results/benchmarks/verification; a second call resumes, and then keeps the time of
 the first.  Writes benchmarks/results/verification.json and .md after each fit; other fits of the
-same engine keep their rows.
+same physics keep their rows.
 """
 
 import argparse

@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -17,8 +18,8 @@ from calibrate import cli
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.io.soil import with_values
 from calibrate.simulation import cluster as cluster_module
-from calibrate.simulation.cluster import DaskCluster, on_worker
-from calibrate.simulation.keys import engine_hash
+from calibrate.simulation import keys
+from calibrate.simulation.cluster import DaskCluster, code_of, on_worker
 from jdem.effects.composite import EFFECTS
 
 SEEDS = (0, 1)
@@ -105,14 +106,23 @@ def deadly(lab, specimen, packing, soil):
     return not_simulated(lab, "the other one")
 
 
-def test_a_worker_with_another_engine_is_refused():
-    with pytest.raises(CalibrationError, match="another version of jdem"):
-        on_worker(abs, "0123", {}, (1,))
-    assert on_worker(abs, engine_hash(), {}, (-1,)) == 1
-    drift = EFFECTS["load_cell_drift"](0.0)
-    with pytest.raises(CalibrationError, match="another version of jdem"):
-        on_worker(type, engine_hash(), {}, (drift,))  # it must have the same of this as well
-    assert on_worker(type, engine_hash(drift), {}, (drift,)) is type(drift)
+class MyDrift(eqx.Module):
+    """An effect in a file of one's own."""
+
+    strength: float = 0.0
+
+
+def test_a_worker_with_other_code_is_refused(monkeypatch):
+    for drift in (EFFECTS["load_cell_drift"](0.0), MyDrift()):
+        code = code_of((drift,))
+        assert on_worker(type, code, {}, (drift,)) is type(drift)
+        with monkeypatch.context() as later:
+            later.setattr(cluster_module, "PHYSICS", cluster_module.PHYSICS + 1)
+            with pytest.raises(CalibrationError, match="physics 1, physics 2"):
+                on_worker(type, code, {}, (drift,))
+    monkeypatch.setattr(keys, "_text_hash", lambda module: "other text")
+    with pytest.raises(CalibrationError, match="MyDrift other text"):
+        on_worker(type, code, {}, (drift,))
 
 
 @pytest.mark.slow

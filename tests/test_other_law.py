@@ -150,7 +150,7 @@ def bare_library(design: Design) -> RunLibrary:
     lab, wide = load_lab(bundled_lab()), len(design.base_names)
     none = np.zeros((1, len(design.limits)))
     rows = np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53))
-    return RunLibrary(design, Cylinder.of(lab), "", *rows, reference={})
+    return RunLibrary(design, Cylinder.of(lab), 1, *rows, reference={})
 
 
 def test_rows_are_simulated_under_the_conventions(monkeypatch, tmp_path: Path):

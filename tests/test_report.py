@@ -45,6 +45,8 @@ HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"
     ' $\\frac$ & "q"'
 )
+from jdem.physics import PHYSICS
+
 TARGETS = {
     "depression_depth_mm": Target(2.5, 0.1, 4),
     "crushing_force_n": Target(185.0, 8.0, 4),
@@ -127,7 +129,12 @@ def test_a_page_says_what_made_it(folders, pages, kind):
     text = text_of(pages[kind])
     _, file = kinds.find(folders[kind])
     origin = json.loads(file.read_text())
-    for words in (origin["command"], origin["soil"], origin["preset"], origin["engine"]):
+    for words in (
+        origin["command"],
+        origin["soil"],
+        origin["preset"],
+        f"physics {origin['physics']}",
+    ):
         assert words in text
     assert {"python", "differentiable-soil", "jax", "numpy"} <= set(origin["versions"])
     assert all(f"{name} {version}" in text for name, version in origin["versions"].items())
@@ -182,7 +189,7 @@ def test_a_simulation_keeps_its_figure(tmp_path):
     found = simulate.kept(opened, specimens.simulation_json(runs), runs)
     assert found.failures == [] and "simulated" in repr(found)
     assert (tmp_path / "curves.png").stat().st_size > 10_000
-    assert json.loads((tmp_path / "result.json").read_text())["engine"]
+    assert json.loads((tmp_path / "result.json").read_text())["physics"] == PHYSICS
 
 
 # ------------------------------------------------------------------ hostile and odd contents
@@ -193,7 +200,7 @@ def test_hostile_text_is_shown_as_text(tmp_path):
     changes = {"name": HOSTILE, "named_sets": {HOSTILE: {}}, "curves": (MEASURED,)}
     folder = written_fit(tmp_path, **changes)
     result = json.loads((folder / "result.json").read_text())
-    for name in ("command", "stopped", "strategy", "preset", "engine"):
+    for name in ("command", "stopped", "strategy", "preset"):
         result[name] = HOSTILE
     result["versions"] = {HOSTILE: HOSTILE}
     result["features"][HOSTILE] = {"measured": 1, "simulated": 1, "sd": 1}

@@ -55,6 +55,7 @@ from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
 from calibrate.io.lab import bundled_lab, load_lab
+from jdem.physics import PHYSICS
 
 jax.config.update("jax_enable_x64", True)
 
@@ -621,7 +622,7 @@ def small_library() -> RunLibrary:
     values = RNG.uniform(1, 2, size=(len(base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(
-        design, Cylinder(0.05, 0.1, 200.0, 400.0), "engine", base, strengths,
+        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS, base, strengths,
         design.of_packing, values,
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip

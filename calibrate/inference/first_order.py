@@ -19,12 +19,13 @@ from jax import Array
 from calibrate.inference.parameters import Space
 from calibrate.inference.problem import Problem
 from calibrate.simulation import Campaign, Run, side_by_side
-from calibrate.simulation.keys import content_hash, source_hash
+from calibrate.simulation.keys import classes, content_hash
 from calibrate.simulation.run import names_in
 from jdem.core.program import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
+from jdem.physics import DERIVATIVES
 from jdem.sensitivity.base import AbstractTraced, Sensitivity, Traced, averaged
 from jdem.sensitivity.overdamped import Overdamped
 
@@ -127,7 +128,8 @@ class FirstOrder:
         """Keys of the neighbours: what the run depends on, and how it was differentiated."""
         content = {
             "run": self.campaign.key(soil, seed),
-            "strategy": source_hash(type(self.strategy), FirstOrder),
+            "derivatives": DERIVATIVES,
+            "strategy": classes(self.strategy),
             "settings": repr(self.strategy),
         }
         return [

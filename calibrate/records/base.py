@@ -58,7 +58,7 @@ class Origin(Record):
     soil: str
     preset: str
     versions: dict[str, str]
-    engine: str = ""  # hash of the simulator's source
+    physics: int = 0  # its version; 0 in files from before it had one
 
 
 class Curve(Record):

@@ -71,7 +71,7 @@ class WithheldRecord(Record):
 
     command: str = ""
     versions: dict[str, str] = Field(default_factory=dict)
-    engine: str = ""
+    physics: int = 0
     seed: int | None = None
     cases: Count
     accuracy: Share

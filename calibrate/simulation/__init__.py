@@ -1,7 +1,6 @@
 """Many simulations: cached on disk by content, resumable, on these cores or on a cluster.
 
-keys.py        what a run depends on, hashed
-definitions.py normal_form.py dependencies.py   the source that it depends on, hashed
+keys.py        what a bed or a run depends on, hashed: its name on disk
 run.py         one finished simulation in mm and N, with the checks that say whether to trust it
 compiled.py    simulating and preparing, with programs compiled once a process
 seal.py store.py   entries of the cache: atomic, with checksum, one writer at a time
@@ -12,7 +11,6 @@ campaign.py    from soils and seeds to runs: what is missing is simulated, what 
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.compiled import blank
 from calibrate.simulation.executors import HERE, AbstractPlace, Here, cores, side_by_side
-from calibrate.simulation.keys import engine_hash
 from calibrate.simulation.run import Run, not_simulated, summary
 from calibrate.simulation.store import NETCDF
 
@@ -25,7 +23,6 @@ __all__ = [
     "Run",
     "blank",
     "cores",
-    "engine_hash",
     "not_simulated",
     "side_by_side",
     "summary",

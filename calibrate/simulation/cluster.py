@@ -2,8 +2,8 @@
 
 Workers compute and send numbers back; the cache on disk is this process's alone, so workers
 need no common file system.  The scheduler gives the runs of a worker that died to another one.
-Every worker must have the same source of what it computes, or keys would lie; one that has not
-is refused.
+Every worker must have the same physics and the same laws and effects of yours, or keys would lie;
+one that has not is refused.
 """
 
 import gc
@@ -19,10 +19,11 @@ from distributed import CancelledError, Client, KilledWorker
 from calibrate.core.errors import CalibrationError, InputError, one_line
 from calibrate.simulation.compiled import simulated
 from calibrate.simulation.executors import AbstractPlace, MachineFailure
-from calibrate.simulation.keys import engine_hash
+from calibrate.simulation.keys import classes
 from calibrate.simulation.run import Run
 from jdem.packing.composite import prepare
 from jdem.packing.specimen import Packing
+from jdem.physics import PHYSICS
 
 IN_FLIGHT = 256  # runs handed to the scheduler at once; adaptive clusters grow with the queue
 PATIENCE = 20.0  # s until a scheduler must have answered
@@ -63,7 +64,7 @@ class DaskCluster(AbstractPlace):
     def _computed(self, function: Callable, *arguments):
         """function(*arguments) on a worker, with this process's precision."""
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
-        job = (function, engine_hash(*arguments), settings, _plain(arguments))
+        job = (function, code_of(arguments), settings, _plain(arguments))
         try:
             result = self._client.submit(on_worker, *job, pure=False).result()
         except KilledWorker as error:
@@ -95,13 +96,18 @@ SETTINGS = (
 )
 
 
-def on_worker(function: Callable, engine: str, settings: dict[str, Any], arguments: tuple):
+def code_of(arguments: tuple) -> list[str]:
+    """The physics, and the classes that are computed with, those of yours with their text."""
+    return [f"physics {PHYSICS}", *classes(*arguments)]
+
+
+def on_worker(function: Callable, code: list[str], settings: dict[str, Any], arguments: tuple):
     """What a worker does: the client's settings, then function(*arguments)."""
-    here = engine_hash(*arguments)
-    if here != engine:
+    here = code_of(arguments)
+    if here != code:
+        other = ", ".join(sorted(set(here) ^ set(code)))
         raise CalibrationError(
-            f"a worker has another version of jdem ({here}, not {engine}); install the same one on "
-            "all machines"
+            f"a worker has other code than this machine ({other}); install the same on all machines"
         )
     for name, value in settings.items():
         jax.config.update(name, value)

@@ -1,57 +1,52 @@
-"""What a simulation depends on, hashed: soil, packing, machine, numerics, and the source reached.
+"""The names under which beds and runs are kept: hashes of all that they depend on.
 
-Of the source of `jdem` counts what is reached from the functions that compute, and from the
-types of everything that they are given (`calibrate.simulation.dependencies`): a moved file, a
-comment, a law or an effect that a run does not have make no bed and no run anew.
+That is soil, packing, machine and numerics, the version of the physics (`jdem.physics`) for all
+that this package computes, and by name the classes of law, tests and effects.  A class that stands
+in a file of your own counts with the text of that file, as no version of ours tells of it.
 """
 
 import hashlib
 import inspect
 import json
 import sys
-import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from calibrate.simulation.definitions import Sources
-from calibrate.simulation.dependencies import Dependencies
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
-from jdem.observables import inertial_number
-from jdem.packing.composite import prepare
 from jdem.packing.specimen import Specimen
+from jdem.physics import PHYSICS, PREPARATION
 
-OURS = ("jdem", "calibrate")  # packages whose definitions are followed
-SETTLES = (prepare,)
-_PARSING = threading.Lock()  # the parser of Python 3.11 fails where two threads enter it
-RUNS = (VirtualLab, inertial_number)  # the latter for the checks that are kept with a run
+OURS = ("jdem", "calibrate")  # packages for which the version of the physics stands
 
 
 def run_content(lab: VirtualLab, soil: SoilParameters) -> dict:
     """All that a run depends on, its packing apart."""
     return {
+        "physics": PHYSICS,
         "soil": _numbers(soil),
         "slope_exponent": soil.slope_exponent,
         "lab": _numbers(lab),
         "effects": [type(effect).__name__ for effect in lab.effects],
         "static": repr((lab.grid, lab.capacity, lab.tests, lab.numerics)),
-        "running": source_hash(*RUNS, lab, soil),
+        "classes": classes(lab, soil),
     }
 
 
 def packing_content(specimen: Specimen, seed: int, soil: SoilParameters | None) -> dict:
     """All that a packing depends on; `soil` is what it settled with (None: the neutral one)."""
+    with_soil = None if soil is None else [*_numbers(soil), soil.slope_exponent, *classes(soil)]
     return {
+        "beds": PREPARATION,
         "specimen": repr(specimen),
         "seed": seed,
-        "preparation": None if soil is None else [*_numbers(soil), soil.slope_exponent],
-        "settling": source_hash(*SETTLES, specimen, soil),
+        "preparation": with_soil,
     }
 
 
@@ -59,48 +54,23 @@ def content_hash(content: dict) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def engine_hash(*given) -> str:
-    """Hash of the source of the plain virtual laboratory: of how it makes beds and runs.
-
-    With objects `given` (a laboratory with effects, a soil), of what `jdem` and `calibrate`
-    define of the things inside them as well.  How responses are differentiated
-    (`jdem.sensitivity`) is not part of it.
-    """
-    names = _names(*SETTLES, *RUNS, *given)
-    with _PARSING:
-        return _source_hash(frozenset(name for name in names if _package(name) in OURS))[:16]
+def classes(*roots) -> list[str]:
+    """Names of the functions and classes inside objects; those of other packages with their module
+    and the hash of its file."""
+    return sorted({_name(one) for one in _each(roots)})
 
 
-def source_hash(*roots) -> str:
-    """Hash of the source that functions, classes, and everything inside objects depend on."""
-    with _PARSING:
-        return _source_hash(_names(*roots))
+def _name(one) -> str:
+    name = getattr(one, "__qualname__", type(one).__qualname__)
+    module = str(one.__module__)
+    return name if module.split(".")[0] in OURS else f"{module}.{name} {_text_hash(module)}"
 
 
-@cache
-def _source_hash(names: frozenset[tuple[str, str]]) -> str:
-    """A source that cannot be found, as that of a class typed into a notebook, counts by name."""
-    dependencies = _dependencies(frozenset(map(_package, names)))
-    known = {name for name in names if dependencies.sources.module(name[0]) is not None}
-    return content_hash({"known": dependencies.hash_of(known), "else": sorted(names - known)})
-
-
-@cache
-def _dependencies(packages: frozenset[str]) -> Dependencies:
-    """Of these packages, ours among them; each file is parsed once a process."""
-    found = {name: _place(name) for name in sorted({*packages, *OURS})}
-    return Dependencies(Sources({name: place for name, place in found.items() if place}))
-
-
-def _place(package: str) -> Path | None:
-    """The folder of a package, or the file of a module that is not in one; others' are not read."""
-    file = getattr(sys.modules.get(package), "__file__", None)
-    if file is None or not file.endswith(".py"):
-        return None
-    path = Path(file)
-    if package not in OURS and "site-packages" in path.parts:
-        return None
-    return path.parent if path.name == "__init__.py" else path
+def _text_hash(module: str) -> str:
+    """Of a module's file; "" where it has none, as what is typed into a notebook."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    path = None if file is None else Path(file)
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path and path.is_file() else ""
 
 
 def _definitions(root) -> Iterator:
@@ -125,20 +95,6 @@ def _definitions(root) -> Iterator:
 def _each(roots: Iterable) -> Iterator:
     for root in roots:
         yield from _definitions(root)
-
-
-def _names(*roots) -> frozenset[tuple[str, str]]:
-    return frozenset(_name(one) for one in _each(roots))
-
-
-def _package(name: tuple[str, str]) -> str:
-    return name[0].split(".")[0]
-
-
-def _name(definition) -> tuple[str, str]:
-    """Module and name in it."""
-    kind = type(definition).__qualname__
-    return str(definition.__module__), getattr(definition, "__qualname__", kind)
 
 
 def _numbers(tree) -> list[str]:

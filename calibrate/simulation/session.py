@@ -17,8 +17,8 @@ from calibrate.simulation.batches import InBatches
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign
-from calibrate.simulation.keys import engine_hash
 from calibrate.simulation.resolution import PRESETS, Preset
+from jdem.physics import PHYSICS
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def place_of(dask: str | None = None, batch: int | None = None) -> AbstractPlace
 
 
 def made_by() -> dict:
-    """What made a result: command, versions, hash of the source of the plain virtual laboratory."""
+    """What made a result: command, versions of programs, version of the physics."""
     packages = ("differentiable-soil", "jax", "equinox", "optimistix", "numpy")
     return {
         "command": runtime.command(),
@@ -98,7 +98,7 @@ def made_by() -> dict:
             "python": platform.python_version(),
             **{name: metadata.version(name) for name in packages},
         },
-        "engine": engine_hash(),
+        "physics": PHYSICS,
     }
 
 

@@ -28,7 +28,8 @@ from calibrate.discrepancy.library.machine import MACHINE, TOLD, Machine
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
-from calibrate.simulation import Run, engine_hash
+from calibrate.simulation import Run
+from jdem.physics import PHYSICS
 
 ROWS_FOR_MACHINES = 700  # from which the emulator is estimated that says what machines add
 SLENDERNESS, STRESS = (SHAPE_COLUMNS[SHAPE.index(name)] for name in ("slenderness", "stress"))
@@ -128,7 +129,7 @@ class RunLibrary:
 
     design: Design
     cylinder: Cylinder
-    engine: str
+    physics: int
     base: np.ndarray
     strengths: np.ndarray
     packing: np.ndarray
@@ -369,7 +370,7 @@ def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run
     cylinder = Cylinder.of(lab)
     rows = Rows.of(cylinder, *design.rows(), design.of_packing, runs)
     return RunLibrary(
-        design, cylinder, engine_hash(),
+        design, cylinder, PHYSICS,
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
         speed=1e3 * lab.pair().compression.rate, crushing_speed=1e3 * lab.pair().crushing.rate,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """The file of a library of runs: one NetCDF of about a megabyte, read in seconds.
 
-It says which engine made the runs, for which cylinder and forces, and how far its points reach.
+It says which physics made the runs, for which cylinder and forces, and how far its points reach.
 Variables keep the names of the first files: `late` is what the machine adds to the rows, `twin`
 the variance of soil blocks, `widening`, `scatter`, `misfit`, `dropped` and `missed_*` the
 emulator's errors.
@@ -25,10 +25,11 @@ from calibrate.discrepancy.library.kernel import NOTHING, Column, Kernel
 from calibrate.discrepancy.library.machine import LAG
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
-from calibrate.simulation import engine_hash
 from jdem.materials.conventions import CONVENTIONS
+from jdem.physics import PHYSICS
 
 NETCDF = "h5netcdf"
+EARLIER = 0  # the physics of files that were made before it had a version
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
 TURN = "by what it shows"  # how the machine of a file presses; earlier files do not say
@@ -67,7 +68,7 @@ def save(library: RunLibrary, path: Path) -> None:
     }
     about = {"design": asdict(library.design), "cylinder": asdict(library.cylinder)}
     attributes = {
-        "engine": library.engine,
+        "physics": library.physics,
         "speed": library.speed,
         "crushing_speed": library.crushing_speed,
         "told": json.dumps(library.told),
@@ -111,7 +112,7 @@ def save_law(other: OtherLaw, library: RunLibrary, path: Path) -> None:
         "widening": (("component",), other.widening),
         **_kernel_variables(other.kernels, "axis"),
     }
-    attributes = {"engine": engine_hash(), "beside": _fingerprint(library)}
+    attributes = {"physics": PHYSICS, "beside": _fingerprint(library)}
     names = {"hyperparameter": list(Column._fields)}
     _write(xr.Dataset(data, coords=names, attrs=attributes), path)
 
@@ -202,7 +203,7 @@ def _read(stored: xr.Dataset) -> RunLibrary:
     return RunLibrary(
         design=design,
         cylinder=Cylinder(**json.loads(stored.attrs["cylinder"])),
-        engine=stored.attrs["engine"],
+        physics=int(stored.attrs.get("physics", EARLIER)),
         base=stored["base"].sel(coordinate=list(design.base_names)).values.astype(float),
         strengths=stored["strengths"].values.astype(float),
         packing=stored["packing"].values,
