@@ -42,6 +42,7 @@ from .observables import Curve as Curve
 from .packing.composite import prepare as prepare
 from .packing.specimen import Packing as Packing
 from .packing.specimen import Specimen as Specimen
+from .physics import PHYSICS as PHYSICS
 from .sensitivity.ensemble import Ensemble as Ensemble
 from .sensitivity.pathwise import Pathwise as Pathwise
 from .sensitivity.regression import Regression as Regression

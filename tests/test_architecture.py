@@ -26,6 +26,7 @@ FAMILIES = (
 # Folders (and loose modules) of each package from the ground up: imports run downward only.
 ORDER = {
     "jdem": (
+        "physics",
         "core",
         "mechanics",
         "laws",

@@ -1,4 +1,4 @@
-"""Beds that ship with the package: all there, of this engine, and like those that settle here.
+"""Beds that ship with the package: all there, of this preparation, and like those that settle here.
 Beds that grow to a porosity: reached for any number of spheres, even, at rest, or refused."""
 
 import shutil
@@ -27,7 +27,7 @@ COMMAND = "python tests/support/shipped_beds.py"
 def test_every_bed_that_first_commands_need_is_there_and_no_other():
     there = {path.stem for path in SHIPPED.folder.glob("packings/*.npz")}
     wanted = {name_of(*bed) for bed in WANTED}
-    assert there == wanted, f"how beds settle has changed: `{COMMAND} --rekey`, or without it"
+    assert there == wanted, f"beds have other names: `{COMMAND}`, or with --rekey if they settle as before"
 
 
 @pytest.mark.parametrize(("soil", "preset", "seed"), WANTED)
@@ -79,7 +79,7 @@ def test_a_campaign_takes_shipped_beds_and_keeps_them(tmp_path):
 
 @pytest.fixture
 def renamed(tmp_path):
-    """The shipped beds under names of another engine."""
+    """The shipped beds under names of another preparation."""
     shutil.copytree(SHIPPED.folder, tmp_path / "beds")
     for number, path in enumerate(sorted((tmp_path / "beds").glob("packings/*.npz"))):
         path.rename(path.with_name(f"{number:032x}.npz"))

@@ -93,7 +93,7 @@ def soil_of(law: str, conventions: str, exponent: float = 1.0) -> SoilParameters
 SOILS = {
     **{f"{law}, eepa": soil_of(law, "eepa") for law in LAWS},
     **{f"eepa, {name}": soil_of("eepa", name) for name in CONVENTIONS},
-    "eepa, slope exponent 1.5": soil_of("eepa", "eepa", 1.5),
+    "eepa, slope exponent 1.5": replace(soil_of("eepa", "eepa", 1.5), pull_off_force=-1e-3),
 }
 
 
@@ -421,7 +421,7 @@ def by_more(method, than=None):
         def more(new, old):
             if not (eqx.is_inexact_array(new) or isinstance(new, float)):
                 return new
-            return new * share if share else new + 1e-6 * (new - old)
+            return new * share if share else jnp.where(new == old, new, new + 1e-6 * (new - old))
 
         return jax.tree.map(more, found, before)
 

@@ -40,6 +40,7 @@ from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.session import Session, origin_of
 from calibrate.verbs import fit as fit_verb
 from calibrate.verbs import simulate
+from jdem.physics import PHYSICS
 
 HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"

@@ -4,12 +4,12 @@
     python tests/support/shipped_beds.py --rekey    gives those that are there their present names
 
 Which beds: all that `simulate` and `fit` take with seed 0 at the preset quick; beds of the finer
-presets grow in seconds.  A bed's name is the hash of all that it depends on, of the source
-too as far as `prepare` reaches it.  After a change there none of them is found, beds settle as
-any other's do, and tests/test_beds.py asks for one of these commands.
+presets grow in seconds.  A bed's name is the hash of all that it depends on, of
+`jdem.physics.PREPARATION` too.  Once that is raised none of them is found, beds settle as any
+other's do, and tests/test_beds.py asks for one of these commands.
 
-The rule: `--rekey` is for a change that alters no number (a helper renamed within a formula, an
-argument that nobody gives, a message).  It settles one bed of each soil anew and renames the
+The rule: `--rekey` is for a change of names that alters no number (a specimen that says more of
+itself, another way to make the hash).  It settles one bed of each soil anew and renames the
 files only where all of their numbers are equal bit for bit; otherwise it renames none, and the
 beds have to be made again.  Round-off differs between kinds of processors, so where beds come
 out differently before the change too, this is not the machine to tell.  A file is told from the
