@@ -28,7 +28,7 @@ THOROUGH = (
     *("notebooks", "overdamped", "lab", "fit", "effects", "cluster", "report", "virtual_power"),
     *("first_order", "tangent_kernel", "engine"),
     *("laws_contract", "laws", "view", "abuse", "study"),
-    *("protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "added_tests"),
+    *("physics", "protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "added_tests"),
     *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),
     *("sensitivity", "smooth", "machine_alone"),
 )

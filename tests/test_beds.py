@@ -27,7 +27,7 @@ COMMAND = "python tests/support/shipped_beds.py"
 def test_every_bed_that_first_commands_need_is_there_and_no_other():
     there = {path.stem for path in SHIPPED.folder.glob("packings/*.npz")}
     wanted = {name_of(*bed) for bed in WANTED}
-    assert there == wanted, f"beds have other names: `{COMMAND}`, or with --rekey if they settle as before"
+    assert there == wanted, f"beds have other names: `{COMMAND}`; --rekey if none has changed"
 
 
 @pytest.mark.parametrize(("soil", "preset", "seed"), WANTED)

@@ -29,8 +29,11 @@ import numpy as np
 import pytest
 from toy_place import SPECIMEN, soils, toy_campaign
 
+import jdem
 from calibrate.core.files import write_text
+from calibrate.records.base import Origin, record
 from calibrate.simulation import keys
+from calibrate.simulation.session import made_by
 from jdem import laws, physics
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.pair import SpherePair, overlap_path
@@ -76,16 +79,16 @@ Found = dict[str, Numbers]
 RADIUS, MOST = 2.5e-3, 3e-5
 PAIR = SpherePair(RADIUS)
 PATH = overlap_path(jnp.asarray([MOST, 0.3 * MOST, 1.2 * MOST, 0.1 * MOST, -0.01 * MOST]), 40)
-FURTHER = {"yield_strength": 8e6, "cohesion": 2e4, "damping_factor": 0.3}  # beyond EEPA's
+# Parameters of a law that others do not have.
+FURTHER = {"hysteretic": {"yield_strength": 8e6, "cohesion": 2e4, "damping_factor": 0.3}}
 
 
 def soil_of(law: str, conventions: str, exponent: float = 1.0) -> SoilParameters:
-    further = FURTHER if law == "hysteretic" else {}
     return SoilParameters(
         slope_exponent=exponent,
         law=LAWS[law].law,
         conventions=CONVENTIONS[conventions],
-        further={name: jnp.asarray(value) for name, value in further.items()},
+        further={name: jnp.asarray(value) for name, value in FURTHER.get(law, {}).items()},
         reference_diameter=2 * RADIUS,
     )
 
@@ -490,6 +493,23 @@ def test_numbers_that_changed_are_not_written_under_the_same_version(monkeypatch
     assert written("PREPARATION", before)["runs"] == before
     monkeypatch.setattr(physics, "PREPARATION", physics.PREPARATION + 1)
     assert written("PREPARATION", other) == {"version": physics.PREPARATION, "runs": other}
+
+
+# ------------------------------------------------------------------ results
+
+
+def test_results_name_the_physics():
+    assert jdem.PHYSICS == physics.PHYSICS == made_by()["physics"]
+
+
+def test_results_from_before_the_versions_are_read(monkeypatch):
+    made = {"command": "calibrate fit", "soil": "s", "preset": "quick", "versions": {}}
+    assert record(Origin, {**made, "engine": "0123"}).physics == 0
+    assert record(Origin, {**made, "physics": 3}).physics == 3
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    reporting = importlib.import_module("reporting")
+    files = ({"physics": 3}, {"engine": reporting.FIRST}, {"engine": "0123"})
+    assert [reporting.physics_of(one) for one in files] == ["3", "1", "before 1, engine 0123"]
 
 
 # ------------------------------------------------------------------ names of beds and runs

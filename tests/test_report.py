@@ -46,7 +46,6 @@ HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"
     ' $\\frac$ & "q"'
 )
-from jdem.physics import PHYSICS
 
 TARGETS = {
     "depression_depth_mm": Target(2.5, 0.1, 4),
