@@ -107,7 +107,8 @@ def on_worker(function: Callable, code: list[str], settings: dict[str, Any], arg
     if here != code:
         other = ", ".join(sorted(set(here) ^ set(code)))
         raise CalibrationError(
-            f"a worker has other code than this machine ({other}); install the same on all machines"
+            "a worker has another version of jdem, or of a law or effect of yours "
+            f"({other}); install the same on all machines"
         )
     for name, value in settings.items():
         jax.config.update(name, value)
