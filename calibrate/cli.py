@@ -48,8 +48,11 @@ def program(
 
 def main() -> None:
     """Entry point: turns wrong input into one line and exit status 2."""
+    from calibrate.core import runtime
+
     _spare_collections()
     _configure()
+    typed = runtime.COMMAND.set(shlex.join(["calibrate", *sys.argv[1:]]))
     try:
         status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:
@@ -62,6 +65,8 @@ def main() -> None:
         _leave(1, STOPPED)
     except typer.exceptions.TyperException as error:
         _leave(2, f"error: command line: {one_line(error.format_message())}; see calibrate --help")
+    finally:
+        runtime.COMMAND.reset(typed)
     if status == INTERRUPTED:
         _leave(1, STOPPED)
 
@@ -85,7 +90,6 @@ def _spare_collections() -> None:
 def _configure() -> None:
     from calibrate.core import runtime
 
-    runtime.COMMAND.set(shlex.join(["calibrate", *sys.argv[1:]]))
     runtime.configure()
 
 
