@@ -5,14 +5,13 @@ from typing import Annotated
 
 import typer
 
-from calibrate.commands.options import LibraryFile, renamed
+from calibrate.commands.options import LibraryFile
 from calibrate.core.errors import COMMAND_LINE, InputError
 
 
 def register(app: typer.Typer) -> None:
-    """Adds `calibrate discrepancy`; `calibrate mismatch` does the same."""
+    """Adds `discrepancy` to the program."""
     app.command("discrepancy")(discrepancy_command)
-    app.command("mismatch", hidden=True)(renamed(discrepancy_command, "mismatch", "discrepancy"))
 
 
 def discrepancy_command(

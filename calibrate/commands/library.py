@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     from calibrate.io.lab import Lab
 
-from calibrate.commands.options import Batch, renamed
+from calibrate.commands.options import Batch
 
 DESIGN = "packings x 6 simulations, and 96 repeats; a larger library goes on from a smaller one"
 REFINED = "packings x 5 simulations of the effects that are hardest to predict; 0: none"
@@ -25,9 +25,8 @@ SHAPED = "packings x 6 simulations of specimens of other heights and largest str
 
 
 def register(app: typer.Typer) -> None:
-    """Adds `calibrate library`; `calibrate bank` does the same."""
+    """Adds `library` to the program."""
     app.command("library")(library_command)
-    app.command("bank", hidden=True)(renamed(library_command, "bank", "library"))
 
 
 def library_command(

@@ -3,8 +3,6 @@
 Options that are wrong raise `InputError` with the option's name as the field.
 """
 
-import functools
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -44,7 +42,7 @@ Conventions = Annotated[
 ]
 LibraryFile = Annotated[
     Path | None,
-    typer.Option("--library", "--bank", help="Library of runs; default: the bundled one."),
+    typer.Option("--library", help="Library of runs; default: the bundled one."),
 ]
 FurtherLabs = Annotated[
     list[Path] | None,
@@ -55,19 +53,8 @@ StatisticsSeed = Annotated[
 ]
 DiscrepancyFile = Annotated[
     Path | None,
-    typer.Option("--discrepancy", "--mismatch", help="What `calibrate discrepancy` wrote."),
+    typer.Option("--discrepancy", help="What `calibrate discrepancy` wrote."),
 ]
-
-
-def renamed(command: Callable[..., None], old: str, new: str) -> Callable[..., None]:
-    """The command of the verb `new` under its `old` name, with a line that says so."""
-
-    @functools.wraps(command)
-    def with_notice(*arguments, **options) -> None:
-        print(f"`calibrate {old}` is now `calibrate {new}`", file=sys.stderr)
-        command(*arguments, **options)
-
-    return with_notice
 
 
 def parse_changes(changes: Sequence[str] | None) -> dict[str, str]:

@@ -164,7 +164,7 @@ def load(path: Path, emulated: EmulatedLibrary) -> ModelDiscrepancy:
     except (OSError, ValueError, KeyError, TypeError) as error:
         problem = f"no model discrepancy can be read ({type(error).__name__})"
         raise InputError(
-            str(path), "", problem, "give a file that `calibrate model discrepancy` wrote"
+            str(path), "", problem, "give a file that `calibrate discrepancy` wrote"
         ) from None
     m = len(emulated.library.features)
     shapes = {found.mean.shape, found.directions.shape[:1]}

@@ -8,7 +8,7 @@ count it (`AbstractTestFeatures.zero`).
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field
+from pydantic import Field
 from pydantic import model_validator as check
 
 from calibrate.discrepancy.comparison.compare import label
@@ -170,7 +170,7 @@ class ParameterShift(Record):
 class DiagnosisSettings(Record):
     """How it was done."""
 
-    library: str = Field(validation_alias=AliasChoices("library", "bank"))
+    library: str
     simulations: int
     packings: int
     seed: int

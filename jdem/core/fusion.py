@@ -4,7 +4,7 @@ XLA's CPU compiler fuses by repetition: an intermediate quantity of a contact is
 again in the loop of every output that needs it, and an `optimization_barrier` is gone
 before that happens.  A call that must not be inlined stays, so the identity behind one
 keeps what is before it apart from what follows, without copying anything (an always-true
-conditional does so too, but copies every array; docs/decisions.md has the timings).
+conditional does so too, but copies every array; timings in docs/decisions/2026-11-24-beds.md).
 
 Laws say `once(...)` without knowing why; the engine opens `fenced` around a time step.
 Outside of it, as for a single contact, `once` does nothing.

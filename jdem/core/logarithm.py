@@ -3,7 +3,7 @@
     x = 2^k m with m in [sqrt(1/2), sqrt(2)],   ln x = k ln 2 + 2 artanh s,   s = (m - 1)/(m + 1)
 
 artanh s = s + s^3/3 + ... up to s^21, as |s| < 0.172.  Within 4e-16 of ln x, relative or, near
-x = 1, absolute (docs/decisions.md has the timings).
+x = 1, absolute (timings in docs/decisions/2026-11-24-beds.md).
 """
 
 import jax

@@ -24,7 +24,7 @@ RESERVE = 0.25  # of the skin, kept for motion that sets in within an interval
 GUARD = 1.5  # times the present speeds is what spheres may reach before the next look
 
 
-class Upkeep(eqx.Module):
+class ListUpdate(eqx.Module):
     """Where everything was at the last rebuild (m), and what the lists demanded so far.
 
     latest is the motion within the last interval, largest the most since any rebuild (m).
@@ -37,17 +37,17 @@ class Upkeep(eqx.Module):
     demand: Demand
 
     @staticmethod
-    def begin(bed: Bed, state: BedState) -> "Upkeep":
+    def begin(bed: Bed, state: BedState) -> "ListUpdate":
         """Makes sure that the first interval starts with a rebuild."""
         zero = jnp.zeros_like(state.time)
         position = _positions(bed, state)
-        return Upkeep(position, state.boundaries, zero + jnp.inf, zero, Demand.none())
+        return ListUpdate(position, state.boundaries, zero + jnp.inf, zero, Demand.none())
 
 
-def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upkeep, Array]:
+def refreshed(bed: Bed, state: BedState, update: ListUpdate) -> tuple[BedState, ListUpdate, Array]:
     """The state with lists that will last an interval, and the motion that they have seen."""
-    motion, position = _motion(bed, state, upkeep), bed.spheres.positions(state.motion)
-    reserve = jnp.maximum(2 * upkeep.latest, RESERVE * bed.grid.skin)
+    motion, position = _motion(bed, state, update), bed.spheres.positions(state.motion)
+    reserve = jnp.maximum(2 * update.latest, RESERVE * bed.grid.skin)
     due = motion + reserve > bed.grid.skin
 
     def renew(state: BedState):
@@ -61,13 +61,13 @@ def refreshed(bed: Bed, state: BedState, upkeep: Upkeep) -> tuple[BedState, Upke
     origin = jax.tree.map(
         lambda now, then: jnp.where(due, now, then),
         (position, state.boundaries),
-        (upkeep.position, upkeep.boundaries),
+        (update.position, update.boundaries),
     )
     state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
-    demand = upkeep.demand.including(demand)
+    demand = update.demand.including(demand)
     position, boundaries = jax.lax.stop_gradient(origin)
-    upkeep = Upkeep(position, boundaries, upkeep.latest, upkeep.largest, demand)
-    return state, upkeep, jnp.where(due, 0.0, motion)
+    update = ListUpdate(position, boundaries, update.latest, update.largest, demand)
+    return state, update, jnp.where(due, 0.0, motion)
 
 
 def lasting(bed: Bed, state: BedState, motion: Array, wanted: Array) -> Array:
@@ -80,21 +80,21 @@ def lasting(bed: Bed, state: BedState, motion: Array, wanted: Array) -> Array:
     return jnp.where(way * wanted < left, wanted, some.astype(wanted.dtype))
 
 
-def checked(bed: Bed, state: BedState, upkeep: Upkeep, before: Array) -> Upkeep:
+def checked(bed: Bed, state: BedState, update: ListUpdate, before: Array) -> ListUpdate:
     """After an interval that began with the motion `before` (m)."""
-    motion = _motion(bed, state, upkeep)
-    largest = jnp.maximum(upkeep.largest, motion)
-    return Upkeep(upkeep.position, upkeep.boundaries, motion - before, largest, upkeep.demand)
+    motion = _motion(bed, state, update)
+    largest = jnp.maximum(update.largest, motion)
+    return ListUpdate(update.position, update.boundaries, motion - before, largest, update.demand)
 
 
 def _positions(bed: Bed, state: BedState) -> Vector:
     return jax.lax.stop_gradient(bed.spheres.positions(state.motion))
 
 
-def _motion(bed: Bed, state: BedState, upkeep: Upkeep) -> Array:
+def _motion(bed: Bed, state: BedState, update: ListUpdate) -> Array:
     """Motion since the last rebuild, m; no derivative passes through it."""
-    spheres = _sum_of_two_largest(smooth.norm(_positions(bed, state) - upkeep.position))
-    both = zip(state.boundaries, upkeep.boundaries, strict=True)
+    spheres = _sum_of_two_largest(smooth.norm(_positions(bed, state) - update.position))
+    both = zip(state.boundaries, update.boundaries, strict=True)
     travelled = sum(now.travelled(then) for now, then in both)
     return spheres + jax.lax.stop_gradient(travelled)
 

@@ -21,7 +21,7 @@ from jdem.boundaries.composite import BASE, LOADS, MOULD, PLATEN, Boundaries, ce
 from jdem.core.fusion import fenced
 from jdem.core.kernel import together
 from jdem.engine.energy import Ledger
-from jdem.engine.list_update import Upkeep, checked, lasting, refreshed
+from jdem.engine.list_update import ListUpdate, checked, lasting, refreshed
 from jdem.engine.neighbors import ContactList, Demand, Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.segment import Segment, command_of, ended, placed, read, row_of
@@ -74,7 +74,7 @@ class Record(eqx.Module):
     samples: Sample
     state: BedState
     demand: Demand
-    drift: Array  #: m; most that spheres and walls moved between two rebuilds (`upkeep`)
+    drift: Array  #: m; most that spheres and walls moved between two rebuilds (`list_update`)
     finished: Array  #: True if the programme ended within the capacity
 
     def overflow_of(self, grid: Grid) -> Array:
@@ -188,7 +188,7 @@ class _Progress(eqx.Module):
     begun: Array
     sample: Array
     samples: Sample
-    upkeep: Upkeep
+    update: ListUpdate
     memory: Any
     derivative: Any = ()
 
@@ -215,8 +215,8 @@ def run(
     prepared = _prepared(bed, state, row_of(programme, 0))
     none = jnp.zeros((), jnp.int32)
     samples = _empty_samples(capacity, len(state.boundaries), state.time.dtype)
-    upkeep, memory = Upkeep.begin(bed, prepared), around.begin(state.time.dtype)
-    progress = _Progress(prepared, none, state.time, none, samples, upkeep, memory)
+    update, memory = ListUpdate.begin(bed, prepared), around.begin(state.time.dtype)
+    progress = _Progress(prepared, none, state.time, none, samples, update, memory)
 
     def advanced(way: AbstractDerivative, progress: _Progress):
         number, memory, before = progress.segment, progress.memory, progress.state
@@ -227,7 +227,7 @@ def run(
 
         beds, before, segment = way.held(((bed, present), before, segment))
         passing = (segment, steps_per_sample, shown, way)
-        state, sample, upkeep, watched = _sampled(beds, before, progress.upkeep, *passing)
+        state, sample, update, watched = _sampled(beds, before, progress.update, *passing)
         sample = eqx.tree_at(lambda s: s.segment, sample, number)
         readings = [shown(force) for force in (before.reading, sample.reading, state.reading)]
         elapsed = (sample.time - progress.begun, sample.time - before.time)
@@ -244,7 +244,7 @@ def run(
             jnp.where(done, state.time, progress.begun),
             progress.sample + 1,
             jax.tree.map(lambda a, b: a.at[progress.sample].set(b), progress.samples, sample),
-            upkeep,
+            update,
             around.later(memory, number, before, state),
             derivative,
         )
@@ -254,9 +254,9 @@ def run(
     state = way.begun(progress.state)
     progress = replace(progress, state=way.held(state), derivative=way.memory(bed, state, capacity))
     final = _until(count, capacity, partial(advanced, way), progress)
-    upkeep, finished = final.upkeep, final.segment >= count
+    update, finished = final.update, final.segment >= count
     samples, state = way.recorded(final.derivative, final.samples, final.state)
-    return Record(samples, state, upkeep.demand, upkeep.largest, finished)
+    return Record(samples, state, update.demand, update.largest, finished)
 
 
 def _until(
@@ -292,13 +292,13 @@ def _prepared(bed: Bed, state: BedState, segment: Segment) -> BedState:
 def _sampled(
     beds: tuple[Bed, Bed],
     state: BedState,
-    upkeep: Upkeep,
+    update: ListUpdate,
     segment: Segment,
     steps: Array,
     shown: Callable[[Array], Array],
     way: AbstractDerivative,
 ):
-    """The state after `steps` time steps, means over them, the lists' upkeep, and what `way`
+    """The state after `steps` time steps, means over them, the lists' update, and what `way`
     watched.
 
     `beds` are the one that lists are kept for and the one that it is at present.
@@ -315,16 +315,16 @@ def _sampled(
             return state, sums, jax.tree.map(jnp.add, watched, way.watched(state))
 
     def piece(carry):
-        (state, *sums), upkeep, done = carry
-        state, upkeep, motion = refreshed(listed, state, upkeep)
+        (state, *sums), update, done = carry
+        state, update, motion = refreshed(listed, state, update)
         count = lasting(listed, state, motion, steps - done)
         state, *sums = jax.lax.fori_loop(0, count, advance, (state, *sums))
-        return (state, *sums), checked(listed, state, upkeep, motion), done + count
+        return (state, *sums), checked(listed, state, update, motion), done + count
 
     sums = jnp.zeros_like(_probe(state.boundaries, state.loads, state.reading))
     watched = jax.tree.map(jnp.zeros_like, way.watched(state))
-    begun = ((state, sums, watched), upkeep, jnp.zeros_like(steps))
-    (state, sums, watched), upkeep, _ = jax.lax.while_loop(lambda c: c[2] < steps, piece, begun)
+    begun = ((state, sums, watched), update, jnp.zeros_like(steps))
+    (state, sums, watched), update, _ = jax.lax.while_loop(lambda c: c[2] < steps, piece, begun)
     with fenced():
         means, count = together(jnp.divide, sums, steps), len(state.boundaries)
     places, loads, reading = jnp.split(means, [3 * count, (3 + LOADS) * count])
@@ -336,7 +336,7 @@ def _sampled(
         reading=reading[0],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
     )
-    return state, sample, upkeep, watched
+    return state, sample, update, watched
 
 
 def _probe(boundaries: Boundaries, loads: Array, reading: Array) -> Array:

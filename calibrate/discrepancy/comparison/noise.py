@@ -14,7 +14,8 @@ the posterior scale of a variance under its conjugate prior, a scaled inverse ch
 (Gelman et al., Bayesian data analysis, section 2.6): some specimens slip where most do not, and
 a mean that one of them has pulled is no gap.
 W are the directions in which the description may be wrong.  How far amplitude and
-factors may go is what predicted the means of cases with nothing hidden best (docs/decisions.md).
+factors may go is what predicted the means of cases with nothing hidden best
+(docs/decisions/2026-11-26-scatter-and-misfit.md).
 """
 
 from collections.abc import Sequence
