@@ -3,7 +3,8 @@
 XLA's CPU runtime executes a program loop by loop and hands the loops from thread to thread;
 at some hundred spheres that takes as long as the arithmetic.  A call marked
 `xla_cpu_small_call` is compiled as one function instead, and within it a block of entries
-goes through all loops while it is in the processor's cache (timings in docs/decisions/2026-11-24-beds.md).
+goes through all loops while it is in the processor's cache (timings in
+docs/decisions/2026-11-24-beds.md).
 
 The mark is for elementary operations only.  A law of a user that does something else, and
 other backends than the CPU, compute as if there were no mark.

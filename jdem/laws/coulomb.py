@@ -7,7 +7,8 @@ u is the stretch of the spring and v the slip velocity; u follows the slip and s
 where the spring alone saturates, so without a dashpot a closed cycle of u without slip costs
 no energy.  Spring and dashpot share the limit: a dashpot beside it gives lightly loaded
 contacts kicks of many times mu N, and every rattling sphere then spoils all derivatives
-(docs/decisions/2026-11-21-contact-law.md).  The law remembers the stretch, and forgets it where it carries no load.
+(docs/decisions/2026-11-21-contact-law.md).  The law remembers the stretch, and forgets it where it
+carries no load.
 """
 
 import equinox as eqx
