@@ -28,11 +28,11 @@ from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import numerics_for, specimen, virtual_lab
-from calibrate.validation.plan import USUAL
 from jdem.effects.composite import EFFECTS
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
+from studies.sealed.plan import USUAL
 
 SPHERES, PACKINGS = 1100, 32
 STIFFER = np.exp(np.linspace(-0.5, 0.5, 512))  # shear moduli of soils over the usual one

@@ -28,10 +28,10 @@ from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.diagnosis import diagnosed
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.validation import run
-from calibrate.validation.scores import CLOSE, share
 from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
+from studies.sealed import run
+from studies.sealed.scores import CLOSE, share
 
 SURE = 0.8
 LAWS = {DEFAULT: "", "liggghts": "; LIGGGHTS' friction and rolling"}

@@ -31,11 +31,11 @@ from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import load_lab
-from calibrate.validation import run
-from calibrate.validation.further import FurtherLaboratory
-from calibrate.validation.laboratory import Laboratory
-from calibrate.validation.loop import ROUNDS, Asking
-from calibrate.validation.scores import truth_of
+from studies.sealed import run
+from studies.sealed.further import FurtherLaboratory
+from studies.sealed.laboratory import Laboratory
+from studies.sealed.loop import ROUNDS, Asking
+from studies.sealed.scores import truth_of
 
 ASKING = 1  # raise it with a change of what is asked for: verdicts are then found anew
 VISIBLE = 1.0  # signal-to-noise from which an effect counts

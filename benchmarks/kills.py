@@ -55,7 +55,7 @@ from support.pieces import (
 
 from calibrate.discrepancy import diagnosis as diagnosed
 from calibrate.reports import study
-from calibrate.reports import withheld as withheld_report
+from studies.sealed import report as withheld_report
 
 FOLDER = reporting.CACHE / "kills"
 LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all of the above

@@ -49,10 +49,10 @@ from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import Lab, load_lab
 from calibrate.simulation import side_by_side
-from calibrate.validation import run, trial
-from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
-from calibrate.validation.laboratory import Laboratory
-from calibrate.validation.plan import COUNTS, Beds, WithheldCase, without_nan
+from studies.sealed import run, trial
+from studies.sealed.labels import FEWEST_CHANGES, with_visibility
+from studies.sealed.laboratory import Laboratory
+from studies.sealed.plan import COUNTS, Beds, WithheldCase, without_nan
 
 SEED = 4242
 BEDS = Beds(first_seed=2_900_000, spheres=(1100,), pool=8, packings=8)  # of no library, no seal

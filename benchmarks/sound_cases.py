@@ -37,9 +37,9 @@ from calibrate.discrepancy.diagnosis import (
 )
 from calibrate.discrepancy.library.measurements import Measurements
 from calibrate.io.lab import Lab, load_lab
-from calibrate.validation import run
-from calibrate.validation.plan import SPECIMENS, Beds
-from calibrate.validation.scores import share
+from studies.sealed import run
+from studies.sealed.plan import SPECIMENS, Beds
+from studies.sealed.scores import share
 
 SEED, CASES = 5757, 60
 BEDS = Beds(first_seed=3_900_000, spheres=(1100,), pool=8, packings=8)  # of no other set

@@ -9,6 +9,7 @@ import gc
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from typing import Annotated, NoReturn
 
 import typer
@@ -47,14 +48,19 @@ def program(
 
 
 def main() -> None:
-    """Entry point: turns wrong input into one line and exit status 2."""
+    """Entry point of `calibrate`."""
+    run(app, "calibrate", sys.argv[1:] or ["--help"])
+
+
+def run(program: typer.Typer, name: str, arguments: Sequence[str]) -> None:
+    """Runs a program of that name: wrong input becomes one line and exit status 2."""
     from calibrate.core import runtime
 
     _spare_collections()
     _configure()
-    typed = runtime.COMMAND.set(shlex.join(["calibrate", *sys.argv[1:]]))
+    typed = runtime.COMMAND.set(shlex.join([*name.split(), *arguments]))
     try:
-        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        status = program(list(arguments), standalone_mode=False)
     except InputError as error:
         _leave(2, f"error: {error}")
     except CalibrationError as error:
@@ -64,7 +70,7 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         _leave(1, STOPPED)
     except typer.exceptions.TyperException as error:
-        _leave(2, f"error: command line: {one_line(error.format_message())}; see calibrate --help")
+        _leave(2, f"error: command line: {one_line(error.format_message())}; see {name} --help")
     finally:
         runtime.COMMAND.reset(typed)
     if status == INTERRUPTED:

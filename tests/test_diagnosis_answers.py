@@ -17,7 +17,6 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from calibrate.discrepancy.comparison import fits, next_test
-from calibrate.discrepancy.comparison.baselines import generated_case
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
 from calibrate.discrepancy.comparison.fits import HOPELESS, covariance_at, fitted_base
 from calibrate.discrepancy.comparison.further import (
@@ -128,14 +127,6 @@ def test_the_gap_is_said_to_shrink_by_the_effect_that_is_named():
     found = compare(prepared, generator.case(1, gap_of(2, 12.0)))
     assert found.verdict == label(classes, (names[others[0]],))
     assert found.best == (others[0],)
-
-
-def test_generated_cases_hold_what_they_say():
-    pair = generated_case(with_nulls(), np.random.default_rng(1), "pair")
-    assert len(pair.truth) == 2 and not pair.excluded_effects
-    other = [generated_case(with_nulls(), np.random.default_rng(s), "unknown") for s in range(8)]
-    assert {case.truth for case in other} == {("unknown",)}
-    assert any(case.excluded_effects for case in other)
 
 
 def test_scalar_targets_alone_get_an_honest_answer():

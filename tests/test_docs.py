@@ -40,7 +40,7 @@ VERBS = {name for name, verb in PROGRAM.commands.items() if not verb.hidden}
 HISTORY = ("docs/decisions.md", "docs/decisions/", "CHANGELOG.md")  # pages that tell what was
 LONGEST = 1500  # words of a page
 LONGEST_README = 1000
-PATH = re.compile(r"(?<![\w/.-])((?:jdem|calibrate|benchmarks|tests|notebooks)/[\w./-]*\w)")
+PATH = re.compile(r"(?<![\w/.-])((?:jdem|calibrate|studies|benchmarks|tests|notebooks)/[\w./-]*\w)")
 # Words that only this project used, and what the field says.
 PRIVATE = {
     r"banks?": "library of runs",
@@ -111,7 +111,7 @@ def test_commands_and_their_options_exist(page):
 
 # ------------------------------------------------------------------ commands, run in their order
 
-HOURS = ("library", "discrepancy", "withheld")  # small ones run in the tests of each
+HOURS = ("library", "discrepancy")  # small ones run in the tests of each
 # need a cluster (test_cluster), a measured answer (test_next_test), more runs (test_diagnose_verb)
 ELSEWHERE = {"--dask", "--further", "--simulate"}
 

@@ -246,7 +246,7 @@ def test_no_writer_has_a_name_that_another_has():
     root = Path(__file__).parents[1]
     found = {
         str(path.relative_to(root)): lines
-        for package in ("calibrate", "jdem")
+        for package in ("calibrate", "jdem", "studies/sealed")
         for path in sorted((root / package).rglob("*.py"))
         if (lines := direct_writers(path.read_text(encoding="utf-8")))
     }
@@ -274,7 +274,8 @@ def test_commands_are_loaded_without_a_backend_of_jax():
     asked = (
         "import jax._src.xla_bridge as bridge, support.pieces\n"
         "from calibrate.discrepancy import diagnosis\n"
-        "from calibrate.reports import study, withheld\n"
+        "from calibrate.reports import study\n"
+        "from studies.sealed import report\n"
         "raise SystemExit(bridge.backends_are_initialized())"
     )
     here = Path(__file__).parents[1]

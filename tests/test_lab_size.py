@@ -1,7 +1,7 @@
 """A lab's own size and shape beside the library's: proportions, units, what is refused.
 
-That specimens of 38 and 70 mm really behave in proportion is for `calibrate withheld --shapes`,
-whose laboratory simulates them as they are.
+That specimens of 38 and 70 mm really behave in proportion is for
+`python -m studies.sealed --shapes`, whose laboratory simulates them as they are.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ from calibrate.discrepancy.library.lab_size import LabSize
 from calibrate.discrepancy.library.run_library import Cylinder, features_of
 from calibrate.discrepancy.library.simulate import run_shaped, shaped
 from calibrate.io.lab import Lab, bundled_lab, load_lab
-from calibrate.validation.plan import SpecimenSize
+from studies.sealed.plan import SpecimenSize
 
 OFFSET = 10.0  # N, at the library's size
 LARGER = 1.4  # times, a lab's specimen

@@ -34,14 +34,14 @@ from calibrate.labtests.diagnosis.base import Condition
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.measured import Curve
-from calibrate.validation.further import FurtherLaboratory, under
-from calibrate.validation.laboratory import SpecimenRecords
-from calibrate.validation.loop import Asking
-from calibrate.validation.plan import Hidden, WithheldCase
 from jdem.apparatus.platen_on_base import PlatenOnBase
 from jdem.effects.composite import EFFECTS
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
+from studies.sealed.further import FurtherLaboratory, under
+from studies.sealed.laboratory import SpecimenRecords
+from studies.sealed.loop import Asking
+from studies.sealed.plan import Hidden, WithheldCase
 
 jax.config.update("jax_enable_x64", True)
 

@@ -17,7 +17,7 @@ from calibrate.discrepancy.library.description import HELD_SD, EmulatedLibrary, 
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.validation.labels import EffectChange
+from studies.sealed.labels import EffectChange
 
 LAW = "liggghts"
 PACKINGS = 10

@@ -22,8 +22,8 @@ from support.reality.specimen import Run, run
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import load_lab
-from calibrate.validation.labels import normalised
-from calibrate.validation.seal import digest, open_seal, write_seal
+from studies.sealed.labels import normalised
+from studies.sealed.seal import digest, open_seal, write_seal
 
 ARCHIVE = Path(__file__).parent / "data" / "liggghts" / "withheld_liggghts_cases.tar.xz"
 

@@ -58,7 +58,8 @@ def test_no_test_needs_benchmarks():
     theirs = in_benchmarks()
     assert len(files) > 60
     found = {path.name: needs(path.read_text(encoding="utf-8"), theirs) for path in files}
-    found.pop(Path(__file__).name)
+    for rules in (Path(__file__).name, "test_architecture.py"):  # these name the folder
+        found.pop(rules)
     assert {name: words for name, words in found.items() if words} == {}
 
 

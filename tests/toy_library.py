@@ -20,7 +20,7 @@ from calibrate.discrepancy.library.store import NOTHING, save
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.simulation import Run
-from calibrate.validation.laboratory import SpecimenRecords, recorded, write_case
+from studies.sealed.laboratory import SpecimenRecords, recorded, write_case
 
 PACKINGS, ROWS = 14, 4
 CENTRE = {"shear_modulus": float(BASE.shear_modulus), "surface_energy": float(BASE.surface_energy)}

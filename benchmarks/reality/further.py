@@ -51,16 +51,16 @@ from calibrate.io.lab import Lab, load_lab
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.relaxation import RelaxationTest
-from calibrate.validation.further import (
+from studies.sealed.further import (
     HOLDING,
     AbstractFurtherLaboratory,
     at_rest_after,
     read_in_time,
     variation_of,
 )
-from calibrate.validation.labels import CONVERSIONS, normalised
-from calibrate.validation.loop import Asking
-from calibrate.validation.seal import open_seal
+from studies.sealed.labels import CONVERSIONS, normalised
+from studies.sealed.loop import Asking
+from studies.sealed.seal import open_seal
 
 RESULT, FURTHER = "withheld_liggghts", "further"
 LOADING = 60.0  # s to the largest force on the block, and as long back

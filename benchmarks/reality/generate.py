@@ -24,7 +24,7 @@ from support.reality.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, p
 from support.reality.labfiles import Specimen, measured, write_case
 from support.reality.specimen import Run, run
 
-from calibrate.validation.seal import open_seal, write_seal
+from studies.sealed.seal import open_seal, write_seal
 
 
 def specimen_run(case: Case, attempt: int, number: int, work: Path) -> Run:

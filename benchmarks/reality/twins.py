@@ -34,10 +34,10 @@ from calibrate.discrepancy.library.machine import MACHINE
 from calibrate.discrepancy.model_discrepancy import load
 from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, recorded_feature_values
-from calibrate.validation.labels import FEWEST_CHANGES, THEIRS, normalised
-from calibrate.validation.plan import USUAL, Visibility
-from calibrate.validation.scores import SCATTER
-from calibrate.validation.seal import open_seal
+from studies.sealed.labels import FEWEST_CHANGES, THEIRS, normalised
+from studies.sealed.plan import USUAL, Visibility
+from studies.sealed.scores import SCATTER
+from studies.sealed.seal import open_seal
 
 
 def of_the_soil(label: dict) -> bool:

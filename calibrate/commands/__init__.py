@@ -21,7 +21,6 @@ from calibrate.commands import (
     reproduce,
     simulate,
     view,
-    withheld,
 )
 
 VERBS = (
@@ -34,7 +33,6 @@ VERBS = (
     convert,
     diagnose,
     next_test,
-    withheld,
     library,
     discrepancy,
     report,

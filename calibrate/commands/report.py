@@ -16,7 +16,7 @@ def report_command(
         Path,
         typer.Argument(
             metavar="DIR",
-            help="Folder that fit, doe, audit, diagnose or withheld wrote, or its JSON file.",
+            help="Folder that fit, doe, audit or diagnose wrote, or its JSON file.",
         ),
     ],
     out: Annotated[

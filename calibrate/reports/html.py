@@ -9,6 +9,7 @@ they share.
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import jinja2
 import numpy as np
@@ -54,9 +55,13 @@ class Page:
     html: str
 
 
-def render(template: str, **content: object) -> str:
-    """The page that `template` makes of `content`."""
-    return TEMPLATES.get_template(template).render(**content)
+def render(template: str | Path, **content: object) -> str:
+    """The page that `template` makes of `content`; a path is of a template outside `templates/`,
+    which may extend those inside."""
+    if isinstance(template, str):
+        return TEMPLATES.get_template(template).render(**content)
+    text = template.read_text(encoding="utf-8")
+    return TEMPLATES.from_string(text).render(**content)
 
 
 def embedded(svg: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from calibrate.core.errors import BadValue, InputError
 from calibrate.io.labfile import read_text
 from calibrate.records.base import RUN_AGAIN
-from calibrate.reports import audit, diagnosis, fit, study_page, withheld
+from calibrate.reports import audit, diagnosis, fit, study_page
 from calibrate.reports.html import Page
 
 
@@ -32,7 +32,6 @@ KINDS = (
     Kind("doe", "result.json", frozenset({"designs", "comparison"}), study_page.page),
     Kind("audit", "audit.json", frozenset({"strategies", "curves"}), audit.page),
     Kind("diagnose", "result.json", frozenset({"which", "where", "features"}), diagnosis.page),
-    Kind("withheld", "withheld.json", frozenset({"unknown_recall", "rows"}), withheld.page),
 )
 NAMES = ", ".join(kind.name for kind in KINDS)
 

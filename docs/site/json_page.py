@@ -15,14 +15,12 @@ def records() -> dict[str, type[BaseModel]]:
     from calibrate.records.diagnosis import DiagnosisRecord
     from calibrate.records.fit import FitRecord
     from calibrate.records.study import StudyRecord
-    from calibrate.records.withheld import WithheldRecord
 
     return {
         "fit": FitRecord,
         "audit": AuditRecord,
         "doe": StudyRecord,
         "diagnose": DiagnosisRecord,
-        "withheld": WithheldRecord,
     }
 
 

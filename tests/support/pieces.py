@@ -22,13 +22,15 @@ from calibrate.simulation import resolution as presets
 from calibrate.simulation.executors import AbstractPlace
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.store import Store
-from calibrate.validation import plan, run, trial
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.packing.specimen import Packing
+from studies.sealed import __main__ as sealed
+from studies.sealed import plan, run, trial
 
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
-SEED = 1  # of the withheld cases
+STUDY = "withheld"  # no verb: `python -m studies.sealed`, which resumes and writes as verbs do
+SEED = 1  # of its cases
 CASES = {"none": 1, "above 6": 1}  # 309 in earnest
 FEWER = {"DRAWS": 60, "TRAINING": 60}  # 300, 1200 in earnest
 
@@ -52,7 +54,7 @@ VERBS = {
     "fit": Verb(("fit", "--free", "shear_modulus,surface_energy"), "result.json"),
     "doe": Verb(("doe",), "result.json"),
     "bank": Verb(("bank", "--packings", "8", "--spheres", "60"), "bank.nc", out="bank.nc"),
-    "withheld": Verb(("withheld",), "withheld.json", takes_lab=False),
+    STUDY: Verb((STUDY,), "withheld.json", takes_lab=False),
 }
 DATA = Path(__file__).parents[1] / "data"
 _LAB = str(DATA / "silt_loam" / "lab.toml")
@@ -197,4 +199,7 @@ def begin(arguments: list[str], dem: bool = False) -> None:
     """The command line in this process, on small specimens."""
     prepare_process(dem)
     sys.argv = ["calibrate", *arguments]
-    cli.main()
+    if arguments[0] == STUDY:
+        cli.run(sealed.app, sealed.NAME, arguments[1:])
+    else:
+        cli.main()

@@ -10,17 +10,13 @@ B the evidence of an explanation over that of none (`evidence`), g says that a l
 one outside the library of effects, which only reach so far.  Evidence rests on simulations that are
 wrong in unknown ways: t is the temperature, s damps differences of more than c, the a are prior
 odds, and the class biases h say which effects the evidence favours too much or too little, and how
-often each was there.  All are fitted by their logarithmic score to withheld cases whose seal has
-been opened (`fit_calibration`, `benchmarks/opinion.py`), pulled towards evidences as they are; so
-probabilities have the prior of these cases.  Temperature and bias
-scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
+often each was there.  All are fitted to withheld cases whose seal has been opened, by a study that
+comes with the source (`studies.sealed.training`); so probabilities have the prior of these cases.
+Temperature and bias scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
 
-A set of explanations holds the right one with a stated probability by split conformal prediction
-(Vovk et al. 2005; least ambiguous sets, Sadinle et al. 2019): on n cases with a known truth, q is
-the k-th smallest of 1 - P(truth), and the set is every explanation with 1 - P <= q.
-k = ceil((n + 1) c) gives coverage c on average over such samples; with `confidence`, k is raised
-until this very sample gives at least c that often (its coverage is Beta(k, n + 1 - k) distributed).
-Valid for cases like these.
+A set of explanations is every one of at least the probability `smallest`.  By split conformal
+prediction (Vovk et al. 2005; least ambiguous sets, Sadinle et al. 2019) that study chooses it so
+that on cases like these nine of ten sets hold the right explanation.
 """
 
 import json
@@ -30,8 +26,6 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibrate.discrepancy.comparison.evidence import Evidence
@@ -40,14 +34,8 @@ NONE, UNKNOWN = "none", "unknown"
 ALPHA = 0.05  # of a test for a gap
 BUNDLED = "probability_calibration.json"  # beside this file
 MUCH = 3.0  # c: difference of ln evidences, beyond which more of it counts less
-ODD = 1e-4  # share of cases that nothing stated foresees, so that none of them decides alone
-PULL_SD = (0.5, 1.5, 1.5, 1.5, 1.0, 1.0)  # of t, the a, d, g about those of the prior
-CLASS_BIAS_SD = 1.2
-SHARPEST, DULLEST = 2.0, 0.05  # t
 NAMED_BELOW = 0.25  # probability of no gap: alarms in 6 % of open nulls, by the other folds
 HOPELESS = -1e6  # ln evidence of what could not be fitted
-COVERAGE = 0.9  # of a set of explanations
-ABSENT = -1e9  # ln of the probability of what is no explanation of a case
 
 
 @dataclass(frozen=True)
@@ -90,7 +78,7 @@ def hypotheses(summary: EvidenceSummary) -> list[tuple[str, ...]]:
 
 def log_probabilities(summary: EvidenceSummary, calibration: ProbabilityCalibration) -> np.ndarray:
     """ln of the probability of each of the `hypotheses`."""
-    columns, share = _table(summary, summary.names)
+    columns, share = score_table(summary, summary.names)
     score = columns @ calibration.numbers(summary.names) + share
     return score - logsumexp(score)
 
@@ -104,37 +92,7 @@ def bundled_calibration() -> ProbabilityCalibration:
     return ProbabilityCalibration(**json.loads(text)["calibration"])
 
 
-def fit_calibration(
-    cases: Sequence[EvidenceSummary], truths: Sequence[np.ndarray],
-    prior: ProbabilityCalibration | None = None,
-) -> ProbabilityCalibration:  # fmt: skip
-    """The probability calibration with the best logarithmic score on cases.
-
-    truths: for each case a mask over its `hypotheses`: those that would be right; prior: towards
-    which numbers are pulled (None: evidences as they are).
-    """
-    names = tuple(dict.fromkeys(name for summary in cases for name in summary.names))
-    columns, share, right = _stacked([_table(summary, names) for summary in cases], truths)
-    before = (prior or ProbabilityCalibration()).numbers(names)
-    pull = np.array([*PULL_SD, *[CLASS_BIAS_SD] * len(names)])
-
-    def loss(numbers: np.ndarray) -> tuple[float, np.ndarray]:
-        score = columns @ numbers + share
-        p = np.exp(score - logsumexp(score, axis=1, keepdims=True))
-        of_truth = (p * right).sum(axis=1)
-        foreseen = ODD + (1 - ODD) * of_truth
-        slope = ((1 - ODD) / foreseen)[:, None] * p * (right - of_truth[:, None])
-        away = (numbers - before) / pull
-        value = 0.5 * away @ away - np.log(foreseen).sum()
-        return float(value), away / pull - np.einsum("nh,nhj->j", slope, columns)
-
-    free, positive = (None, None), (0.0, None)
-    bounds = [(DULLEST, SHARPEST), *[free] * 3, *[positive] * 2, *[free] * len(names)]
-    found = minimize(loss, before, jac=True, method="L-BFGS-B", bounds=bounds).x.tolist()
-    return ProbabilityCalibration(*found[:6], class_bias=dict(zip(names, found[6:], strict=True)))
-
-
-def _table(summary: EvidenceSummary, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def score_table(summary: EvidenceSummary, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """What each hypothesis' score is linear in, shape (h, 6 + k), and ln of its share (h,) in the
     prior of its kind."""
     found = summary.evidence
@@ -150,34 +108,6 @@ def _table(summary: EvidenceSummary, names: Sequence[str]) -> tuple[np.ndarray, 
     columns = np.column_stack([-behind, kinds, outside, inside.reshape(len(raw), -1)])
     share = np.array([1, max(count[0], 1), max(count[1], 1), 1], float)
     return columns, -np.log(share)[kind]
-
-
-def _stacked(
-    tables: Sequence[tuple[np.ndarray, np.ndarray]], truths: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns (n, h, j), shares (n, h) and truths (n, h) of cases, as long as the longest."""
-    most = max(len(share) for _, share in tables)
-    columns = np.zeros((len(tables), most, tables[0][0].shape[1]))
-    shares, right = np.full((len(tables), most), ABSENT), np.zeros((len(tables), most))
-    for i, ((rows, share), truth) in enumerate(zip(tables, truths, strict=True)):
-        columns[i, : len(share)], shares[i, : len(share)] = rows, share
-        right[i, : len(share)] = truth
-    return columns, shares, right
-
-
-def threshold(
-    truth_probability: np.ndarray, coverage: float = COVERAGE, confidence: float | None = None
-) -> float:
-    """Smallest probability (0 if cases are too few) that an explanation of the set may have.
-
-    truth_probability (n,): what was said of the truth of each case.
-    """
-    scores = np.sort(1 - truth_probability)
-    n = len(scores)
-    k = int(np.ceil((n + 1) * coverage))
-    while confidence and k <= n and stats.beta.sf(coverage, k, n + 1 - k) < confidence:
-        k += 1
-    return float(1 - scores[k - 1]) if k <= n else 0.0
 
 
 def explanations(probability: Mapping[str, float], smallest: float) -> list[str]:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.validation.laboratory import CURVE, TOML
-from calibrate.validation.plan import USUAL
+from studies.sealed.laboratory import CURVE, TOML
+from studies.sealed.plan import USUAL
 from support.reality.instrument import (
     CONFINED_SPEED,
     UNCONFINED_SPEED,

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from calibrate.reports.html import number
-from calibrate.validation.confusion import ConfusionMatrix, confusion_matrix, plain
-from calibrate.validation.criteria import RIVALS, Criterion, Standing, criteria
-from calibrate.validation.scores import Row
+from studies.sealed.confusion import ConfusionMatrix, confusion_matrix, plain
+from studies.sealed.criteria import RIVALS, Criterion, Standing, criteria
+from studies.sealed.scores import Row
 
 MARKS = {
     Standing.MET: "●", Standing.WITHIN_CHANCE: "◐", Standing.MISSED: "○", Standing.NO_CASES: "–",

@@ -17,8 +17,6 @@ import numpy as np
 from calibrate.core import runtime
 from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
-from calibrate.discrepancy.comparison import baselines
-from calibrate.discrepancy.comparison.baselines import KINDS, generated_case
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label
 from calibrate.discrepancy.comparison.linear import Linearised
@@ -35,6 +33,8 @@ from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDisc
 from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
 from calibrate.simulation.executors import cores
+from studies.sealed import baselines
+from studies.sealed.baselines import KINDS, generated_case
 
 DRAWS = 1200  # of null distributions, whose noise all cases share
 TRAINING = 1200

@@ -5,6 +5,7 @@ Verdicts and labels are written by hand.
 
 import json
 import re
+import sys
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -16,15 +17,11 @@ from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import recorded_feature_values
-from calibrate.reports import kinds
-from calibrate.reports import withheld as report
-from calibrate.reports.withheld_words import found as found_words
-from calibrate.reports.withheld_words import percent
-from calibrate.validation import run
-from calibrate.validation.confusion import BOTH, FAILED, OTHERS, confusion_matrix
-from calibrate.validation.criteria import AT_LEAST, AT_MOST, BELOW, Criterion, Standing, criteria
-from calibrate.validation.labels import normalised
-from calibrate.validation.scores import (
+from studies.sealed import report, run
+from studies.sealed.confusion import BOTH, FAILED, OTHERS, confusion_matrix
+from studies.sealed.criteria import AT_LEAST, AT_MOST, BELOW, Criterion, Standing, criteria
+from studies.sealed.labels import normalised
+from studies.sealed.scores import (
     Realised,
     Row,
     against,
@@ -35,6 +32,8 @@ from calibrate.validation.scores import (
     share,
     truth_of,
 )
+from studies.sealed.words import found as found_words
+from studies.sealed.words import percent
 
 # ---------------------------------------------------------------- scores
 
@@ -366,25 +365,32 @@ def test_the_page_leads_with_the_answer_and_escapes(tmp_path):
     assert all(target.words in text for target in criteria(result))
 
 
-def test_a_page_is_made_again_from_the_file(tmp_path):
+def remade(monkeypatch, folder) -> str:
+    """The page that `python -m studies.sealed.report` makes of a folder's withheld.json."""
+    line = ["report", str(folder / "withheld.json"), "--out", str(folder / "again")]
+    monkeypatch.setattr(sys, "argv", line)
+    report.main()
+    return (folder / "again" / "withheld.html").read_text()
+
+
+def test_a_page_is_made_again_from_the_file(tmp_path, monkeypatch, capsys):
     report.write(tmp_path, {**result_of(hand_made()), "command": "calibrate <x>"}, None)
-    kind, file = kinds.find(tmp_path)
-    made = kinds.page_of(kind, file)
-    assert kind.name == "withheld" and "50\u00a0%" in made.sentence
-    assert made.html == (tmp_path / "withheld.html").read_text()
-    assert "calibrate &lt;x&gt;" in made.html
+    page = remade(monkeypatch, tmp_path)
+    assert "50\u00a0%" in capsys.readouterr().out
+    assert page == (tmp_path / "withheld.html").read_text()
+    assert "calibrate &lt;x&gt;" in page
 
 
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [("rivals", {}, "cannot be shown"), ("canary", None, "canary"), ("rows", [1], "rows.0")],
 )
-def test_a_damaged_file_is_refused(key, value, words, tmp_path):
+def test_a_damaged_file_is_refused(key, value, words, tmp_path, monkeypatch):
     report.write(tmp_path, result_of(hand_made()), None)
     file = tmp_path / "withheld.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), key: value}))
     with pytest.raises(InputError, match=words):
-        kinds.page_of(*kinds.find(tmp_path))
+        remade(monkeypatch, tmp_path)
 
 
 def test_the_terminal_says_what_is_missed():

@@ -24,8 +24,9 @@ from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_o
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.simulation import HERE, AbstractPlace, Run, cores, side_by_side
-from calibrate.validation.outside import CARRIED, AggregateCrushing, air_force
-from calibrate.validation.plan import (
+from jdem.effects.composite import EFFECTS
+from studies.sealed.outside import CARRIED, AggregateCrushing, air_force
+from studies.sealed.plan import (
     ACCEPTED_CRUSHING,
     ACCEPTED_DEPTH,
     PACE,
@@ -37,7 +38,6 @@ from calibrate.validation.plan import (
     SpecimenSize,
     WithheldCase,
 )
-from jdem.effects.composite import EFFECTS
 
 DENSITY_SD = 0.004  # of density, from specimen to specimen
 POROSITY_STEP = 0.002  # specimens of one porosity share their packings

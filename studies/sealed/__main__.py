@@ -1,19 +1,25 @@
-"""`calibrate withheld`: cases with sealed labels, diagnosed, opened and scored."""
+"""Sealed validation: cases with sealed labels, diagnosed, opened and scored.
 
+python -m studies.sealed --out results/withheld --make-only    seals cases; hours
+python -m studies.sealed --out results/withheld                judges them
+"""
+
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from calibrate import cli
 from calibrate.commands.options import Batch, DiscrepancyFile, LibraryFile
 
-
-def register(app: typer.Typer) -> None:
-    """Adds `calibrate withheld`."""
-    app.command("withheld")(withheld_command)
+NAME = "python -m studies.sealed"
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-def withheld_command(
+@app.command()
+def sealed_command(
     given: Annotated[
         Path | None, typer.Option("--given", help="Folder of sealed cases; default: make them.")
     ] = None,
@@ -51,10 +57,9 @@ def withheld_command(
     from calibrate.discrepancy.library import store
     from calibrate.discrepancy.library.description import EmulatedLibrary
     from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
-    from calibrate.reports import withheld as report
     from calibrate.simulation.session import made_by, place_of
-    from calibrate.validation import run
-    from calibrate.validation.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
+    from studies.sealed import report, run
+    from studies.sealed.plan import COUNTS, OF_SHAPES, SHAPES, USUAL
 
     if given is not None and not judge:
         problem = "there is nothing to make where cases are given"
@@ -76,7 +81,12 @@ def withheld_command(
     run.judge(source, out, emulated, seed, progress, estimated)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
     result, _ = run.opened(source, out, emulated, seed, progress, fresh and repeatable, estimated)
-    result = {**made_by(), "seed": seed, **result}
+    command = shlex.join([*NAME.split(), *sys.argv[1:]])
+    result = {**made_by(), "command": command, "seed": seed, **result}
     report.write(out, result, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")
+
+
+if __name__ == "__main__":
+    cli.run(app, NAME, sys.argv[1:])

@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 from scipy import stats
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE
-from calibrate.validation.confusion import ConfusionMatrix
+from studies.sealed.confusion import ConfusionMatrix
 
 SIZE = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 OURS = "this diagnosis"

@@ -3,8 +3,11 @@
 The first sentence says how often the right class was named, how often something was named where
 nothing was hidden, and what became of effects that the library does not have; then every number
 stands beside what was asked of it, missed or met.
+
+    python -m studies.sealed.report FILE --out FOLDER      the page of a withheld.json, made again
 """
 
+import argparse
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -14,18 +17,20 @@ from rich.console import Console
 from rich.table import Table
 
 from calibrate.core.files import write_json, write_text
-from calibrate.figures import withheld as drawn
 from calibrate.records.base import read, record
-from calibrate.records.withheld import WithheldRecord
-from calibrate.reports import withheld_words as words
+from calibrate.reports import kinds
 from calibrate.reports.html import Page, Picture, render
-from calibrate.reports.withheld_words import markdown
-from calibrate.validation.confusion import confusion_matrix
-from calibrate.validation.criteria import RIVALS, Standing, criteria, other_code
-from calibrate.validation.scores import CLOSE, Row, share
+from studies.sealed import figures as drawn
+from studies.sealed import words
+from studies.sealed.confusion import confusion_matrix
+from studies.sealed.criteria import RIVALS, Standing, criteria, other_code
+from studies.sealed.record import WithheldRecord
+from studies.sealed.scores import CLOSE, Row, share
+from studies.sealed.words import markdown
 
 __all__ = ["markdown", "page", "show", "write"]
 PAGE = "withheld.html"
+TEMPLATE = Path(__file__).with_name(PAGE)
 TITLE = "Withheld cases: what the diagnosis found"
 EDGES = (0.5, 1.0, 2.0, 4.0, 6.0, 9.0, 15.0)  # of signal-to-noise, for the figure
 
@@ -52,7 +57,7 @@ def page(path: Path) -> Page:
 def _page(found: WithheldRecord, pictures: Mapping[str, Picture]) -> Page:
     result = found.plain()
     html = render(
-        PAGE,
+        TEMPLATE,
         title=TITLE,
         result=result,
         rows=found.rows,
@@ -148,3 +153,20 @@ def _shrinkage(claims: Sequence[Row]) -> Picture:
         "How much of the gap goes with the named effect: claimed, and on fresh specimens of "
         f"the same soil ({len(claims)} cases; bars: standard errors of the latter).",
     )
+
+
+KIND = kinds.Kind("withheld", "withheld.json", frozenset({"unknown_recall", "rows"}), page)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path, help="a withheld.json")
+    parser.add_argument("--out", type=Path, default=Path("results/withheld"))
+    given = parser.parse_args()
+    made = kinds.page_of(KIND, given.file)
+    write_text(given.out / PAGE, made.html)
+    print(made.sentence)
+
+
+if __name__ == "__main__":
+    main()

@@ -25,10 +25,10 @@ from calibrate.discrepancy.library.design import CENTRE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.labtests.diagnosis.curves import declare_before_contact, recorded_feature_values
 from calibrate.simulation import HERE, AbstractPlace, side_by_side
-from calibrate.validation import seal
-from calibrate.validation.labels import FEWEST_CHANGES, normalised, with_visibility
-from calibrate.validation.laboratory import Laboratory, SpecimenRecords, write_case
-from calibrate.validation.plan import (
+from studies.sealed import seal
+from studies.sealed.labels import FEWEST_CHANGES, normalised, with_visibility
+from studies.sealed.laboratory import Laboratory, SpecimenRecords, write_case
+from studies.sealed.plan import (
     SPECIMENS,
     USUAL,
     Beds,
@@ -38,8 +38,8 @@ from calibrate.validation.plan import (
     WithheldCase,
     without_nan,
 )
-from calibrate.validation.scores import Realised, Row, claims_shrinkage, row, scored
-from calibrate.validation.trial import (
+from studies.sealed.scores import Realised, Row, claims_shrinkage, row, scored
+from studies.sealed.trial import (
     TrainedBaselines,
     diagnose_all,
     read_verdicts,

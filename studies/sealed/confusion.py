@@ -11,8 +11,8 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.validation.scores import SCATTER, Row
 from jdem.effects.composite import EFFECTS
+from studies.sealed.scores import SCATTER, Row
 
 NOTHING, TWO = "nothing", "two effects"  # rows besides effects
 BOTH, OTHERS, FAILED = "the two hidden", "two others", "failed"  # columns besides

@@ -68,7 +68,7 @@ def other_code(result: dict) -> bool:
 
 
 def criteria(result: dict) -> list[Criterion]:
-    """Every target with what `calibrate.validation.run.opened` returned."""
+    """Every target with what `studies.sealed.run.opened` returned."""
     other = other_code(result)
     return [*_counts(result, other), *_shares(result, other), _calibration(result), *_gains(result)]
 

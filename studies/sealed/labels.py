@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
-from calibrate.validation.plan import (
+from studies.sealed.plan import (
     SPECIMENS,
     USUAL,
     SpecimenSize,
     Visibility,
     relative_error,
 )
-from calibrate.validation.scores import SCATTER
+from studies.sealed.scores import SCATTER
 
 PLATEN_FRICTION, DIAMETER = 0.3, 8e-3  # of those cases: coefficient, m
 THEIRS = 3  # specimens of those cases

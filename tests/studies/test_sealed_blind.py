@@ -20,16 +20,15 @@ from test_architecture import Module, read_modules
 
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
-from calibrate.discrepancy.comparison import baselines
 from calibrate.discrepancy.comparison.compare import prepare
 from calibrate.discrepancy.comparison.naming import Grounds, named
 from calibrate.discrepancy.diagnosis import InferenceSetup
 from calibrate.discrepancy.library.design import CENTRE
-from calibrate.validation import trial
-from calibrate.validation.laboratory import SpecimenRecords, write_case
-from calibrate.validation.seal import open_seal, write_seal
+from studies.sealed import baselines, trial
+from studies.sealed.laboratory import SpecimenRecords, write_case
+from studies.sealed.seal import open_seal, write_seal
 
-ROOTS = ("calibrate.validation.trial", "calibrate.discrepancy.diagnosis")
+ROOTS = ("studies.sealed.trial", "calibrate.discrepancy.diagnosis")
 KNOWING = (
     "seal",
     "plan",
@@ -38,8 +37,8 @@ KNOWING = (
     "run",
     "scores",
     "canary",
-)  # of calibrate.validation
-MODULES = read_modules(Path(__file__).parents[1])
+)  # of studies.sealed
+MODULES = read_modules(Path(__file__).parents[2])
 
 
 # ---------------------------------------------------------------- imports
@@ -71,18 +70,18 @@ def test_a_diagnosis_imports_nothing_that_knows_the_labels():
         "calibrate.discrepancy.comparison.compare" in found
         and "calibrate.discrepancy.library.emulator" in found
     )
-    assert not found & {f"calibrate.validation.{name}" for name in KNOWING}
+    assert not found & {f"studies.sealed.{name}" for name in KNOWING}
 
 
 def test_a_diagnosis_names_no_path_to_the_labels():
     """Entries of the run cache are sealed too, with a checksum: another thing."""
     named = {n: p for n in reached(ROOTS, MODULES) if (p := paths_in(MODULES[n]))}
     assert not {n for n in named if not n.startswith("calibrate.simulation.")}
-    assert paths_in(MODULES["calibrate.validation.seal"])  # the rule sees what it is to see
+    assert paths_in(MODULES["studies.sealed.seal"])  # the rule sees what it is to see
 
 
 def test_whoever_opens_the_seal_is_seen_by_the_rule():
-    assert "calibrate.validation.seal" in reached(("calibrate.validation.run",), MODULES)
+    assert "studies.sealed.seal" in reached(("studies.sealed.run",), MODULES)
 
 
 # ---------------------------------------------------------------- running

@@ -1,4 +1,4 @@
-"""withheld.json of `calibrate withheld`: scores of cases whose effect was withheld.
+"""withheld.json of `python -m studies.sealed`: scores of cases whose effect was withheld.
 
 Only the shape is checked; a score without cases is null.
 """
@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from calibrate.records.base import Record
-from calibrate.validation.scores import Row
+from studies.sealed.scores import Row
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -103,5 +103,5 @@ class WithheldRecord(Record):
     hidden: dict[str, list[Hidden]]
 
     def plain(self) -> dict:
-        """The result as `calibrate.validation.run.opened` returns it."""
+        """The result as `studies.sealed.run.opened` returns it."""
         return self.model_dump(by_alias=True)

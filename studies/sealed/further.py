@@ -42,11 +42,11 @@ from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.simulation.resolution import STILL
 from calibrate.simulation.run import points_of
-from calibrate.validation.laboratory import DISPLACEMENT_SD, FORCE_SD, Laboratory
-from calibrate.validation.plan import SPECIMENS, Hidden, WithheldCase
 from jdem.effects.base import AbstractEffect
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
+from studies.sealed.laboratory import DISPLACEMENT_SD, FORCE_SD, Laboratory
+from studies.sealed.plan import SPECIMENS, Hidden, WithheldCase
 
 VARIATIONS: tuple[tuple[str, Variation], ...] = tuple(
     (test, variation) for test in TESTS for variation in TEST_FEATURES[test].variations

@@ -27,7 +27,7 @@ from calibrate.discrepancy.library.description import (
 from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
 from calibrate.discrepancy.library.simulate import resized
 from calibrate.io.lab import Lab, bundled_lab, load_lab
-from calibrate.validation.outside import OUTSIDE
+from studies.sealed.outside import OUTSIDE
 
 STRATA: dict[str, tuple[float, float]] = {
     "0.5-2": (0.5, 2.0),

@@ -17,7 +17,6 @@ import pytest
 import toy_library
 from toy_library import SEAT, label, specimens, there_and_back, verdict
 
-from calibrate.commands.withheld import withheld_command
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.description import EmulatedLibrary
@@ -25,11 +24,12 @@ from calibrate.discrepancy.library.design import CENTRE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import load_lab
 from calibrate.simulation import Here
-from calibrate.validation import laboratory, run
-from calibrate.validation.labels import FEWEST_CHANGES, with_visibility
-from calibrate.validation.laboratory import READINGS, recorded, write_case
-from calibrate.validation.outside import ATMOSPHERE, PORES, air_force
-from calibrate.validation.plan import (
+from studies.sealed import laboratory, run
+from studies.sealed.__main__ import sealed_command
+from studies.sealed.labels import FEWEST_CHANGES, with_visibility
+from studies.sealed.laboratory import READINGS, recorded, write_case
+from studies.sealed.outside import ATMOSPHERE, PORES, air_force
+from studies.sealed.plan import (
     PACKINGS,
     SPECIMENS,
     Hidden,
@@ -37,7 +37,7 @@ from calibrate.validation.plan import (
     WithheldCase,
     relative_error,
 )
-from calibrate.validation.seal import HASHES, LABELS, canary, digest, open_seal, write_seal
+from studies.sealed.seal import HASHES, LABELS, canary, digest, open_seal, write_seal
 
 FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
 
@@ -497,4 +497,4 @@ def test_a_place_for_many_is_given_all_cases_at_once(tmp_path, monkeypatch):
 
 def test_given_cases_are_not_made(tmp_path):
     with pytest.raises(InputError, match="nothing to make where cases are given"):
-        withheld_command(given=tmp_path, judge=False)
+        sealed_command(given=tmp_path, judge=False)
