@@ -64,12 +64,18 @@ ORDER = {
     ),
     "studies": (
         "reporting",
+        "chen_2023",
         "sealed",
     ),
 }
 SHARED_IN_FAMILY = "base"  # every member may import it
 COMPOSES_FAMILY = ("__init__", "composite")  # may import every member
-PLOTTERS = ("calibrate.figures", "calibrate.reports", "studies.sealed.figures")
+PLOTTERS = (
+    "calibrate.figures",
+    "calibrate.reports",
+    "studies.chen_2023.figures",
+    "studies.sealed.figures",
+)
 MAX_FILE_LINES = 400
 MAX_BODY_LINES = 60
 UNSAFE_MODULES = ("pickle", "cloudpickle", "dill", "marshal", "shelve")

@@ -18,7 +18,6 @@ from calibrate.commands import (
     library,
     next_test,
     report,
-    reproduce,
     simulate,
     view,
 )
@@ -29,7 +28,6 @@ VERBS = (
     contact,
     audit,
     doe,
-    reproduce,
     convert,
     diagnose,
     next_test,

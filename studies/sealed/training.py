@@ -36,7 +36,7 @@ from scipy import stats
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from calibrate.core.files import write_text
+from calibrate.core.files import whole, write_text
 from calibrate.discrepancy.comparison import probability_calibration
 from calibrate.discrepancy.comparison.classes import TOGETHER, Classes
 from calibrate.discrepancy.comparison.compare import label, likeliest_verdict, probabilities
@@ -96,7 +96,8 @@ def rows() -> list[dict]:
 def keep(some: list[dict]) -> None:
     """Writes the table."""
     text = "".join(json.dumps(row, separators=(",", ":")) + "\n" for row in some)
-    TABLE.write_bytes(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME))
+    with whole(TABLE) as part:
+        part.write_bytes(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME))
 
 
 def cases() -> list[Known]:

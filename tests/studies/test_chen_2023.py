@@ -4,21 +4,25 @@ What became of the figures is in test_reproduction_figures.
 """
 
 import json
+import runpy
 from functools import partial
 
 import numpy as np
 import pytest
 
+from calibrate import cli
 from calibrate.designs import designs
 from calibrate.designs.factors import Factor
-from calibrate.designs.reproduction import (
+from calibrate.reports.html import number, render
+from studies.chen_2023 import (
     depth,
     force,
     levels,
     paper,
+    report,
 )
-from calibrate.designs.reproduction.tables import FOLDER, Range, equation, printed, table
-from calibrate.designs.reproduction.verdict import (
+from studies.chen_2023.tables import FOLDER, Range, equation, printed, table
+from studies.chen_2023.verdict import (
     Attempt,
     Verdict,
     judge,
@@ -26,8 +30,6 @@ from calibrate.designs.reproduction.verdict import (
     rounded,
     without_data,
 )
-from calibrate.reports import reproduction as report
-from calibrate.reports.html import number, render
 
 REPRODUCED, CORRECTED, NOT = Verdict
 
@@ -168,7 +170,7 @@ def test_text_is_escaped(result):
 
 def test_a_template_that_lacks_a_value_is_refused():
     with pytest.raises(Exception, match="undefined"):
-        render("reproduction.html")
+        render(report.TEMPLATE)
 
 
 @pytest.mark.parametrize(
@@ -180,9 +182,11 @@ def test_numbers_for_reading(value, words):
 
 
 @pytest.fixture
-def reproduce(calibrate):
-    """Runs `calibrate reproduce` in tmp_path; returns exit status, standard output and error."""
-    return partial(calibrate, "reproduce")
+def reproduce(calibrate, monkeypatch):
+    """Runs `python -m studies.chen_2023` in tmp_path: exit status, standard output and error."""
+    module = partial(runpy.run_module, "studies.chen_2023", run_name="__main__")
+    monkeypatch.setattr(cli, "main", module)
+    return calibrate
 
 
 def test_the_command_writes_page_and_json(reproduce, tmp_path):
@@ -210,6 +214,12 @@ def test_a_place_that_cannot_be_written_is_refused(reproduce, tmp_path, option):
         assert error.count("\n") == 1
         assert option in error
         assert "Traceback" not in error
+
+
+def test_a_wrong_option_is_refused_in_one_line(reproduce):
+    status, out, error = reproduce("--outt", "here")
+    assert (status, out) == (2, "") and error.count("\n") == 1
+    assert "--outt" in error and "see python -m studies.chen_2023 --help" in error
 
 
 def test_help_names_the_options(reproduce):

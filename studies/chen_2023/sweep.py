@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibrate.designs.reproduction.tables import Range, in_text, place, printed, table
-from calibrate.designs.reproduction.verdict import (
+from calibrate.labtests.pair import KINDS
+from studies.chen_2023.tables import Range, in_text, place, printed, table
+from studies.chen_2023.verdict import (
     Attempt,
     Figure,
     Verdict,
@@ -14,7 +15,6 @@ from calibrate.designs.reproduction.verdict import (
     rounded,
     without_data,
 )
-from calibrate.labtests.pair import KINDS
 
 COLUMNS = {"depression_depth": "depression_depth_mm", "crushing_force": "crushing_force_n"}
 TESTS = dict(zip(KINDS, COLUMNS, strict=True))

@@ -1,24 +1,27 @@
-"""`calibrate reproduce`: the paper's figures beside what its own tables give."""
+"""Puts the paper's published figures beside what its own printed tables give.
 
+python -m studies.chen_2023        a few seconds
+"""
+
+import sys
 from pathlib import Path
 
 import typer
 
+from calibrate import cli
 from calibrate.commands.options import Json, Out
 
-
-def register(app: typer.Typer) -> None:
-    """Adds `reproduce` to the program."""
-    app.command("reproduce")(reproduce_command)
+NAME = "python -m studies.chen_2023"
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
+@app.command()
 def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -> None:
     """Put the paper's published figures beside what its own printed tables give."""
     from rich.console import Console
 
     from calibrate.core.files import check_writable, make_folder
-    from calibrate.designs.reproduction import paper
-    from calibrate.reports import reproduction as report
+    from studies.chen_2023 import paper, report
 
     check_writable(json)
     make_folder(out)
@@ -26,3 +29,7 @@ def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -
     report.write(result, out, json)
     report.show(result, Console())
     print(f"page and JSON in {out}")
+
+
+if __name__ == "__main__":
+    cli.run(app, NAME, sys.argv[1:])

@@ -7,8 +7,8 @@ degrees of freedom, mean square, F and p.
 from collections.abc import Iterator, Mapping
 
 from calibrate.designs.anova import Anova
-from calibrate.designs.reproduction.tables import Table
-from calibrate.designs.reproduction.verdict import Attempt, Figure, Numbers, Ranges, judge
+from studies.chen_2023.tables import Table
+from studies.chen_2023.verdict import Attempt, Figure, Numbers, Ranges, judge
 
 COLUMNS = {
     "sum_of_squares": "sum of squares",

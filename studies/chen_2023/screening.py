@@ -4,9 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibrate.designs.reproduction.levels import FACTORS, coded
-from calibrate.designs.reproduction.tables import in_text, printed, table
-from calibrate.designs.reproduction.verdict import (
+from calibrate.designs.screening import Screening, screen
+from studies.chen_2023.levels import FACTORS, coded
+from studies.chen_2023.tables import in_text, printed, table
+from studies.chen_2023.verdict import (
     Attempt,
     Figure,
     Numbers,
@@ -14,7 +15,6 @@ from calibrate.designs.reproduction.verdict import (
     judge_words,
     rounded,
 )
-from calibrate.designs.screening import Screening, screen
 
 RESPONSES = {"depression_depth": "depression_depth_mm", "crushing_force": "crushing_force_n"}
 PRINTED_IN = {"depression_depth": 7, "crushing_force": 8}

@@ -11,9 +11,11 @@ import numpy as np
 
 from calibrate.designs.anova import Anova, anova
 from calibrate.designs.factors import Factor, coded_points
-from calibrate.designs.reproduction import anova_rows, equations
-from calibrate.designs.reproduction.tables import Range, in_text, printed, table
-from calibrate.designs.reproduction.verdict import (
+from calibrate.designs.surface import Prediction, Surface, fit_surface
+from calibrate.designs.terms import quadratic
+from studies.chen_2023 import anova_rows, equations
+from studies.chen_2023.tables import Range, in_text, printed, table
+from studies.chen_2023.verdict import (
     Attempt,
     Figure,
     Numbers,
@@ -23,8 +25,6 @@ from calibrate.designs.reproduction.verdict import (
     judge_words,
     rounded,
 )
-from calibrate.designs.surface import Prediction, Surface, fit_surface
-from calibrate.designs.terms import quadratic
 
 NAMES = ("surface_energy", "plasticity_ratio", "tangential_multiplier")
 LETTERS = ("C", "D", "E")

@@ -3,9 +3,9 @@
 from collections import Counter
 from dataclasses import asdict, dataclass
 
-from calibrate.designs.reproduction import depth, force, inside, levels, screening, sweep
-from calibrate.designs.reproduction.findings import Finding, findings, unprinted
-from calibrate.designs.reproduction.verdict import Figure, Verdict
+from studies.chen_2023 import depth, force, inside, levels, screening, sweep
+from studies.chen_2023.findings import Finding, findings, unprinted
+from studies.chen_2023.verdict import Figure, Verdict
 
 SOURCE = (
     "Chen, Gu, Hu, Wu, Luo, Guo (2023), The Calibration of Soil Simulation Parameters for Wheat "

@@ -7,7 +7,7 @@ squares by numpy, sums by hand); none is copied from the program's output.
 import numpy as np
 import pytest
 
-from calibrate.designs.reproduction import (
+from studies.chen_2023 import (
     depth,
     equations,
     findings,
@@ -18,8 +18,8 @@ from calibrate.designs.reproduction import (
     screening,
     sweep,
 )
-from calibrate.designs.reproduction.tables import Range, in_text, printed, table
-from calibrate.designs.reproduction.verdict import (
+from studies.chen_2023.tables import Range, in_text, printed, table
+from studies.chen_2023.verdict import (
     Verdict,
 )
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibrate.designs.reproduction.tables import Range, Table, in_text, place, printed, table
-from calibrate.designs.reproduction.verdict import (
+from studies.chen_2023.tables import Range, Table, in_text, place, printed, table
+from studies.chen_2023.verdict import (
     Attempt,
     Figure,
     judge,

@@ -22,7 +22,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from calibrate.designs.reproduction.tables import Range, printed
+from studies.chen_2023.tables import Range, printed
 
 Numbers = dict[str, float]
 Ranges = dict[str, Range]

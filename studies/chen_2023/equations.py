@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calibrate.designs.reproduction.tables import Range, equation, printed
 from calibrate.designs.terms import Term, Terms, parse
+from studies.chen_2023.tables import Range, equation, printed
 
 
 def printed_terms(response: str, names: tuple[str, ...]) -> Terms:

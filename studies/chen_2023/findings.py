@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.designs.anova import Anova, pure_error
-from calibrate.designs.reproduction import depth, force, screening, sweep
-from calibrate.designs.reproduction.levels import FACTORS
-from calibrate.designs.reproduction.tables import in_text, printed, table
+from studies.chen_2023 import depth, force, screening, sweep
+from studies.chen_2023.levels import FACTORS
+from studies.chen_2023.tables import in_text, printed, table
 
 
 @dataclass(frozen=True)

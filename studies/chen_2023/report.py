@@ -11,17 +11,18 @@ from rich.table import Table
 from rich.text import Text
 
 from calibrate.core.files import write_json, write_text
-from calibrate.designs.reproduction import depth, force, screening
-from calibrate.designs.reproduction.levels import FACTORS
-from calibrate.designs.reproduction.paper import SOURCE, Reproduction
-from calibrate.designs.reproduction.tables import Range, in_text, printed, table
-from calibrate.designs.reproduction.verdict import Figure, Verdict
-from calibrate.figures.comparison import Agreement, agreement_svg, bars_svg
 from calibrate.reports.html import Picture, number, render
+from studies.chen_2023 import depth, force, screening
+from studies.chen_2023.figures import Agreement, agreement_svg, bars_svg
+from studies.chen_2023.levels import FACTORS
+from studies.chen_2023.paper import SOURCE, Reproduction
+from studies.chen_2023.tables import Range, in_text, printed, table
+from studies.chen_2023.verdict import Figure, Verdict
 
 MARKS = {Verdict.REPRODUCED: "●", Verdict.CORRECTED: "◐", Verdict.NOT_REPRODUCED: "○"}
 SHORT = {**{verdict: str(verdict) for verdict in Verdict}, Verdict.CORRECTED: "corrected"}
 PAGE = "reproduction.html"
+TEMPLATE = Path(__file__).with_name(PAGE)
 
 
 def write(result: Reproduction, out: Path, path: Path | None) -> None:
@@ -37,7 +38,7 @@ def page(result: Reproduction) -> str:
     """The whole page as HTML."""
     total = result.total()
     return render(
-        PAGE,
+        TEMPLATE,
         result=result,
         source=SOURCE,
         verdicts=list(Verdict),
