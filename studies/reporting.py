@@ -4,6 +4,7 @@ Results of studies lie in studies/results, those of benchmarks where benchmarks/
 """
 
 import argparse
+import json
 import os
 import platform
 import shlex
@@ -15,12 +16,13 @@ from pathlib import Path
 import jax
 
 from calibrate.core.files import write_json, write_text
-from calibrate.simulation import engine_hash
+from jdem.physics import PHYSICS
 
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
 IMAGES = ROOT / "docs" / "images"  # of pages
+FIRST = "cd59c67cb0da6576"  # engine in files that have the numbers of physics 1
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -48,7 +50,7 @@ def provenance() -> dict:
             "python": platform.python_version(),
             **{name: metadata.version(name) for name in PACKAGES},
         },
-        "engine": engine_hash(),
+        "physics": PHYSICS,
     }
 
 
@@ -79,6 +81,26 @@ def keep_content(path: Path, content: dict) -> None:
     print(f"written: {path}", file=sys.stderr)
 
 
+def earlier(name: str, key: str) -> dict:
+    """Entry `key` of results written before with the same physics, or an empty dict."""
+    return kept_entry(file_of(name), key)
+
+
+def kept_entry(path: Path, key: str) -> dict:
+    """An entry of a result's JSON file, or an empty dict where it has another physics."""
+    if not path.exists():
+        return {}
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return content[key] if physics_of(content) == str(PHYSICS) and key in content else {}
+
+
+def physics_of(content: dict) -> str:
+    """Version of the physics that made a result.  Files from before it had one name an engine, a
+    hash of the source; one of these hashes is that of the first version."""
+    engine = content.get("engine", FIRST)
+    return str(content.get("physics", 1 if engine == FIRST else f"before 1, engine {engine}"))
+
+
 def keep_page(path: Path, markdown: str) -> None:
     """A Markdown file, shown; says where it is."""
     write_text(path, markdown)
@@ -98,7 +120,7 @@ def footer(origin: dict) -> str:
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     return (
         f"\nMade by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
-        f"{listed}; engine {origin['engine']}.\n"
+        f"{listed}; physics {physics_of(origin)}.\n"
     )
 
 

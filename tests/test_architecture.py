@@ -66,6 +66,12 @@ ORDER = {
         "reporting",
         "chen_2023",
         "sealed",
+        "open_cases",
+        "infill",
+        "sound_cases",
+        "further_tests",
+        "strengths",
+        "diagnosis",
     ),
 }
 SHARED_IN_FAMILY = "base"  # every member may import it

@@ -20,7 +20,10 @@ from pathlib import Path
 
 import nbformat
 import pytest
+import typer
 from formulas import in_place_of_spheres
+
+from calibrate import cli
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "notebooks"
@@ -120,7 +123,8 @@ class TestCommitted:
 
 MAIN = re.compile(r'^if __name__ == "__main__":', re.MULTILINE)
 # have tests of their own, make data or pages, or are called by LIGGGHTS
-APART = ("calibrate", "jdem", "docs", "build", "data", "reality/referee")
+APART = ("calibrate", "jdem", "docs", "build", "data", "reality/referee", "liggghts/referee")
+STUDIES = "studies"
 
 
 def is_script(path: Path) -> bool:
@@ -130,15 +134,25 @@ def is_script(path: Path) -> bool:
     return bool(MAIN.search(path.read_text(encoding="utf-8")))
 
 
-SCRIPTS = {
-    path.relative_to(ROOT).as_posix(): path
-    for path in sorted(ROOT.rglob("*.py"))
-    if is_script(path)
-}
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("bench*/**/*.md")]
-ON_PAGES = re.compile(r"python ([\w/]+/\w+\.py[^`\n#|*]*)")
+def called(path: Path) -> str:
+    """What `python` is given to run a script: its path, or the name of a study."""
+    place = path.relative_to(ROOT)
+    if place.parts[0] != STUDIES:
+        return place.as_posix()
+    return "-m " + ".".join(place.with_suffix("").parts).removesuffix(".__main__")
+
+
+SCRIPTS = {called(path): path for path in sorted(ROOT.rglob("*.py")) if is_script(path)}
+PAGES = [
+    *ROOT.glob("*.md"),
+    *(ROOT / "docs").rglob("*.md"),
+    *ROOT.glob("bench*/**/*.md"),
+    *ROOT.glob(f"{STUDIES}/**/*.md"),
+]
+CALLED = rf"[\w/]+/\w+\.py|-m {STUDIES}\.[a-z][\w.]*\w"
+ON_PAGES = re.compile(rf"python ((?:{CALLED})[^`\n#|*]*)")
 WORDS, MORE = r"(?: \S+)*", r"(?:\n {8,}[-\[]\S+(?: \S+)*)*"  # of a line, of those that go on
-IN_HEADS = re.compile(rf"^    python ([\w/]+/\w+\.py{WORDS}{MORE})", re.MULTILINE)
+IN_HEADS = re.compile(rf"^    python ((?:{CALLED}){WORDS}{MORE})", re.MULTILINE)
 
 
 def command_lines() -> list[str]:
@@ -155,11 +169,14 @@ def script(monkeypatch, tmp_path):
     before = set(sys.modules)
 
     def call(line: str) -> dict:
-        name, *arguments = shlex.split(line)
+        words = shlex.split(line)
+        count = 2 if words[0] == "-m" else 1
+        name, arguments = " ".join(words[:count]), words[count:]
         path = SCRIPTS[name]
         monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(path.parent)
         monkeypatch.setattr(sys, "argv", [str(path), *arguments])
+        monkeypatch.setattr(cli, "_configure_jax", lambda: None)
         return runpy.run_path(str(path), run_name="__main__")
 
     yield call
@@ -172,6 +189,7 @@ def script(monkeypatch, tmp_path):
 def test_a_script_starts_and_says_what_it_is(script, name, capsys, tmp_path):
     with pytest.raises(SystemExit) as end:
         script(f"{name} --help")
+        raise SystemExit(0)  # a program of typer's returns
     assert end.value.code == 0
     assert len(capsys.readouterr().out.split()) > 10
     assert not list(tmp_path.iterdir())
@@ -189,7 +207,12 @@ def test_a_script_takes_the_command_lines_of_pages(script, line, monkeypatch):
         read(*arguments, **named)
         raise UnderstoodError
 
+    def only_parsed(program, name, arguments):
+        typer.main.get_command(program).make_context(name, list(arguments))
+        raise UnderstoodError
+
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", only_read)
+    monkeypatch.setattr(cli, "run", only_parsed)
     with pytest.raises(UnderstoodError):
         script(line)
 

@@ -22,7 +22,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "benchmarks" / "results"
+RESULTS = ("benchmarks/results", "studies/results")
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$\w])\$([^$\n]+?)\$(?!\w)", re.DOTALL)
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"(^ *```.*?^ *```|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
@@ -76,12 +76,13 @@ def made() -> dict[str, str]:
 
 
 def results() -> list[Path]:
-    return [path for path in sorted(RESULTS.glob("*.md")) if path.name != "README.md"]
+    pages = [path for folder in RESULTS for path in (ROOT / folder).glob("*.md")]
+    return sorted((p for p in pages if p.name != "README.md"), key=lambda path: path.name)
 
 
 def results_index() -> str:
     """The list of committed results, after what their folder says of itself."""
-    given = RESULTS / "README.md"
+    given = ROOT / RESULTS[0] / "README.md"
     head = given.read_text(encoding="utf-8") if given.exists() else "# Results\n"
     rows = [f"- [{p.stem}]({p.name})" for p in results()]
     intro = "Each page names the command that made it.\n"
@@ -135,7 +136,8 @@ def source_of(uri: str) -> Path | None:
     """Where a copied page stands in the repository."""
     known = {"changelog.md": Path("CHANGELOG.md"), "contributing.md": Path("CONTRIBUTING.md")}
     if uri.startswith("results/"):
-        return Path("benchmarks") / uri.replace("index.md", "README.md")
+        name = uri.removeprefix("results/").replace("index.md", "README.md")
+        return next(p for f in RESULTS if (ROOT / (p := Path(f) / name)).exists())
     return known.get(uri)
 
 
@@ -168,8 +170,8 @@ def place_on_site(path: str) -> str | None:
         return special[path]
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
-    if path.startswith("benchmarks/results/") and path.endswith(".md"):
-        return path.removeprefix("benchmarks/")
+    if path.startswith(RESULTS) and path.endswith(".md"):
+        return path.partition("/")[2]
     if path.startswith("notebooks/") and path.endswith(".ipynb"):
         return path.replace("notebooks/", "tutorials/", 1)
     return None

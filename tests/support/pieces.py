@@ -198,8 +198,9 @@ def low_lab(path: Path) -> Path:
 def begin(arguments: list[str], dem: bool = False) -> None:
     """The command line in this process, on small specimens."""
     prepare_process(dem)
-    sys.argv = ["calibrate", *arguments]
-    if arguments[0] == STUDY:
+    study, sys.argv = arguments[0] == STUDY, ["calibrate", *arguments]
+    if study:
+        sys.argv = arguments
         cli.run(sealed.app, sealed.NAME, arguments[1:])
     else:
         cli.main()

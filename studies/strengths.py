@@ -1,12 +1,12 @@
 """Derivatives in the strengths of effects that JAX takes, against differences of runs.
 
-    python benchmarks/strengths.py               some 10 minutes on two cores
+    python -m studies.strengths               some 10 minutes on two cores
 
 Confined tests of the bundled soil, all effects off, packings of 500 spheres.  An effect's slope is
 that per typical strength.  Differences are central ones of half a typical strength to either side,
 and for effects that cannot be negative the second-order formula of 0, a half and a whole one; a lag
 of the load cell is left out (`calibrate.inference.traced.traced_strengths`).
-Writes benchmarks/results/strengths.md.
+Writes studies/results/strengths.md.
 """
 
 import argparse
@@ -16,7 +16,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import reporting
 
 from calibrate.core.progress import for_terminal
 from calibrate.inference.curve_points import CurvePoints, CurveReading
@@ -32,6 +31,7 @@ from jdem.effects.composite import EFFECTS, with_strengths
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.packing.specimen import Packing
 from jdem.sensitivity.overdamped import Overdamped
+from studies import reporting
 
 LEFT_OUT = ("acquisition_lag", "second_test_factor")  # the latter acts in the second test alone
 STEP = 0.5  # typical strengths
@@ -46,7 +46,8 @@ def laboratory(spheres: int, folder: Path) -> tuple[Campaign, VirtualLab]:
     cylinder = specimen(lab, preset)
     numerics = numerics_for(cylinder)
     tests = virtual_lab(lab, preset, numerics).tests
-    effects = [effect(0.0) for name, effect in EFFECTS.items() if name not in LEFT_OUT]
+    kinds: list[Callable] = [kind for name, kind in EFFECTS.items() if name not in LEFT_OUT]
+    effects: list[AbstractEffect] = [kind(0.0) for kind in kinds]
     virtual = VirtualLab.of(cylinder, TestSequence(tests.apparatus[:1]), numerics, effects)
     return Campaign(virtual, cylinder, folder, for_terminal()), virtual
 

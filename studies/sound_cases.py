@@ -1,7 +1,7 @@
 """What the diagnosis says of sound specimens whose records begin at a preload, and of others again.
 
-    python benchmarks/sound_cases.py --make          a minute of a core a specimen; goes on
-    python benchmarks/sound_cases.py                 a minute and a half of a core a case; goes on
+    python -m studies.sound_cases --make          a minute of a core a specimen; goes on
+    python -m studies.sound_cases                 a minute and a half of a core a case; goes on
 
 Fresh cases of four specimens of 1100 spheres hide nothing; beds and soils are of no other set.  Of
 each a copy is judged of which records begin at a preload, drawn between 0 and 10 N for each case:
@@ -19,8 +19,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import open_cases
-import reporting
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json, write_text
@@ -37,6 +35,7 @@ from calibrate.discrepancy.diagnosis import (
 )
 from calibrate.discrepancy.library.measurements import Measurements
 from calibrate.io.lab import Lab, load_lab
+from studies import open_cases, reporting
 from studies.sealed import run
 from studies.sealed.plan import SPECIMENS, Beds
 from studies.sealed.scores import share

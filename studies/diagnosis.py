@@ -1,11 +1,10 @@
 """One table of what the diagnosis does today, beside what was asked of it.
 
-    python benchmarks/diagnosis.py        four minutes
+    python -m studies.diagnosis        four minutes
 
-Reads the results of open_cases.py, infill.py, further_tests.py, reality/references.py, codes.py
-and of `calibrate withheld`, with and without --shapes, and times both commands on a case of
-open_cases.py.  What is asked was written down before any of these cases was made.  Writes
-benchmarks/results/diagnosis.md.
+Reads the results of open_cases, infill, further_tests, liggghts.references, liggghts.codes and of
+sealed, with and without --shapes, and times both commands on a case of open_cases.  What is asked
+was written down before any of these cases was made.  Writes studies/results/diagnosis.md.
 """
 
 import json
@@ -19,10 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
 
-import further_tests
 import numpy as np
-import open_cases
-import reporting
 
 from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
@@ -30,8 +26,9 @@ from calibrate.discrepancy.diagnosis import diagnosed
 from calibrate.io.lab import bundled_lab, load_lab
 from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
-from studies.sealed import run
-from studies.sealed.scores import CLOSE, share
+from studies import further_tests, open_cases, reporting
+from studies.sealed import run, training
+from studies.sealed.scores import CLOSE, expected_error, share
 
 SURE = 0.8
 LAWS = {DEFAULT: "", "liggghts": "; LIGGGHTS' friction and rolling"}
@@ -107,10 +104,10 @@ def _calibration(cases: Sequence[dict], words: str) -> Iterator[Row]:
     stated, right = (np.array([float(c[key]) for c in cases]) for key in ("stated", "right"))
     rng = np.random.default_rng(0)
     perfect = [
-        open_cases.evidences.expected_error(stated, (rng.random(len(stated)) < stated) * 1.0)
+        expected_error(stated, (rng.random(len(stated)) < stated) * 1.0)
         for _ in range(further_tests.DRAWS)
     ]
-    error = open_cases.evidences.expected_error(stated, right)
+    error = expected_error(stated, right)
     bound = f"at most {np.quantile(perfect, 0.95):.3f}"
     yield "calibration error of stated probabilities", bound, f"{error:.3f}", "", words
 
@@ -172,11 +169,11 @@ def visible(row: dict) -> float:
 
 def stratum_of(kind: str, snr: float) -> str:
     """As open_cases.py calls it."""
-    band = int(np.searchsorted(open_cases.evidences.EDGES, snr, side="right"))
+    band = int(np.searchsorted(training.EDGES, snr, side="right"))
     if kind == "single":
-        return open_cases.evidences.STRATA[band]
-    unseen = kind == open_cases.evidences.OUTSIDE and band == 0
-    return open_cases.evidences.UNSEEN if unseen else kind
+        return training.STRATA[band]
+    unseen = kind == training.OUTSIDE and band == 0
+    return training.UNSEEN if unseen else kind
 
 
 def of_sealed() -> Iterator[Row]:

@@ -1,6 +1,6 @@
 """How many further tests it takes to name what is hidden: those asked for, at random, all cheap.
 
-    python benchmarks/further_tests.py --most 50 --others 5       60 cases, 25 to 35 minutes
+    python -m studies.further_tests --most 50 --others 5       60 cases, 25 to 35 minutes
 
 Cases of a sealed set, after it was judged: those whose one effect has a signal-to-noise above 1,
 and some with nothing hidden or with an effect that the library lacks.  A laboratory answers up to
@@ -21,8 +21,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import open_cases
-import reporting
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json
@@ -31,6 +29,7 @@ from calibrate.discrepancy.comparison.classes import TOGETHER
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import load_lab
+from studies import open_cases, reporting
 from studies.sealed import run
 from studies.sealed.further import FurtherLaboratory
 from studies.sealed.laboratory import Laboratory
@@ -115,7 +114,7 @@ def ratio(rows: Sequence[dict]) -> tuple[float, float, float]:
     open_ = [row for row in rows if not right_after(row, "asked")[0]]
     counts = np.array([[until_right(row, way) for way in ("asked", "random")] for row in open_])
     if not len(counts):
-        return (np.nan,) * 3
+        return np.nan, np.nan, np.nan
     rng = np.random.default_rng(0)
     drawn = counts[rng.integers(len(counts), size=(DRAWS, len(counts)))].sum(axis=1)
     low, high = np.quantile(drawn[:, 0] / drawn[:, 1], [0.025, 0.975])
@@ -123,7 +122,7 @@ def ratio(rows: Sequence[dict]) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--most", type=int, default=100, help="cases with one effect")
     parser.add_argument(
         "--others", type=int, default=10, help="with nothing hidden, and from outside"

@@ -1,7 +1,7 @@
 """What infill runs about a lab's own explanations change in the answers to open cases.
 
-    python benchmarks/infill.py                three minutes of two cores a case; goes on
-    python benchmarks/infill.py --made         judges the cases that are simulated already
+    python -m studies.infill                three minutes of two cores a case; goes on
+    python -m studies.infill --made         judges the cases that are simulated already
 
 As `calibrate diagnose --simulate` does in its first round: the leading explanations of a case
 (none, single effects, a pair) are simulated on four packings of 1000 spheres, 24 runs, which join
@@ -23,9 +23,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import open_cases
-import reporting
-from support import evidences
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json
@@ -33,6 +30,8 @@ from calibrate.discrepancy import infill
 from calibrate.discrepancy.comparison.compare import likeliest_verdict
 from calibrate.discrepancy.library.run_library import Rows
 from calibrate.io.lab import load_lab
+from studies import open_cases, reporting
+from studies.sealed import training
 
 WORK = reporting.CACHE / "infill"
 FOLDERS = {open_cases.SET: "open_cases", "withheld_own": "withheld_own"}
@@ -94,10 +93,10 @@ def judge(case: dict) -> dict:
 
 def answers(cases: list[dict], found: list[dict]) -> list[dict]:
     """What is said of each case by the library alone, and with its infill runs."""
-    table = evidences.rows()
-    known = [evidences.known(row) for row in table]
+    table = training.rows()
+    known = [training.known(row) for row in table]
     of = [(row["set"], row["case"]) for row in table]
-    by = dict(zip(of, evidences.by_other_folds(known), strict=True))
+    by = dict(zip(of, training.by_other_folds(known), strict=True))
     before = dict(zip(of, table, strict=True))
     answered = []
     for case, evidence in zip(cases, found, strict=True):
@@ -105,7 +104,7 @@ def answers(cases: list[dict], found: list[dict]) -> list[dict]:
         row = before[name]
         said = {"hidden": case["hidden"], "stratum": case["stratum"], "snr": case["snr"]}
         for way, one in (("library", row), ("infill", {**row, **evidence})):
-            known_case = evidences.known(one)
+            known_case = training.known(one)
             probability = known_case.said(by[name])
             verdict = likeliest_verdict(probability)
             said[way] = {
@@ -134,7 +133,7 @@ def pack(cases: list[dict]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--made", action="store_true", help="judge what is simulated, no more")
     given = parser.parse_args()
     runtime.configure()
@@ -152,7 +151,7 @@ def main() -> None:
     reporting.write_content("infill", {"cases": said, **reporting.provenance()})
     for name in ("library", "infill"):
         right = sum(one[name]["right"] for one in said)
-        score = np.mean([np.log(max(one[name]["of_truth"], evidences.LEAST)) for one in said])
+        score = np.mean([np.log(max(one[name]["of_truth"], training.LEAST)) for one in said])
         print(f"{name}: {right} of {len(said)} right, mean logarithmic score {score:.2f}")
 
 

@@ -1,7 +1,7 @@
 """How often the diagnosis names what is hidden in resolved beds, and nothing where nothing is.
 
-    python benchmarks/open_cases.py                 20 seconds a case, then ten to judge it
-    python benchmarks/open_cases.py --learn         the same, and evidences are kept for opinion.py
+    python -m studies.open_cases                 20 seconds a case, then ten to judge it
+    python -m studies.open_cases --learn         the same, and evidences are kept to learn from
 
 Two hundred cases of four specimens of 1100 spheres of this simulator: 60 hide nothing, 100 one
 effect, 15 two, 25 one that the library lacks.  Beds come from few packings, other ones than those
@@ -13,7 +13,7 @@ How visible an effect is, two specimens tell that are simulated without it, as f
 results/open_cases.tar.xz holds what has been made so far, 78 of the 200, and the opened set of
 other specimens; results/withheld_own.tar.xz the opened set of usual ones.  A folder keeps these,
 and the evidences of one state of library and diagnosis, so that a stopped run goes on; --made stops
-at what is there.  `diagnosis.py` makes the page.
+at what is there.  `studies.diagnosis` makes the page.
 """
 
 import argparse
@@ -29,10 +29,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import reporting
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from support import evidences
 
 from calibrate.core import runtime
 from calibrate.core.errors import InputError
@@ -49,7 +45,8 @@ from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import Lab, load_lab
 from calibrate.simulation import side_by_side
-from studies.sealed import run, trial
+from studies import reporting
+from studies.sealed import run, training, trial
 from studies.sealed.labels import FEWEST_CHANGES, with_visibility
 from studies.sealed.laboratory import Laboratory
 from studies.sealed.plan import COUNTS, Beds, WithheldCase, without_nan
@@ -204,7 +201,7 @@ def said_of(rows: Sequence[dict], by: Sequence[ProbabilityCalibration]) -> list[
     """What is said of each case with a calibration of its own."""
     found = []
     for row, calibration in zip(rows, by, strict=True):
-        case = evidences.known(row)
+        case = training.known(row)
         probability = case.said(calibration)
         verdict = likeliest_verdict(probability)
         found.append({
@@ -217,20 +214,22 @@ def said_of(rows: Sequence[dict], by: Sequence[ProbabilityCalibration]) -> list[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--learn", action="store_true", help="keep evidences for opinion.py")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "--learn", action="store_true", help="keep evidences for studies.sealed.training"
+    )
     parser.add_argument("--made", action="store_true", help="judge the cases made so far, no more")
     chosen = parser.parse_args()
     runtime.configure()
     unpack()
     opened = [row for name in OPENED for row in of_opened(name, chosen.made)]
     rows = [*of_work(chosen.made), *opened]
-    some = [evidences.known(row) for row in rows]
+    some = [training.known(row) for row in rows]
     if chosen.learn:
-        evidences.keep(rows)
-    others = evidences.by_other_folds(some)
-    bundled = evidences.quality(some, [bundled_calibration()] * len(some))
-    folds = evidences.quality(some, others)
+        training.keep(rows)
+    others = training.by_other_folds(some)
+    bundled = training.quality(some, [bundled_calibration()] * len(some))
+    folds = training.quality(some, others)
     print(json.dumps({"bundled": bundled, "folds": folds}, indent=1))
     content = {"bundled calibration": bundled, "that of the other folds": folds,
                "cases": said_of(rows, others), **reporting.provenance()}  # fmt: skip
