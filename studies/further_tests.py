@@ -31,9 +31,8 @@ from calibrate.discrepancy.library.design import CENTRE
 from calibrate.io.lab import load_lab
 from studies import open_cases, reporting
 from studies.sealed import run
-from studies.sealed.further import FurtherLaboratory
+from studies.sealed.further import ROUNDS, Asking, FurtherLaboratory
 from studies.sealed.laboratory import Laboratory
-from studies.sealed.loop import ROUNDS, Asking
 from studies.sealed.scores import truth_of
 
 ASKING = 1  # raise it with a change of what is asked for: verdicts are then found anew

@@ -29,7 +29,7 @@ THOROUGH = (
     *("first_order", "tangent_kernel", "engine"),
     *("laws_contract", "laws", "view", "abuse", "study"),
     *("physics", "protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "added_tests"),
-    *("sphere_indenter", "neighbour_lists", "reality", "campaign", "laws_friction"),
+    *("sphere_indenter", "neighbour_lists", "liggghts", "campaign", "laws_friction"),
     *("sensitivity", "smooth", "machine_alone"),
 )
 

@@ -71,6 +71,7 @@ ORDER = {
         "sound_cases",
         "further_tests",
         "strengths",
+        "liggghts",
         "diagnosis",
     ),
 }
@@ -80,6 +81,8 @@ PLOTTERS = (
     "calibrate.figures",
     "calibrate.reports",
     "studies.chen_2023.figures",
+    "studies.liggghts.codes",
+    "studies.liggghts.export_contact",
     "studies.sealed.figures",
 )
 MAX_FILE_LINES = 400

@@ -1,7 +1,7 @@
 """Whose conventions a contact law follows: laws, LIGGGHTS' own curves, lab files, exports.
 
-The committed curves (tests/data/export_contact/liggghts_conventions.csv, by benchmarks/codes.py)
-are those of LIGGGHTS 3.8 for a contact that is held at an overlap and slid, then rolled.
+The committed curves (tests/data/export_contact/liggghts_conventions.csv) are those of LIGGGHTS 3.8
+for a contact that is held at an overlap and slid, then rolled (`studies.liggghts.codes`).
 """
 
 import json

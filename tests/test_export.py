@@ -1,7 +1,7 @@
 """Exported parameters: read from a fit, written for other programs, and one contact in each.
 
 LIGGGHTS and YADE are run where they are installed; everywhere the loops that they made of the
-committed texts (tests/data/export_contact, by benchmarks/export_contact.py) are compared with
+committed texts (tests/data/export_contact, by studies/liggghts/export_contact.py) are compared with
 ours, and the texts with what is exported today.
 """
 
@@ -16,7 +16,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support import two_spheres
 
 from calibrate.core.errors import InputError
 from calibrate.exporters import edem, liggghts, parameters_json, yade
@@ -30,11 +29,12 @@ from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
 from jdem.packing.specimen import Packing, save
+from studies.liggghts import two_spheres
 
 TESTS = Path(__file__).parent
 DATA = TESTS / "data" / "export_contact"
 FIT = TESTS / "data" / "fit_result"
-CASES = {  # as in benchmarks/export_contact.py
+CASES = {  # as in studies/liggghts/export_contact.py
     "linear": {},
     "hertz": {"slope_exponent": 1.5},
     "exponent_1": {"tensile_exponent": 1.0, "surface_energy": 2.0, "static_friction": 0.3},

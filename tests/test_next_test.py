@@ -38,9 +38,8 @@ from jdem.apparatus.platen_on_base import PlatenOnBase
 from jdem.effects.composite import EFFECTS
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
-from studies.sealed.further import FurtherLaboratory, under
+from studies.sealed.further import Asking, FurtherLaboratory, under
 from studies.sealed.laboratory import SpecimenRecords
-from studies.sealed.loop import Asking
 from studies.sealed.plan import Hidden, WithheldCase
 
 jax.config.update("jax_enable_x64", True)

@@ -123,7 +123,7 @@ class TestCommitted:
 
 MAIN = re.compile(r'^if __name__ == "__main__":', re.MULTILINE)
 # have tests of their own, make data or pages, or are called by LIGGGHTS
-APART = ("calibrate", "jdem", "docs", "build", "data", "reality/referee", "liggghts/referee")
+APART = ("calibrate", "jdem", "docs", "build", "data", "liggghts/referee")
 STUDIES = "studies"
 
 

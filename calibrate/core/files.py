@@ -82,12 +82,12 @@ def write_bytes(path: Path, content: bytes) -> None:
         part.write_bytes(content)
 
 
-def write_json(path: Path, content: dict, indent: int | None = 1) -> None:
+def write_json(path: Path, content: dict | list, indent: int | None = 1) -> None:
     """Strict JSON: NaN and infinities become null."""
     write_text(path, as_json(content, indent))
 
 
-def as_json(content: dict, indent: int | None = 1) -> str:
+def as_json(content: dict | list, indent: int | None = 1) -> str:
     """Strict JSON: NaN and infinities become null; without indentation all in one line."""
     return json.dumps(_finite(content), indent=indent, allow_nan=False) + "\n"
 

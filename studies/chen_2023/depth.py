@@ -13,7 +13,7 @@ from calibrate.designs.anova import Anova, anova
 from calibrate.designs.factors import Factor, coded_points
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import parse
-from studies.chen_2023 import anova_rows, equations
+from studies.chen_2023 import equations
 from studies.chen_2023.tables import Range, in_text, printed, table
 from studies.chen_2023.verdict import (
     Attempt,
@@ -21,9 +21,11 @@ from studies.chen_2023.verdict import (
     Numbers,
     Ranges,
     judge,
+    judge_rows,
     judge_value,
     judge_words,
     rounded,
+    row_entries,
 )
 
 NAMES = ("restitution", "static_friction")
@@ -64,9 +66,7 @@ def analysis(y: np.ndarray, model: str = "cubic") -> Anova:
 
 def figures() -> Iterator[Figure]:
     """Table 9, the equation's coefficients and values, the optimum, what the text concludes."""
-    yield from anova_rows.judged(
-        table(9), anova_ranges(), {"sum_of_squares": "mm²", "mean_square": "mm²"}
-    )
+    yield from judge_rows(table(9), anova_ranges(), {"sum_of_squares": "mm²", "mean_square": "mm²"})
     yield from conclusions()
     yield from coefficients()
     yield from values_at_points()
@@ -167,7 +167,7 @@ def anova_ranges() -> dict[str, Ranges]:
     """Ranges of Table 9's entries by the correction that they take."""
 
     def entries(y: np.ndarray, residual: str) -> Numbers:
-        return anova_rows.entries(analysis(y), SOURCES | {"residual": residual})
+        return row_entries(analysis(y), SOURCES | {"residual": residual})
 
     once = rounded(lambda y: entries(y, "Residual"), depths(), half_units())
     tripled = rounded(lambda y: entries(3 * y, "Residual"), depths(), half_units())

@@ -13,7 +13,7 @@ from calibrate.designs.anova import Anova, anova
 from calibrate.designs.factors import Factor, coded_points
 from calibrate.designs.surface import Prediction, Surface, fit_surface
 from calibrate.designs.terms import quadratic
-from studies.chen_2023 import anova_rows, equations
+from studies.chen_2023 import equations
 from studies.chen_2023.tables import Range, in_text, printed, table
 from studies.chen_2023.verdict import (
     Attempt,
@@ -21,9 +21,11 @@ from studies.chen_2023.verdict import (
     Numbers,
     Ranges,
     judge,
+    judge_rows,
     judge_value,
     judge_words,
     rounded,
+    row_entries,
 )
 
 NAMES = ("surface_energy", "plasticity_ratio", "tangential_multiplier")
@@ -69,7 +71,7 @@ def analysis(y: np.ndarray) -> Anova:
 
 def figures() -> Iterator[Figure]:
     """Table 10, the equation's coefficients and values, the optimum, what the text concludes."""
-    yield from anova_rows.judged(
+    yield from judge_rows(
         table(10), anova_ranges(), {"sum_of_squares": "N²", "mean_square": "N²"}, _misprint()
     )
     yield from conclusions()
@@ -203,7 +205,7 @@ def anova_ranges() -> dict[str, Ranges]:
 
 
 def _entries(y: np.ndarray, residual: str) -> Numbers:
-    return anova_rows.entries(analysis(y), SOURCES | {"residual": residual})
+    return row_entries(analysis(y), SOURCES | {"residual": residual})
 
 
 def _misprint() -> dict[str, Attempt]:

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy import stats
 
-from studies.chen_2023.anova_rows import COLUMNS
 from studies.chen_2023.tables import Range, Table, table
-from studies.chen_2023.verdict import Attempt, Figure, judge, rounded
+from studies.chen_2023.verdict import COLUMNS, Attempt, Figure, judge, rounded
 
 RUNS = 12
 

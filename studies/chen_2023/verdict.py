@@ -14,15 +14,19 @@ of a design are settings and count as exact.  A published figure is
     not reproduced                        otherwise, or if nothing is printed to compute it from.
 
 Published words (an order of factors, a choice) are reproduced if they are the same words.
+
+Analyses of variance (Tables 9 and 10) are judged row by row: the paper prints a model, some main
+effects, a residual and a total, each with sum of squares, degrees of freedom, mean square, F and p.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
-from studies.chen_2023.tables import Range, printed
+from calibrate.designs.anova import Anova
+from studies.chen_2023.tables import Range, Table, printed
 
 Numbers = dict[str, float]
 Ranges = dict[str, Range]
@@ -154,3 +158,54 @@ def rounded(
         for name in reach:
             reach[name] += abs(above[name] - below[name]) / 2
     return {name: Range(float(value), reach[name]) for name, value in centre.items()}
+
+
+# ---------------------------------------------------------------- rows of an analysis of variance
+
+COLUMNS = {
+    "sum_of_squares": "sum of squares",
+    "df": "degrees of freedom",
+    "mean_square": "mean square",
+    "f_value": "F",
+    "p_value": "p",
+}
+
+
+def row_entries(analysis: Anova, sources: Mapping[str, str]) -> Numbers:
+    """Entries "row.column" of the paper's rows; `sources` names our line for each of them."""
+    found: Numbers = {}
+    for row, source in sources.items():
+        line = analysis[source]
+        values = (line.sum_of_squares, float(line.df), line.mean_square, line.f, line.p)
+        found |= {f"{row}.{column}": v for column, v in zip(COLUMNS, values, strict=True)}
+    return found
+
+
+def judge_rows(
+    printed_table: Table,
+    computations: Mapping[str, Ranges],
+    units: Mapping[str, str],
+    readings: Mapping[str, Attempt] | None = None,
+    remark: str = "",
+) -> Iterator[Figure]:
+    """Verdicts on every printed entry.
+
+    `computations` are ranges by the correction that they need ("" for none), in the order in
+    which they are tried; an entry that a computation lacks is skipped there.  `readings` are
+    further attempts for single entries, tried last.
+    """
+    for row in printed_table.rows:
+        for column, words in COLUMNS.items():
+            text = printed_table.text(row, column)
+            if not text:
+                continue
+            entry = f"{row}.{column}"
+            attempts = [
+                Attempt(ranges[entry], correction)
+                for correction, ranges in computations.items()
+                if entry in ranges
+            ]
+            attempts += [readings[entry]] if readings and entry in readings else []
+            title = f"{row.replace('_', ' ')}, {words}"
+            unit = units.get(column, "")
+            yield judge(printed_table.title, title, text, attempts, remark, unit)

@@ -1,6 +1,6 @@
 """Where this simulator and LIGGGHTS part, level by level, and whether a calibration carries over.
 
-    python benchmarks/codes.py --soils wheat_after_rice trumao strong
+    python -m studies.liggghts.codes --soils wheat_after_rice trumao strong
 
 levels: the bundled soil's start (tensile exponent 1) at equal parameters, in one contact, a sphere
 on a wall, and both tests on the same six beds of 1000 spheres.  Three ways: our law and what an
@@ -11,7 +11,7 @@ tests on six packings of 2000 spheres that took no part in the fit.
 
 Needs the Debian package `liggghts`; a soil takes some 25 minutes on two idle cores, the levels 12.
 Fits and runs are kept in results/benchmarks/codes, so that a second call resumes; parts and soils
-that are not asked for keep their rows.  Writes benchmarks/results/codes.json and .md,
+that are not asked for keep their rows.  Writes studies/results/codes.json and .md,
 docs/images/codes.png, and what LIGGGHTS makes of a contact into tests/data/export_contact.
 """
 
@@ -23,18 +23,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import cast
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import reporting
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).parent / "peers"))
-import both_tests
-import one_contact
 
 from calibrate.core.files import write_text
 from calibrate.core.progress import for_terminal
@@ -42,14 +37,17 @@ from calibrate.exporters import liggghts
 from calibrate.exporters.source import Found, find
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, Preset
 from calibrate.simulation.run import Run
 from calibrate.simulation.specimens import campaign, soil_json
 from jdem.packing.specimen import Packing
+from studies import reporting
+from studies.liggghts import both_tests, one_contact
 
 WORK = reporting.CACHE / "codes"
 IMAGE = reporting.IMAGES / "codes.png"
-DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
+DATA = reporting.ROOT / "tests" / "data" / "export_contact"
 MADE = {  # a stiffer and stronger soil: trumao's lab file with other targets, none of them measured
     "trumao, natural state": "made soil, stiff and strong",
     "1.621 mm": "2.2 mm",
@@ -127,6 +125,11 @@ def _peak(crushing: np.ndarray) -> float:
     return float(np.convolve(crushing[:, 1], np.ones(rows) / rows, mode="valid").max())
 
 
+def _work(lab: Lab, preset: Preset, folder: Path) -> Campaign:
+    """Where runs and beds of a lab's two tests come from: specimens of one size."""
+    return cast(Campaign, campaign(lab, preset, folder, for_terminal()))
+
+
 def levels() -> list[dict]:
     """Levels 1 and 2 as they are, level 3 and 4 packing by packing."""
     keep_contacts()
@@ -134,7 +137,7 @@ def levels() -> list[dict]:
     rows: list[dict] = []
     for conventions in NAMES:
         followed = _with_exponent_one(lab).following(conventions)
-        work, soil = campaign(followed, COARSER, WORK / "ours", for_terminal()), base_soil(followed)
+        work, soil = _work(followed, COARSER, WORK / "ours"), base_soil(followed)
         seeds = range(PACKINGS)
         runs = work.runs([soil], seeds, conventions)[0]
         beds = work.packings(seeds)
@@ -209,10 +212,7 @@ def carried(soils: Sequence[str]) -> list[dict]:
         result = json.loads((out / "result.json").read_text(encoding="utf-8"))
         lab = load_lab(path).following("liggghts")
         fitted = {n: result["parameters"][n] for n in (*result["free"], "tensile_exponent")}
-        soil, work = (
-            with_values(base_soil(lab), fitted),
-            campaign(lab, STANDARD, out, for_terminal()),
-        )
+        soil, work = with_values(base_soil(lab), fitted), _work(lab, STANDARD, out)
         seeds = result["fresh_seeds"][:PACKINGS]
         runs, beds = work.runs([soil], seeds, "fresh packings")[0], work.packings(seeds)
         found = find(out, {}, None)

@@ -1,19 +1,18 @@
 """How visible effects are in another code's cases, once their seal is open.
 
-    python benchmarks/reality/twins.py --work results/liggghts/sealed_runs
+    python -m studies.liggghts.visibility --work results/liggghts/sealed_runs
         --given results/liggghts/sealed --discrepancy results/liggghts/discrepancy.json
 
 The library cannot tell what it lacks, nor what another code makes of an effect.  So two specimens
 of each case are simulated again without it, from the same seeds, and both are recorded without
 noise.  Signal-to-noise is what calibration leaves of that change, with the model discrepancy
-that judged the cases: `snr_simulated` in benchmarks/results/withheld_liggghts.json.  What errors
+that judged the cases: `snr_simulated` in studies/results/withheld_liggghts.json.  What errors
 of the machine do follows from equations: of these the library's word is taken.  A minute a
 specimen; finished ones lie in DIR.
 """
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -21,19 +20,16 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[1]))
-import open_cases
-import reporting
-from generate import specimen_run
-from support.reality.cases import Case, Hidden
-from support.reality.labfiles import measured
-from support.reality.specimen import Run
-
 from calibrate.core import runtime
 from calibrate.discrepancy.library.machine import MACHINE
 from calibrate.discrepancy.model_discrepancy import load
 from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, recorded_feature_values
+from studies import open_cases, reporting
+from studies.liggghts.cases import Case, Hidden
+from studies.liggghts.generate import specimen_run
+from studies.liggghts.labfiles import measured
+from studies.liggghts.specimen import Run
 from studies.sealed.labels import FEWEST_CHANGES, THEIRS, normalised
 from studies.sealed.plan import USUAL, Visibility
 from studies.sealed.scores import SCATTER
@@ -91,7 +87,7 @@ def visibility(label: dict, found: np.ndarray, discrepancy) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--work", type=Path, required=True, help="where generate.py simulated")
     parser.add_argument("--given", type=Path, required=True, help="the opened set")
     parser.add_argument("--discrepancy", type=Path, required=True, help="that judged it")

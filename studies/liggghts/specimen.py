@@ -1,6 +1,6 @@
 """One specimen: poured, settled, compressed in the mould, unloaded, freed and crushed by LIGGGHTS.
 
-`run` writes the input beside copies of liggghts/in.settle and in.tests into a scratch folder,
+`run` writes the input beside copies of inputs/in.settle and in.tests into a scratch folder,
 runs both in one process each, and returns the raw curves.  A specimen that falls apart, or one
 that never reaches the target force, comes back as a `Run` that does not stand.
 """
@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from support.reality.instrument import (
+from studies.liggghts.instrument import (
     CONFINED_SPEED,
     TARGET_FORCE,
     Instrument,
     smoothing_per_round,
 )
-from support.reality.physics import (
+from studies.liggghts.physics import (
     LAYERS,
     Physics,
     between,
@@ -29,8 +29,8 @@ from support.reality.physics import (
     materials,
     trapped_air_force,
 )
-from support.reality.referee import bond_commands, bonded_start, crush_commands
-from support.reality.soil import MEAN_DIAMETER, SIZE, SPHERES, Soil
+from studies.liggghts.referee import bond_commands, bonded_start, crush_commands
+from studies.liggghts.soil import MEAN_DIAMETER, SIZE, SPHERES, Soil
 
 HERE = Path(__file__).parent
 MOULD_RADIUS = 0.025  # m
@@ -87,7 +87,7 @@ def run(soil: Soil, physics: Physics, instrument: Instrument, seed: int, folder:
     soil, filling, spheres = specimen_of(soil, physics, random)
     radii = _column(folder / "column.data", spheres, random)
     for name in ("in.settle", "in.tests", "plate.stl"):
-        shutil.copy(HERE / "liggghts" / name, folder)
+        shutil.copy(HERE / "inputs" / name, folder)
     values = {"level": LEVELLING_FORCE, "dt": FILLING_STEP}
     settings = _variables(values, FILLING_STAGES, FILLING_DRAG)
     (folder / "filling.in").write_text(settings + filling_materials(filling))

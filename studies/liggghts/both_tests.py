@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.two_spheres import run_program
 
-PLATE = Path(__file__).parent / "plate.stl"
+from studies.liggghts.two_spheres import run_program
+
+PLATE = (Path(__file__).parent / "inputs" / "plate.stl").read_text(encoding="utf-8")
+HALF_SIDE = ("0.045", "0.028")  # m; of that plate and of the one here
 ROWS = 1500  # readings of a test, at least
 RESTING = 400.0  # 1/s; viscous damping of a sphere over its mass while the specimen is freed
 FELL = 0.9  # of the height before, below which a specimen has fallen apart
@@ -160,7 +162,7 @@ def tested(section: str, model: str, spheres: Spheres, tests: Tests, folder: Pat
     (folder / "soil.liggghts").write_text(section, encoding="utf-8")
     (folder / "bed.data").write_text(_data(spheres, tests.mould), encoding="utf-8")
     (folder / "in.tests").write_text(script, encoding="utf-8")
-    shutil.copy(PLATE, folder)
+    (folder / "plate.stl").write_text(PLATE.replace(*HALF_SIDE), encoding="utf-8")
     run_program(["liggghts", "-in", "in.tests", "-log", "log.tests"], folder)
     stands = "RESULT stands 1" in (folder / "log.tests").read_text()
     crushing = _rows(folder / "crushing.txt") if stands else np.empty((0, 2))

@@ -11,17 +11,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hand_made_beds import SHARP, advanced, bed_of, state_of
-from support import two_spheres
 
 from calibrate.exporters import liggghts
 from calibrate.exporters.source import Found
 from calibrate.io.soil import with_values
 from jdem.apparatus.pair import SpherePair, drive_overlap
 from jdem.bodies.spheres import Spheres
+from jdem.boundaries.base import FAR
+from jdem.boundaries.composite import CELL_SURFACES, PLATEN
+from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
+from jdem.engine.bed import Bed, Numerics, build_bed
+from jdem.engine.loop import start
+from jdem.engine.neighbors import Grid, rebuild
+from jdem.engine.step import Command
+from jdem.engine.step import step as advanced
 from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import SoilParameters, particle_law
+from studies.liggghts import two_spheres
 
 PATH = (0.08, 0.03, 0.05, 0.02, 0.1, -0.01)  # turning points of the overlap, radii
 HELD = 0.05  # overlap at which slip and roll are measured, radii
@@ -29,6 +36,9 @@ TURN = 0.2  # rad; enough to reach the limits of sliding and rolling
 SLOW = 1e-7  # m/s, rad/s
 ROLLING = 0.1  # m/s, of the sphere on the wall at the start
 ROLLED = 0.3  # s
+GRAVITY = 9.81  # m/s2
+SHARP = Smoothing.sharp()
+CELL, WIDE = 6e-3, 2.0  # m; of the grid, and a skin that the sphere does not leave
 
 
 @dataclass(frozen=True)
@@ -131,12 +141,44 @@ def _ways(found: Found, folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Ways (m) of a sphere on the base over time, ours and theirs."""
     radius = np.array([found.diameter / 2])
     mass = two_spheres.DENSITY * 4 / 3 * np.pi * radius**3
-    bed = bed_of(Spheres(radius, mass), soil_of(found), skin=400.0)
+    bed = _bed(Spheres(jnp.asarray(radius), jnp.asarray(mass)), soil_of(found))
     step = float(bed.time_step)
     steps = int(ROLLED / step)
-    state = state_of(bed, [[0.0, 0.0, radius[0]]], velocity=[[ROLLING, 0.0, 0.0]])
-    ours = np.asarray(advanced(bed, state, steps)[1][0].position.x[:, 0])
+    ours = np.asarray(_rolled(bed, jnp.asarray(radius[0]), steps))
     sphere = two_spheres.Rolling(float(radius[0]), ROLLING, step, steps, 10)
     rows = two_spheres.liggghts_on_wall(liggghts.text(found), liggghts.model(found), sphere, folder)
     times = np.arange(len(rows)) * 10
     return np.interp(times, np.arange(1, steps + 1), ours), rows[:, 0]
+
+
+def _bed(spheres: Spheres, soil: SoilParameters) -> Bed:
+    """One sphere under gravity on the base of a cell."""
+    grid = Grid(
+        shape=(3, 3, 3), per_cell=1, pairs=1, wall_contacts=3, cell=CELL + WIDE, skin=WIDE
+    )  # fmt: skip
+    numerics = Numerics(smoothing=SHARP)
+    bed = build_bed(spheres, soil, grid, numerics, surfaces=CELL_SURFACES, follows=PLATEN)
+    return eqx.tree_at(lambda b: b.gravity, bed, jnp.asarray(GRAVITY, spheres.radius.dtype))
+
+
+@eqx.filter_jit
+def _rolled(bed: Bed, radius: jax.Array, steps: int) -> jax.Array:
+    """Places x (m) of the sphere after each of `steps` steps; it begins on the base, rolling."""
+    dtype = radius.dtype
+    zero = jnp.zeros(1, dtype)
+    state = start(bed, Vector(zero, zero, zero + radius), FAR, FAR)
+    moving = Vector(zero + ROLLING, zero, zero)
+    state = eqx.tree_at(lambda s: s.motion.velocity, state, moving)
+    pairs, contacts, _ = rebuild(
+        bed.grid, bed.spheres, state.boundaries, state.motion.position,
+        state.pairs, state.wall_contacts,
+    )  # fmt: skip
+    state = eqx.tree_at(lambda s: (s.pairs, s.wall_contacts), state, (pairs, contacts))
+    none = jnp.zeros((), dtype)
+    command = Command(jnp.zeros((3, len(state.boundaries)), dtype), none, none)
+
+    def advance(state, _):
+        state = advanced(bed, state, command)
+        return state, state.motion.position.x[0]
+
+    return jax.lax.scan(advance, state, None, length=steps)[1]

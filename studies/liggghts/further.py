@@ -1,6 +1,6 @@
 """How many further tests it takes to name what is hidden in another code's specimens.
 
-    python benchmarks/reality/further.py --given results/liggghts/sealed
+    python -m studies.liggghts.further --given results/liggghts/sealed
         --discrepancy results/liggghts/discrepancy.json --work results/liggghts/further
         [--others 3]                              some two minutes for each test that needs soil
 
@@ -22,23 +22,12 @@ results/withheld_liggghts.json.  `diagnosis.py` makes the page.
 import argparse
 import json
 import multiprocessing
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-
-sys.path.append(str(Path(__file__).parents[1]))
-import further_tests
-import open_cases
-import reporting
-from generate import specimen_run
-from support.reality.cases import SPECIMENS, Case, Hidden
-from support.reality.instrument import Instrument, lagged, seat_travel
-from support.reality.labfiles import measured
-from twins import case_of
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json
@@ -51,15 +40,21 @@ from calibrate.io.lab import Lab, load_lab
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.relaxation import RelaxationTest
+from studies import further_tests, open_cases, reporting
+from studies.liggghts.cases import SPECIMENS, Case, Hidden
+from studies.liggghts.generate import specimen_run
+from studies.liggghts.instrument import Instrument, lagged, seat_travel
+from studies.liggghts.labfiles import measured
+from studies.liggghts.visibility import case_of
 from studies.sealed.further import (
     HOLDING,
     AbstractFurtherLaboratory,
+    Asking,
     at_rest_after,
     read_in_time,
     variation_of,
 )
 from studies.sealed.labels import CONVERSIONS, normalised
-from studies.sealed.loop import Asking
 from studies.sealed.seal import open_seal
 
 RESULT, FURTHER = "withheld_liggghts", "further"
@@ -195,7 +190,7 @@ def chosen(labels: dict[str, dict], snr: dict[str, float], others: int) -> list[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--given", type=Path, required=True, help="the opened set")
     parser.add_argument("--discrepancy", type=Path, required=True, help="that judged it")
     parser.add_argument("--work", type=Path, required=True, help="answers and verdicts")

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from support.reality.instrument import Instrument
-from support.reality.physics import Physics
-from support.reality.soil import SIZE, Soil
+from studies.liggghts.instrument import Instrument
+from studies.liggghts.physics import Physics
+from studies.liggghts.soil import SIZE, Soil
 
 
 @dataclass(frozen=True)

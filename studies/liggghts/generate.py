@@ -1,7 +1,6 @@
 """Generate cases whose reality LIGGGHTS computes, with sealed labels.
 
-    python generate.py --work DIR --out OUT [--cases 67] [--seed N] [--jobs 1]
-                       [--nothing-hidden | --strong]
+    python -m studies.liggghts.generate --work DIR --out OUT --cases 67 --jobs 2
 
 Without --seed, a secret one is drawn into DIR/seed.  Finished specimens lie in DIR and are not
 repeated, nor are cases that OUT holds, so the command may be stopped and given again.  A case
@@ -12,18 +11,15 @@ OUT/labels.sha256.  Needs the `liggghts` program (Debian package of that name).
 import argparse
 import json
 import secrets
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
-from support.reality.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
-from support.reality.labfiles import Specimen, measured, write_case
-from support.reality.specimen import Run, run
-
+from studies.liggghts.cases import ATTEMPTS, SPECIMENS, THIRDS, Case, accepted, plan
+from studies.liggghts.labfiles import Specimen, measured, write_case
+from studies.liggghts.specimen import Run, run
 from studies.sealed.seal import open_seal, write_seal
 
 

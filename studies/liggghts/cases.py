@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from support.reality.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
-from support.reality.soil import Soil, draw_soil
+from studies.liggghts.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
+from studies.liggghts.soil import Soil, draw_soil
 
 SHARES = {"none": 0.24, "outside": 0.18, "two": 0.04}  # the rest: one effect of the library
 SPECIMENS = 3  # of each case; each gives both curves

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.sealed.laboratory import CURVE, TOML
-from studies.sealed.plan import USUAL
-from support.reality.instrument import (
+from studies.liggghts.instrument import (
     CONFINED_SPEED,
     UNCONFINED_SPEED,
     Instrument,
@@ -18,8 +16,10 @@ from support.reality.instrument import (
     approach,
     record,
 )
-from support.reality.soil import PRIOR, TENSILE_EXPONENT, Soil
-from support.reality.specimen import LOADING, Run
+from studies.liggghts.soil import PRIOR, TENSILE_EXPONENT, Soil
+from studies.liggghts.specimen import LOADING, Run
+from studies.sealed.laboratory import CURVE, TOML
+from studies.sealed.plan import USUAL
 
 ZERO = 0.5e-3  # m; the displacement's zero is anywhere within
 CONVENTIONS = 'conventions = "liggghts"\n'  # of friction and rolling, which every user knows

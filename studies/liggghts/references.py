@@ -1,8 +1,8 @@
 """What the diagnosis says of another code's specimens in which nothing is hidden.
 
-    python benchmarks/reality/generate.py --work results/liggghts/reference_runs
+    python -m studies.liggghts.generate --work results/liggghts/reference_runs
         --out results/liggghts/reference --cases 12 --nothing-hidden --seed 4711
-    python benchmarks/reality/references.py          half a minute for each case and way
+    python -m studies.liggghts.references          half a minute for each case and way
 
 Each case is judged as if its lab file did not say whose conventions the soil follows, as it is, and
 with a model discrepancy that was learned from the other cases.  Writes results/references.json, of
@@ -11,14 +11,9 @@ which `diagnosis.py` makes lines of its page; what is judged already is kept und
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-sys.path.append(str(Path(__file__).parents[1]))
-import open_cases
-import reporting
 
 from calibrate.core import runtime
 from calibrate.core.files import write_json
@@ -30,6 +25,7 @@ from calibrate.discrepancy.library.description import ModelDiscrepancy
 from calibrate.discrepancy.model_discrepancy import BaseFitResidual
 from calibrate.io.lab import Lab, load_lab
 from jdem.materials.conventions import DEFAULT
+from studies import open_cases, reporting
 
 FOLDER = Path("results/liggghts/reference")
 OWN_ROLLING = 0.1  # where a fit of the simulator's own conventions starts
@@ -78,7 +74,7 @@ def rows(labs: Sequence[Lab], folder: Path) -> Iterator[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--folder", type=Path, default=FOLDER, help="what generate.py wrote")
     folder = parser.parse_args().folder
     runtime.configure()

@@ -13,19 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.reality import instrument, labfiles, referee
-from support.reality.cases import plan
-from support.reality.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
-from support.reality.physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force
-from support.reality.soil import MEAN_DIAMETER, PLATEN, TYPES, Soil, draw_soil
-from support.reality.specimen import Run, run
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import load_lab
+from studies.liggghts import instrument, labfiles, referee
+from studies.liggghts.cases import plan
+from studies.liggghts.effects import BY_NAME, LIBRARY, OUTSIDE, Setup
+from studies.liggghts.physics import BASE_LAW, Physics, layer_factors, materials, trapped_air_force
+from studies.liggghts.soil import MEAN_DIAMETER, PLATEN, TYPES, Soil, draw_soil
+from studies.liggghts.specimen import Run, run
 from studies.sealed.labels import normalised
 from studies.sealed.seal import digest, open_seal, write_seal
 
-ARCHIVE = Path(__file__).parent / "data" / "liggghts" / "withheld_liggghts_cases.tar.xz"
+ARCHIVE = Path(referee.__file__).parents[1] / "results" / "withheld_liggghts.tar.xz"
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
 """Exported soils in the programs that they are exported for: one contact, ours and theirs.
 
-    python benchmarks/export_contact.py [--folder FOLDER]
+    python -m studies.liggghts.export_contact [--folder FOLDER]
 
 Needs the Debian packages `liggghts` and `yade`; takes a minute or two.  Writes
-benchmarks/results/export_contact.md, docs/images/export.png, and into
+studies/results/export_contact.md, docs/images/export.png, and into
 tests/data/export_contact the exported texts with the loops that the programs made of them,
 to which tests compare where the programs are absent.
 """
@@ -22,7 +22,6 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import reporting
 
 from calibrate.core.files import write_text
 from calibrate.exporters import liggghts, yade
@@ -34,11 +33,10 @@ from jdem.apparatus.pair import SpherePair, collide, drive_overlap
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.materials.soil import SoilParameters, particle_law
+from studies import reporting
+from studies.liggghts import two_spheres
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from support import two_spheres
-
-DATA = Path(__file__).parents[1] / "tests" / "data" / "export_contact"
+DATA = reporting.ROOT / "tests" / "data" / "export_contact"
 IMAGE = reporting.IMAGES / "export.png"
 PATH = (0.02, 0.004, 0.03, -0.01)  # turning points of the overlap, radii
 TWICE = (0.5, -0.01, 1.0, -0.01)  # turning points in YADE, matched overlaps

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from support.reality.soil import (
+from studies.liggghts.soil import (
     MEAN_DIAMETER,
     PLATEN,
     POISSON_RATIO,
