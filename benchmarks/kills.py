@@ -15,8 +15,8 @@ with the same result, and nothing is left over.
 
 By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
 part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
-The bank is the smallest there is, `withheld` has two cases that the bundled bank diagnoses after
-few draws; its seed, otherwise secret, is given, so that results can be compared.
+The bank is the smallest there is, the study of sealed cases (`withheld`) has two that the bundled
+bank diagnoses after few draws; its seed, otherwise secret, is given, so that results compare.
 
     python benchmarks/kills.py
     python benchmarks/kills.py --dem --verbs fit

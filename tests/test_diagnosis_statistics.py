@@ -11,7 +11,6 @@ from scipy import integrate, stats
 
 from calibrate.discrepancy.comparison.classes import (
     classes,
-    separable,
     separation,
 )
 from calibrate.discrepancy.comparison.compare import likeliest_verdict
@@ -298,7 +297,6 @@ def test_classes_join_what_is_alike_and_respect_signs():
     free = classes(("a", "b", "c"), c, np.array([True, True, False]), visible)
     assert free.alike() == [["a", "b", "c"]]
     assert separation(c, np.array([True, True, True]))[0, 2] == 1.0
-    assert separable(6.0, 0.8) and not separable(6.0, 0.9)
 
 
 def test_strengths_at_the_bound():

@@ -5,8 +5,6 @@ published optima are those of Kuhn's manual of R's desirability package (2016) f
 response equations of Myers and Montgomery's chemical process.
 """
 
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -138,23 +136,6 @@ def test_what_cannot_be_reached_has_no_desirability():
 def test_plotting_keeps_its_names():
     for name in ("simulation_figure", "fit_figure", "audit_figure", "contact_figure", "MARKS"):
         assert hasattr(plotting, name)
-
-
-def test_figures_are_written(tmp_path: Path):
-    design = designs.plackett_burman(FACTORS)
-    y = 50 + design.coded @ [4.0, -2.0, 0.1] + np.random.default_rng(1).normal(size=12)
-    doe.screening_figure(screen(design, y), tmp_path / "screening.png", "force (N)")
-    surface = exact_surface(CONVERSION)
-    rng = np.random.default_rng(2)
-    noisy = fit_surface(surface.X, surface.y + rng.normal(size=len(surface.y)), surface.terms)
-    doe.surface_figure(noisy, FACTORS, tmp_path / "surface.png", "conversion (%)", [(0, 2)])
-    doe.residual_figure(noisy, tmp_path / "residuals.png", "conversion (%)")
-    centred = fit_surface(noisy.X, noisy.y - noisy.y.mean(), noisy.terms)
-    doe.residual_figure(centred, tmp_path / "centred.png", "conversion (%)")
-    for name in ("screening", "surface", "residuals", "centred"):
-        image = plt.imread(tmp_path / f"{name}.png")
-        assert image.shape[0] > 400
-        assert len(np.unique(image[..., 0])) > 50
 
 
 def test_pareto_draws_every_effect_and_hatches_dummies():

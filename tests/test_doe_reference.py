@@ -194,7 +194,8 @@ def test_pure_error_finds_replicates_in_natural_units_too():
 
 def test_a_saturated_model_says_nothing_about_noise():
     X = designs.full_factorial((Factor("A", 0, 1), Factor("B", 0, 1))).coded
-    analysis = anova(fit_surface(X, np.array([1.0, 2.0, 4.0, 9.0]), terms.two_factor(2)))
+    both = terms.parse("A + B + A*B", ("A", "B"))
+    analysis = anova(fit_surface(X, np.array([1.0, 2.0, 4.0, 9.0]), both))
     assert analysis["Model"].df == 3
     assert analysis["Residual"].df == 0
     assert np.isnan([analysis["Model"].f, analysis["A"].p, analysis.press.value]).all()

@@ -176,7 +176,7 @@ def script(monkeypatch, tmp_path):
         monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(path.parent)
         monkeypatch.setattr(sys, "argv", [str(path), *arguments])
-        monkeypatch.setattr(cli, "_configure_jax", lambda: None)
+        monkeypatch.setattr(cli, "_configure", lambda: None)
         return runpy.run_path(str(path), run_name="__main__")
 
     yield call

@@ -224,11 +224,6 @@ def aliases(design: Design) -> tuple[Alias, ...]:
     return tuple(found) + _alike(interactions[:, clear], [names[j] for j in clear])
 
 
-def alias_table(design: Design) -> str:
-    """`aliases` as lines of text."""
-    return "\n".join(str(alias) for alias in aliases(design))
-
-
 def _alike(interactions: np.ndarray, names: list[str]) -> tuple[Alias, ...]:
     """Groups of interactions with the same column up to its sign, each group once."""
     if not names:

@@ -7,7 +7,7 @@ is no term.  A model is hierarchical if with each term it has all terms that div
 import itertools
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,11 +70,6 @@ def linear(factors: int) -> Terms:
     return of_order(factors, 1)
 
 
-def two_factor(factors: int) -> Terms:
-    """Main effects and two-factor interactions ("2FI")."""
-    return linear(factors) + tuple(t for t in of_order(factors, 2) if max(t.powers) == 1)
-
-
 def quadratic(factors: int) -> Terms:
     """The full second-order model."""
     return linear(factors) + of_order(factors, 2)
@@ -103,15 +98,6 @@ def _parse_one(text: str, names: Sequence[str]) -> Term:
             raise BadValue(f"the power {shown(power)}", "give a whole number from 1 to 9", "terms")
         powers[name] += int(power or 1)
     return Term(tuple(powers.values()))
-
-
-def with_parents(terms: Iterable[Term]) -> Terms:
-    """The smallest hierarchical model that has these terms, lowest order first."""
-    found: set[Term] = set()
-    for term in terms:
-        ranges = [range(power + 1) for power in term.powers]
-        found |= {Term(powers) for powers in itertools.product(*ranges) if any(powers)}
-    return tuple(sorted(found, key=lambda t: (t.order, max(t.powers), [-p for p in t.powers])))
 
 
 def removable(terms: Terms) -> Terms:

@@ -5,10 +5,8 @@ Each drawing function fills one axis; the `..._figure` functions lay them out an
 Factors are drawn in their natural units; `response` is the label of the response with its unit.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -17,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibrate.designs.comparison import Ending, SlopePair
-from calibrate.designs.diagnostics import BoxCox, Diagnostics, box_cox, diagnose, without_profile
+from calibrate.designs.diagnostics import BoxCox, Diagnostics
 from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Effect, Screening
 from calibrate.designs.surface import Surface
-from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, above, save
+from calibrate.figures.style import DARK, LIGHT, MAP, MIDDLE, above
 from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Target
 from calibrate.records.study import StudyRecord
@@ -34,14 +32,6 @@ APART = 10.0  # points between names of factors
 
 
 # ---------------------------------------------------------------- screening
-
-
-def screening_figure(found: Screening, path: Path, response: str) -> None:
-    """Pareto chart and half-normal plot of effects."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    pareto(left, found, response)
-    half_normal(right, found, response)
-    save(figure, path)
 
 
 def pareto(axis: Axes, found: Screening, response: str) -> None:
@@ -161,25 +151,6 @@ class View:
         return f"{self.response} at {values}" if values else self.response
 
 
-def surface_figure(
-    surface: Surface,
-    factors: Sequence[Factor],
-    path: Path,
-    response: str,
-    pairs: Sequence[tuple[int, int]] = (),
-    held: np.ndarray | None = None,
-    reach: float | None = None,
-) -> None:
-    """A contour plot over a 3D view for each of `pairs`, by default for all pairs of factors."""
-    pairs = pairs or list(itertools.combinations(range(len(factors)), 2))
-    figure = plt.figure(figsize=(4.9 * len(pairs) + 0.3, 8.8), layout="constrained")
-    for place, pair in enumerate(pairs):
-        view = View(surface, factors, response, pair, held, reach)
-        contour(figure.add_subplot(2, len(pairs), place + 1), view)
-        relief(figure.add_subplot(2, len(pairs), len(pairs) + place + 1, projection="3d"), view)
-    save(figure, path)
-
-
 def contour(axis: Axes, view: View) -> None:
     """Contours over two factors; dots are points of the design, the others at any level."""
     across, up, height = view.grid()
@@ -216,22 +187,6 @@ def _drawn(factor: Factor, coded: np.ndarray) -> np.ndarray:
 
 
 # ---------------------------------------------------------------- residuals
-
-
-def residual_figure(surface: Surface, path: Path, response: str) -> None:
-    """Normal plot, residuals against predictions, Cook's distances, Box-Cox profile."""
-    figure, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
-    found = diagnose(surface)
-    normal_plot(axes[0, 0], found)
-    residuals_against_predicted(axes[0, 1], found, response)
-    cooks_distances(axes[1, 0], found)
-    problem = without_profile(surface)
-    if problem:
-        axes[1, 1].set_axis_off()
-        axes[1, 1].text(0.5, 0.5, f"no Box-Cox profile:\n{problem}", ha="center")
-    else:
-        box_cox_profile(axes[1, 1], box_cox(surface))
-    save(figure, path)
 
 
 def normal_plot(axis: Axes, found: Diagnostics) -> None:

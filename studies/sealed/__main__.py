@@ -4,7 +4,6 @@ python -m studies.sealed --out results/withheld --make-only    seals cases; hour
 python -m studies.sealed --out results/withheld                judges them
 """
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -81,8 +80,7 @@ def sealed_command(
     run.judge(source, out, emulated, seed, progress, estimated)
     repeatable = (source / run.PLAN).exists()  # made by this simulator, which can make more
     result, _ = run.opened(source, out, emulated, seed, progress, fresh and repeatable, estimated)
-    command = shlex.join([*NAME.split(), *sys.argv[1:]])
-    result = {**made_by(), "command": command, "seed": seed, **result}
+    result = {**made_by(), "seed": seed, **result}
     report.write(out, result, json)
     report.show(result, Console())
     print(f"withheld.json, withheld.html and figures are in {out}")

@@ -67,8 +67,3 @@ def separation(confusability: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
     both = np.outer(one_sided, one_sided)
     cosine = np.where(both, np.maximum(confusability, 0.0), np.abs(confusability))
     return np.sqrt(np.maximum(1 - cosine**2, 0.0))
-
-
-def separable(snr: float, confusability: float) -> bool:
-    """Whether an effect of this signal-to-noise is told from another with 80 % power."""
-    return bool(snr * np.sqrt(max(1 - confusability**2, 0.0)) >= SEPARABLE)

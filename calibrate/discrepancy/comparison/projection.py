@@ -26,10 +26,6 @@ class Projected:
     effects: np.ndarray
     log_determinant: float
 
-    def with_residual(self, residual: np.ndarray) -> "Projected":
-        """The same design with another projected residual (m,)."""
-        return Projected(self.operator, residual, self.effects, self.log_determinant)
-
 
 def project(
     residual: np.ndarray,

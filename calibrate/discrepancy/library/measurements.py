@@ -37,7 +37,6 @@ from calibrate.labtests.measured import Target
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
 STRETCHED = (0.2, 5.0)  # of curves like the lab's, at least and at most
-TARGETS_ONLY_SD = 0.05  # of the mean, where a target's scatter is not given
 
 
 @dataclass(frozen=True, eq=False)
