@@ -21,7 +21,7 @@ from calibrate.io.lab import bundled_lab
 from calibrate.simulation import resolution, session
 
 REFERENCE = Path(__file__).parent / "data" / "eepa_single_contact"
-CASE = json.loads((REFERENCE / "cases.json").read_text())["c1_paper_opt"]
+CASE = json.loads((REFERENCE / "cases.json").read_text())["curves"]["c1_paper_opt"]
 VERBS = ("simulate", "fit", "contact", "audit", "doe")
 
 
@@ -61,7 +61,9 @@ def test_contact_draws_the_reference_curve(calibrate, tmp_path):
     assert (status, error) == (0, "")
     result = json.loads((tmp_path / "out.json").read_text())
     assert set(result) == {"overlap_m", "normal_force_n"}
-    reference = np.genfromtxt(REFERENCE / "c1_paper_opt.csv", delimiter=",", names=True)
+    every = np.genfromtxt(REFERENCE / "curves.csv", delimiter=",", names=True, dtype=None,
+                          encoding="utf-8")  # fmt: skip
+    reference = every[every["case"] == "c1_paper_opt"]
     scale = np.abs(reference["normal_force_N"]).max()
     overlap, force = (np.array([0.0, *result[key]]) for key in result)
     for leg in range(4):

@@ -33,6 +33,7 @@ from studies.liggghts import two_spheres
 
 TESTS = Path(__file__).parent
 DATA = TESTS / "data" / "export_contact"
+LOOPS = np.genfromtxt(DATA / "loops.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
 FIT = TESTS / "data" / "fit_result"
 CASES = {  # as in studies/liggghts/export_contact.py
     "linear": {},
@@ -368,7 +369,8 @@ def ours(found, overlap):
 
 
 def committed(name):
-    rows = np.genfromtxt(DATA / f"{name}.csv", delimiter=",", names=True)
+    rows = LOOPS[LOOPS["loop"] == name]
+    assert len(rows), name
     return rows["overlap_m"], rows["normal_force_n"]
 
 

@@ -64,6 +64,7 @@ from jdem.observables import Curve, ForceLeft, LargestDisplacement
 from jdem.packing import growth, settling
 from jdem.packing.specimen import Packing, Specimen
 from jdem.sensitivity.overdamped import Overdamped
+from studies import reporting
 
 KEPT = Path(__file__).parent / "data" / "physics.json"
 TOLERANCE = 1e-9  # of the largest number of its kind in a run
@@ -502,12 +503,10 @@ def test_results_name_the_physics():
     assert jdem.PHYSICS == physics.PHYSICS == made_by()["physics"]
 
 
-def test_results_from_before_the_versions_are_read(monkeypatch):
+def test_results_from_before_the_versions_are_read():
     made = {"command": "calibrate fit", "soil": "s", "preset": "quick", "versions": {}}
     assert record(Origin, {**made, "engine": "0123"}).physics == 0
     assert record(Origin, {**made, "physics": 3}).physics == 3
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
-    reporting = importlib.import_module("reporting")
     files = ({"physics": 3}, {"engine": reporting.FIRST}, {"engine": "0123"})
     assert [reporting.physics_of(one) for one in files] == ["3", "1", "before 1, engine 0123"]
 

@@ -17,8 +17,8 @@ from jdem.core.smooth import Smoothing
 from jdem.materials.soil import SoilParameters, particle_law
 
 DATA = Path(__file__).parent / "data" / "eepa_single_contact"
-CASES = json.loads((DATA / "cases.json").read_text())
-REBOUNDS = json.loads((DATA / "restitution.json").read_text())
+CASES, REBOUNDS = json.loads((DATA / "cases.json").read_text()).values()
+CURVES = np.genfromtxt(DATA / "curves.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
 POINTS_PER_LEG = 4000
 RADIUS, DENSITY, YOUNG, POISSON = 0.0025, 2650.0, 5e6, 0.3  # of all cases
 
@@ -47,7 +47,7 @@ def largest_errors(name, smoothing):
     law = pair_law(smoothing, **{key: case[key] for key in ("n", "x", "lam", "gam", "e")})
     overlaps = overlap_path(np.cumsum(case["path"]), POINTS_PER_LEG)
     forces = drive(law, SpherePair(case["R"]), overlaps)
-    curve = np.genfromtxt(DATA / f"{name}.csv", delimiter=",", names=True)
+    curve = CURVES[CURVES["case"] == name]
     scale = np.abs(curve["normal_force_N"]).max()
     legs = zip(np.split(np.asarray(overlaps), 4), np.split(np.asarray(forces), 4), strict=True)
     return [leg_error(curve[curve["leg"] == k], *leg) / scale for k, leg in enumerate(legs)]

@@ -1,4 +1,4 @@
-"""The paper's printed numbers as they stand in `tables/`: text, value and rounding.
+"""The paper's printed numbers as they stand in `tables.csv`: text, value and rounding.
 
 A number keeps its printed text, because the last digit says how far it is known: 3.36 stands
 for the interval 3.355 to 3.365.
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-FOLDER = Path(__file__).parent / "tables"
+FILE = Path(__file__).with_name("tables.csv")
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def printed(text: str) -> Range:
 
 @dataclass(frozen=True)
 class Table:
-    """One CSV file: `title` as the paper names it, rows by the text of their first column."""
+    """One table: `title` as the paper names it, rows by the text of their first column."""
 
     title: str
     columns: tuple[str, ...]
@@ -64,19 +64,19 @@ class Table:
 @cache
 def table(number: int) -> Table:
     """Table 1 to 10 of the paper."""
-    return _read(f"table_{number:02d}.csv", f"Table {number}")
+    return _read(f"table_{number:02d}", f"Table {number}")
 
 
 @cache
 def equation(response: str) -> dict[str, str]:
     """Printed coefficients of the "depth" or "force" equation by term; "1" is the intercept."""
-    rows = _read(f"equation_{response}.csv", f"{response} equation").rows
+    rows = _read(f"equation_{response}", f"{response} equation").rows
     return {term: row["coefficient"] for term, row in rows.items()}
 
 
 @cache
 def in_text(name: str) -> str:
-    """What the running text prints under a name of `tables/text.csv`."""
+    """What the running text prints under a name of the table `text`."""
     return _text().text(name, "printed")
 
 
@@ -88,11 +88,20 @@ def place(name: str) -> str:
 
 @cache
 def _text() -> Table:
-    return _read("text.csv", "text")
+    return _read("text", "text")
 
 
-def _read(file: str, title: str) -> Table:
-    with (FOLDER / file).open(newline="", encoding="utf-8") as opened:
-        reader = csv.DictReader(opened)
-        columns = tuple(reader.fieldnames or ())
-        return Table(title, columns, {row[columns[0]]: row for row in reader})
+@cache
+def _blocks() -> dict[str, list[str]]:
+    """The lines of every table by its name."""
+    found: dict[str, list[str]] = {}
+    for block in FILE.read_text(encoding="utf-8").split("\n\n"):
+        name, *lines = block.strip().split("\n")
+        found[name.removeprefix("# ")] = lines
+    return found
+
+
+def _read(name: str, title: str) -> Table:
+    reader = csv.DictReader(_blocks()[name])
+    columns = tuple(reader.fieldnames or ())
+    return Table(title, columns, {row[columns[0]]: row for row in reader})

@@ -120,7 +120,7 @@ def _loop(name: str, changes: dict[str, float], folder: Path):
     path = [share * radius for share in PATH]
     overlap, force = two_spheres.liggghts_loop(section, radius, path, folder / name)
     write_text(DATA / f"{name}.liggghts", section)
-    _keep(DATA / f"liggghts_{name}.csv", overlap, force)
+    _keep(f"liggghts_{name}", overlap, force)
     ours = eqx.filter_jit(drive_overlap)(law_of(found), _pair(found), jnp.asarray(overlap))
     return overlap, force, np.asarray(ours)
 
@@ -143,12 +143,18 @@ def _yade_loop(found: Found, radii: tuple[float, float], folder: Path, turns=TWI
 
 def _keep_yade(found: Found, loop) -> None:
     write_text(DATA / "linear_yade.txt", yade.text(found))
-    _keep(DATA / "yade_linear.csv", *loop[:2])
+    _keep("yade_linear", *loop[:2])
 
 
-def _keep(path: Path, overlap: np.ndarray, force: np.ndarray) -> None:
-    rows = "".join(f"{d:.9e},{f:.9e}\n" for d, f in zip(overlap, force, strict=True))
-    write_text(path, "overlap_m,normal_force_n\n" + rows)
+def _keep(name: str, overlap: np.ndarray, force: np.ndarray) -> None:
+    """Puts a loop into the file of all loops, in place of an earlier one of its name."""
+    path = DATA / "loops.csv"
+    heading, *others = path.read_text(encoding="utf-8").rstrip().split("\n")
+    rows = [f"{name},{d:.9e},{f:.9e}" for d, f in zip(overlap, force, strict=True)]
+    kept = [row for row in others if not row.startswith(f"{name},")]
+    write_text(
+        path, "\n".join([heading, *sorted([*kept, *rows], key=lambda r: r.split(",")[0])]) + "\n"
+    )
 
 
 def _errors(overlap, force, ours) -> list[float]:
