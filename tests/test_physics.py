@@ -64,7 +64,6 @@ from jdem.observables import Curve, ForceLeft, LargestDisplacement
 from jdem.packing import growth, settling
 from jdem.packing.specimen import Packing, Specimen
 from jdem.sensitivity.overdamped import Overdamped
-from studies import reporting
 
 KEPT = Path(__file__).parent / "data" / "physics.json"
 TOLERANCE = 1e-9  # of the largest number of its kind in a run
@@ -504,6 +503,8 @@ def test_results_name_the_physics():
 
 
 def test_results_from_before_the_versions_are_read():
+    from studies import reporting  # not there where this file runs as a script
+
     made = {"command": "calibrate fit", "soil": "s", "preset": "quick", "versions": {}}
     assert record(Origin, {**made, "engine": "0123"}).physics == 0
     assert record(Origin, {**made, "physics": 3}).physics == 3
