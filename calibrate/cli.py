@@ -57,7 +57,8 @@ def run(program: typer.Typer, name: str, arguments: Sequence[str]) -> None:
     from calibrate.core import runtime
 
     _spare_collections()
-    _configure()
+    if not HELP & set(arguments):
+        _configure()
     typed = runtime.COMMAND.set(shlex.join([*name.split(), *arguments]))
     try:
         status = program(list(arguments), standalone_mode=False)
@@ -77,6 +78,7 @@ def run(program: typer.Typer, name: str, arguments: Sequence[str]) -> None:
         _leave(1, STOPPED)
 
 
+HELP = {"--help", "--version"}  # what computes nothing
 STOPPED = "stopped; the same command goes on from here"
 INTERRUPTED = 130  # what Typer makes of Ctrl-C
 

@@ -5,8 +5,6 @@ import sys
 from contextvars import ContextVar
 from pathlib import Path
 
-import jax
-
 COMMAND: ContextVar[str] = ContextVar("command", default="")  # the command line, where there is one
 
 
@@ -20,6 +18,8 @@ def configure() -> None:
 
     Compiled programs are kept in `differentiable-soil` in the user's cache folder.
     """
+    import jax  # a second, which what only asks for help does without
+
     cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "differentiable-soil"))
