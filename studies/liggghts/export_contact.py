@@ -9,6 +9,7 @@ to which tests compare where the programs are absent.
 """
 
 import argparse
+import re
 import sys
 import tempfile
 from dataclasses import replace
@@ -119,7 +120,7 @@ def _loop(name: str, changes: dict[str, float], folder: Path):
     radius = found.diameter / 2
     path = [share * radius for share in PATH]
     overlap, force = two_spheres.liggghts_loop(section, radius, path, folder / name)
-    write_text(DATA / f"{name}.liggghts", section)
+    _keep_section(name, section)
     _keep(f"liggghts_{name}", overlap, force)
     ours = eqx.filter_jit(drive_overlap)(law_of(found), _pair(found), jnp.asarray(overlap))
     return overlap, force, np.asarray(ours)
@@ -144,6 +145,14 @@ def _yade_loop(found: Found, radii: tuple[float, float], folder: Path, turns=TWI
 def _keep_yade(found: Found, loop) -> None:
     write_text(DATA / "linear_yade.txt", yade.text(found))
     _keep("yade_linear", *loop[:2])
+
+
+def _keep_section(name: str, section: str) -> None:
+    """Puts an exported text into the file of all, in place of an earlier one of its name."""
+    path, mark = DATA / "sections.liggghts", r"^==> (\w+) <==\n"
+    parts = re.split(mark, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    known = dict(zip(parts[1::2], parts[2::2], strict=True)) | {name: section}
+    write_text(path, "".join(f"==> {each} <==\n{text}" for each, text in sorted(known.items())))
 
 
 def _keep(name: str, overlap: np.ndarray, force: np.ndarray) -> None:
