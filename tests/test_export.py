@@ -20,6 +20,7 @@ import pytest
 
 from calibrate.core.errors import InputError
 from calibrate.exporters import edem, liggghts, parameters_json, yade
+from calibrate.exporters.composite import EXPORTERS
 from calibrate.exporters.notes import PRESSURE, overlap_under
 from calibrate.exporters.source import RESULT, find
 from calibrate.io.lab import bundled_lab
@@ -149,7 +150,7 @@ def test_options_that_cannot_be(calibrate, options, words):
 # ------------------------------------------------------------------ what is written
 
 
-@pytest.mark.parametrize("to", ["liggghts", "edem", "yade", "json"])
+@pytest.mark.parametrize("to", EXPORTERS)
 def test_every_export_says_size_uncertainty_and_scale_up(calibrate, tmp_path, to):
     status, out, error = calibrate("export", FIT, "--to", to, "--diameter", "4 mm", "--out", "x")
     assert (status, error) == (0, "")
@@ -180,10 +181,9 @@ MISSED = {  # case 08: 82.9 N for 180 N
     }
 }
 SAID = "the fit did not meet crushing_force_n: 82.9 for 180 measured, 4.9 standard deviations off"
-PROGRAMS = ["liggghts", "edem", "yade", "json"]
 
 
-@pytest.mark.parametrize("to", PROGRAMS)
+@pytest.mark.parametrize("to", EXPORTERS)
 def test_the_export_of_a_fit_that_missed_needs_force_and_says_so(calibrate, tmp_path, to):
     result_with(tmp_path, MISSED, warnings=[SAID, "shear_modulus ended at its bound"])
     options = ("--to", to, "--diameter", "4 mm", "--out", "x")
@@ -200,7 +200,7 @@ def test_the_export_of_a_fit_that_missed_needs_force_and_says_so(calibrate, tmp_
     assert any("the fit did not meet" in line for line in head)
 
 
-@pytest.mark.parametrize("to", PROGRAMS)
+@pytest.mark.parametrize("to", EXPORTERS)
 @pytest.mark.parametrize(
     "sentence",
     [
@@ -312,7 +312,7 @@ def everything_below(folder):
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
 
 
-@pytest.mark.parametrize("to", ["liggghts", "edem", "yade", "json"])
+@pytest.mark.parametrize("to", EXPORTERS)
 def test_names_in_files_choose_no_path(calibrate, tmp_path, to):
     """Soil and preset are named like paths and commands; only the folder that was asked for is
     written to."""

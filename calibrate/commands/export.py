@@ -15,7 +15,9 @@ def export_command(
     source: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of a fit, or a lab file (its start).")
     ],
-    to: Annotated[str, typer.Option("--to", help="Program or format: liggghts, ... (docs/export.md).")],
+    to: Annotated[
+        str, typer.Option("--to", help="Program or format: liggghts, ... (docs/export.md).")
+    ],
     diameter: Annotated[
         str | None,
         typer.Option("--diameter", help='Of your particles: "4 mm"; default: as calibrated.'),
