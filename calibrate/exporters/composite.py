@@ -4,7 +4,7 @@ An exporter is one module: `NAME` of the program as a user gives it, `FILE` that
 default, and `text(found) -> str`.  A new one is one file and one line here.
 """
 
-from calibrate.exporters import edem, liggghts, parameters_json, yade
+from calibrate.exporters import edem, liggghts, parameters_json, table, yade
 
-EXPORTERS = {each.NAME: each for each in (liggghts, edem, yade, parameters_json)}
+EXPORTERS = {each.NAME: each for each in (liggghts, edem, yade, table, parameters_json)}
 NAMES = ", ".join(EXPORTERS)
