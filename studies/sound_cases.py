@@ -3,9 +3,10 @@
     python -m studies.sound_cases --make          a minute of a core a specimen; goes on
     python -m studies.sound_cases                 a minute and a half of a core a case; goes on
 
-Fresh cases of four specimens of 1100 spheres hide nothing; beds and soils are of no other set.  Of
-each a copy is judged of which records begin at a preload, drawn between 0 and 10 N for each case:
-rows before the first that reaches it are left out.  One to four of its specimens are kept, in turn.
+Fresh soils of four specimens of 1100 spheres hide nothing; beds and soils are of no other set.  All
+four specimens of a soil, three of them, or both of two parts are judged as cases of their own.
+Records of a case begin at a preload, drawn between 0 and 10 N: rows before the first that reaches
+it are left out.
 Where fresh cases are fewer than `CASES`, sound ones of opened sets fill up, told apart: their
 answers taught the probability calibration.  Cases with one effect above six times the noise are
 judged again as they are, in an order of chance.  Writes results/sound_cases.json.
@@ -49,13 +50,14 @@ SETS = {open_cases.SET: "open_cases", "withheld_own": "withheld_own",
 FRESH, FILLED, STRONG = "fresh", "opened, nothing hidden", "opened, one effect above 6"
 
 
-def cut(case: Path, out: Path, preload: float, specimens: int) -> Path:
-    """A case's copy, whose records begin at a preload (N), of its first specimens."""
+def cut(case: Path, out: Path, preload: float, specimens: range) -> Path:
+    """A case's copy, whose records begin at a preload (N), of some of its specimens (from 1)."""
     text = (case / "lab.toml").read_text(encoding="utf-8")
     head, *curves = text.split("[[curves]]")
-    densities = re.findall(r'"[^"]*"', re.findall(r"density = \[(.*)\]", head)[0])[:specimens]
+    densities = re.findall(r'"[^"]*"', re.findall(r"density = \[(.*)\]", head)[0])
+    densities = [densities[number - 1] for number in specimens]
     head = re.sub(r"density = \[.*\]", f"density = [{', '.join(densities)}]", head)
-    kept = [c for c in curves if int(re.findall(r"_(\d+)\.csv", c)[0]) <= specimens]
+    kept = [c for c in curves if int(re.findall(r"_(\d+)\.csv", c)[0]) in specimens]
     write_text(out / "lab.toml", "[[curves]]".join([head, *kept]))
     for curve in kept:
         name = re.findall(r'file = "([^"]*)"', curve)[0]
@@ -85,17 +87,24 @@ def _begin(found: Measurements) -> dict[str, float]:
     return {test: round(force, 2) for test, force in found.begun.items()}
 
 
-def sound() -> Iterator[tuple[str, Path, float, int]]:
+# Which specimens (from 1) of twelve soils become fifteen cases; and again.
+FOUR, THREE = (range(1, 5),), (range(1, 4),)
+AND_ONE, IN_TWO = (range(1, 4), range(4, 5)), (range(1, 3), range(3, 5))
+PARTS = (FOUR, THREE, FOUR, AND_ONE, FOUR, THREE, THREE, IN_TWO, THREE, FOUR, FOUR, AND_ONE)
+
+
+def sound() -> Iterator[tuple[str, Path, float, range]]:
     """Sound cases to be cut: set, folder, preload (N) and specimens, fresh ones first."""
     fresh = sorted(path.parent for path in (WORK / "cases").glob("*/lab.toml"))
     known = json.loads(reporting.file_of("open_cases").read_text(encoding="utf-8"))["cases"]
     none = [c for c in known if c["stratum"] == NONE and c["set"] in SETS]
     random.Random(SEED).shuffle(none)
     filled = [reporting.CACHE / SETS[c["set"]] / "cases" / c["case"] for c in none]
-    rows = [*((FRESH, f) for f in fresh), *((FILLED, f) for f in filled)][:CASES]
-    for number, (kind, folder) in enumerate(rows):
-        drawn = np.random.default_rng([SEED, *folder.name.encode()])
-        yield kind, folder, round(float(drawn.uniform(0, HIGHEST)), 2), SPECIMENS - number % 4
+    parts = [(FRESH, f, r) for n, f in enumerate(fresh) for r in PARTS[n % len(PARTS)]]
+    parts += [(FILLED, f, r) for n, f in enumerate(filled) for r in PARTS[n % len(PARTS)]]
+    for kind, folder, specimens in parts[:CASES]:
+        drawn = np.random.default_rng([SEED, *folder.name.encode(), specimens.start])
+        yield kind, folder, round(float(drawn.uniform(0, HIGHEST)), 2), specimens
 
 
 def strong() -> list[tuple[dict, Path]]:
@@ -111,12 +120,14 @@ def judge(only: str, most: int) -> None:
     kept = WORK / "said"
     kept.mkdir(parents=True, exist_ok=True)
     if only != "strong":
-        ordered = sorted(sound(), key=lambda row: row[-1] < FEWEST)  # what tells most first
-        for kind, case, preload, count in ordered[:most]:
-            path = kept / f"sound_{case.name}.json"
+        ordered = sorted(sound(), key=lambda row: len(row[-1]) < FEWEST)  # what tells most first
+        for kind, case, preload, specimens in ordered[:most]:
+            name = f"{case.name}_{specimens.start}"
+            path = kept / f"sound_{name}.json"
             if not path.exists():
-                lab = load_lab(cut(case, WORK / "cut" / case.name, preload, count))
-                row = {"set": kind, "case": case.name, "preload": preload, "specimens": count}
+                lab = load_lab(cut(case, WORK / "cut" / name, preload, specimens))
+                count = len(specimens)
+                row = {"set": kind, "case": name, "preload": preload, "specimens": count}
                 write_json(path, {**row, **said(lab)})
                 print(path.name, flush=True)
     if only != "sound":
