@@ -38,7 +38,7 @@ from calibrate.discrepancy.library.measurements import Measurements
 from calibrate.io.lab import Lab, load_lab
 from studies import open_cases, reporting
 from studies.sealed import run
-from studies.sealed.plan import SPECIMENS, Beds
+from studies.sealed.plan import Beds
 from studies.sealed.scores import share
 
 SEED, CASES = 5757, 60
