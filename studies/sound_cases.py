@@ -8,7 +8,8 @@ four specimens of a soil, three of them, or both of two parts are judged as case
 Records of a case begin at a preload, drawn between 0 and 10 N: rows before the first that reaches
 it are left out.
 Where fresh cases are fewer than `CASES`, sound ones of opened sets fill up, told apart: their
-answers taught the probability calibration.  Cases with one effect above six times the noise are
+answers taught the probability calibration.  results/sound_cases.tar.xz holds the 48 soils that have
+been made.  Cases with one effect above six times the noise are
 judged again as they are, in an order of chance.  Writes results/sound_cases.json.
 """
 
@@ -169,7 +170,7 @@ def main() -> None:
     parser.add_argument("--made", action="store_true", help="write what is judged, judge nothing")
     chosen = parser.parse_args()
     runtime.configure()
-    open_cases.unpack()
+    open_cases.unpack((*open_cases.ARCHIVES, "sound_cases.tar.xz"))
     if chosen.make:
         run.generate(WORK, open_cases.emulated(), {NONE: CASES}, SEED, for_terminal(), beds=BEDS,
                      with_changes=False)  # fmt: skip
