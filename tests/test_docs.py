@@ -263,6 +263,14 @@ def test_the_page_of_the_lab_file_has_every_entry():
     assert units["diameter"].unit == "m" and units["force_low"].unit == "N"
 
 
+def test_the_page_of_parameters_has_the_catalogue():
+    import lab_file_page
+
+    page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+    rows, known = lab_file_page.catalogue_rows(), page.splitlines()
+    assert len(rows) > 12 and not [row for row in rows if row not in known]
+
+
 def test_meanings_on_the_page_of_the_lab_file_are_of_entries_that_exist():
     import lab_file_page
 

@@ -12,10 +12,13 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from calibrate.core.units import Kind, Range
+from calibrate.inference.calibration import CANDIDATES
 from calibrate.inference.parameters import RANGES
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS
 from calibrate.io.tables import LabTables
 from calibrate.labtests.composite import TYPES
+from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.soil import SoilParameters
 
 HEAD = """# Lab file
 
@@ -290,6 +293,21 @@ def _parameters() -> str:
         accepted = PARAMETER_RANGES[name][1].removeprefix("give ")
         lines.append(f"| `{name}` | {unit or '1'} | {accepted} | {span} | {width} |")
     return "\n".join([*lines, ""])
+
+
+def catalogue_rows() -> list[str]:
+    """The table of docs/parameters.md, which a test compares with it: every parameter of a soil."""
+    start, rows = SoilParameters(), []
+    for name, entry in CATALOGUE.items():
+        found = entry.search
+        bounds = f"{found.low:g} to {found.high:g}" if found else ""
+        width = f"{found.prior_sd:g}" if found else ""
+        fitted = "yes" if name in CANDIDATES else "if named" if found else "no"
+        value, called = f"{float(getattr(start, name)):.5g}", entry.names
+        edem = called.get("EDEM", "").rpartition(" / ")[2]
+        cells = (f"`{name}`", entry.label, entry.unit or "1", value, bounds, width, fitted, edem)
+        rows.append("| " + " | ".join((*cells, called.get("LIGGGHTS", ""))) + " |")
+    return rows
 
 
 if __name__ == "__main__":
