@@ -1,8 +1,9 @@
-"""Draws docs/images/overview.png, the way from a soil specimen to parameters of a DEM code.
+"""Draws the sketches of the pages.
 
     python docs/site/overview.py
 
-Curves are sketches: nothing in this picture is a result.
+docs/images/overview.png is the way from a soil specimen to parameters of a DEM code; its curves are
+no results.  docs/images/eepa.png is one contact, by the law itself, with its points named.
 """
 
 from pathlib import Path
@@ -10,10 +11,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 from PIL import Image
 
-TARGET = Path(__file__).parents[1] / "images" / "overview.png"
+from calibrate.simulation.single_contact import Spheres, drive
+
+IMAGES = Path(__file__).parents[1] / "images"
+TARGET = IMAGES / "overview.png"
 INK, SOIL, STEEL, LIGHT = "#1b1b1b", "#c9b18c", "#8a8f96", "#f3f0ea"
 MEASURED = {"color": INK, "lw": 2.2}
 SIMULATED = {"color": "#b4551f", "lw": 2.0, "ls": (0, (4, 2))}
@@ -193,9 +198,41 @@ def main() -> None:
     ax.text(0.12, 6.72, "In your laboratory", fontsize=USUAL, va="top", style="italic")
     first_row(ax)
     second_row(ax)
-    figure.savefig(TARGET)
-    with Image.open(TARGET) as drawn:
-        drawn.convert("RGB").quantize(64).save(TARGET, optimize=True)
+    saved(figure, TARGET)
+    contact_loop()
+
+
+def saved(figure: Figure, path: Path) -> None:
+    """Written with few colours, which keeps the file small."""
+    figure.savefig(path)
+    with Image.open(path) as drawn:
+        drawn.convert("RGB").quantize(64).save(path, optimize=True)
+
+
+def contact_loop() -> None:
+    """One contact of the bundled soil's start: loading, unloading past the largest tension, reloading
+    from the adhesive branch, with the points that docs/theory.md names."""
+    pair = Spheres(radius=2e-3, young=18.2e6, poisson=0.3)
+    found = drive(pair, {"surface_energy": 857.9}, [1e-4, 2.5e-5, 8e-5], smooth=False)
+    way, force = 1e6 * np.array(found["overlap_m"]), np.array(found["normal_force_n"])
+    alone = drive(pair, {"surface_energy": 857.9}, [1e-4, 0.0], smooth=False)
+    whole, tension = 1e6 * np.array(alone["overlap_m"]), np.array(alone["normal_force_n"])
+    figure, ax = plt.subplots(figsize=(6.4, 3.9), dpi=150, layout="constrained")
+    ax.plot(whole, tension, color="0.6", lw=1.2, ls="--")
+    ax.plot(way, force, color=INK, lw=1.8)
+    ax.axhline(0, color="0.6", lw=0.8)
+    low = int(np.argmin(way[500:]) + 500)
+    after = np.flatnonzero(np.isclose(force[low:], 2e4 * 1e-6 * way[low:], rtol=1e-3)) + low
+    places = {
+        "O": (0.0, 0.0, -7, 0.12), "A": (100.0, 2.0, 1.5, 0.02), "B": (70.0, 0.0, 2.0, -0.22),
+        "C": (whole[np.argmin(tension)], tension.min(), 1.5, -0.18),
+        "D": (way[low], force[low], -5.5, -0.12), "E": (way[after[0]], force[after[0]], -5.0, 0.08),
+    }  # fmt: skip
+    for name, (x, y, right, up) in places.items():
+        ax.plot([x], [y], "o", color=SIMULATED["color"], ms=5, zorder=5)
+        ax.text(x + right, y + up, name, fontsize=LARGE, weight="bold", color=SIMULATED["color"])
+    ax.set(xlabel="overlap (µm)", ylabel="normal force (N)", xlim=(-9, 110), ylim=(-1.9, 2.3))
+    saved(figure, IMAGES / "eepa.png")
 
 
 if __name__ == "__main__":
