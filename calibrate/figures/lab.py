@@ -4,6 +4,7 @@ Colours differ in lightness as well as hue, so figures survive greyscale.
 """
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -37,14 +38,21 @@ def preview_figure(export: Export) -> Figure:
     for place, specimen in enumerate(shown):
         axis = figure.add_subplot(grid[place // columns, place % columns])
         _specimen(axis, specimen)
-        if place == 0:
-            axis.legend(fontsize=7, frameon=False)
+    _legend(figure.axes)
     if export.strengths is not None:
         _strengths(figure.add_subplot(grid[0, 0]), export.strengths)
     below = figure.add_subplot(grid[rows, :])
     below.set_axis_off()
     below.text(0, 1, "\n".join(lines), fontsize=8, va="top", family=_fonts())
     return figure
+
+
+def _legend(axes: Sequence[Axes]) -> None:
+    """In the first panel, what is marked in any of them."""
+    found = [axis.get_legend_handles_labels() for axis in axes]
+    named = {label: handle for pair in found for handle, label in zip(*pair, strict=True)}
+    if named:
+        axes[0].legend(list(named.values()), list(named), fontsize=7, frameon=False)
 
 
 def _fonts() -> list[str]:

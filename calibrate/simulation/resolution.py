@@ -2,9 +2,9 @@
 
 | preset | spheres | across a specimen of height 2 D | use |
 |---|---|---|---|
-| quick | 150 | 4.6 | trying, tests |
+| quick | 150 | 4.7 | trying, tests |
 | standard | 2000 | 10.6 | results |
-| fine | 10000 | 18.3 | checks of resolution |
+| fine | 10000 | 17.9 | checks of resolution |
 
 What a run costs stands in benchmarks/results/presets.md.
 """
