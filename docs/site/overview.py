@@ -210,8 +210,8 @@ def saved(figure: Figure, path: Path) -> None:
 
 
 def contact_loop() -> None:
-    """One contact of the bundled soil's start: loading, unloading past the largest tension, reloading
-    from the adhesive branch, with the points that docs/theory.md names."""
+    """One contact of the bundled soil's start: loading, unloading past the largest tension,
+    reloading from the adhesive branch, with the points that docs/theory.md names."""
     pair = Spheres(radius=2e-3, young=18.2e6, poisson=0.3)
     found = drive(pair, {"surface_energy": 857.9}, [1e-4, 2.5e-5, 8e-5], smooth=False)
     way, force = 1e6 * np.array(found["overlap_m"]), np.array(found["normal_force_n"])
