@@ -75,7 +75,7 @@ class FitResult(AbstractDrawnResult):
 
     @property
     def met(self) -> bool:
-        """Whether the fit met everything that was measured."""
+        """Whether the packings of the fit meet what was measured; fresh ones are not asked."""
         return self.content["met"]
 
     @property
