@@ -358,7 +358,7 @@ def as_lines(content: dict) -> str:
 # ------------------------------------------------------------------ numbers
 
 
-SLOW_ONES = {"slopes"}
+SLOW_ONES = {"beds", "slopes"}
 every_maker = pytest.mark.parametrize(
     "what",
     [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW_ONES)) for name in MAKERS],
@@ -395,6 +395,7 @@ def laws_of_the_package() -> list[type]:
     ]
 
 
+@pytest.mark.slow
 def test_round_off_does_not_grow_in_the_tests():
     """All spheres are moved by 1e-15 of their place; every number stays within 1e-10."""
     moved, runs = laboratory().tests(1e-15) | laboratory().effects(1e-15), kept("PHYSICS")
