@@ -7,10 +7,10 @@ Fresh soils of four specimens of 1100 spheres hide nothing; beds and soils are o
 four specimens of a soil, three of them, or both of two parts are judged as cases of their own.
 Records of a case begin at a preload, drawn between 0 and 10 N: rows before the first that reaches
 it are left out.
-Where fresh cases are fewer than `CASES`, sound ones of opened sets fill up, told apart: their
-answers taught the probability calibration.  results/sound_cases.tar.xz holds the 48 soils that have
-been made.  Cases with one effect above six times the noise are
-judged again as they are, in an order of chance.  Writes results/sound_cases.json.
+results/sound_cases.tar.xz holds the 48 soils that have been made, enough for `CASES`; with fewer,
+sound ones of opened sets fill up, told apart, as their answers taught the probability
+calibration.  Cases with one effect above six times the noise are judged again as they are, in an
+order of chance.  Writes results/sound_cases.json.
 """
 
 import argparse

@@ -192,6 +192,11 @@ WRONG = {
     "free": lambda out: calibrate.fit(free=["density"], out=out),
     "strategies": lambda out: calibrate.audit(strategies=["hope"], out=out),
     "path_um": lambda out: calibrate.contact([9000], out=out),
+    "seed": lambda out: calibrate.fit(seed=-1, out=out),
+    "packings": lambda out: calibrate.audit(packings=1, out=out),
+    "spheres": lambda out: calibrate.audit(spheres=30.5, out=out),
+    "simulate": lambda out: calibrate.diagnose(bundled_lab(), simulate=-3, out=out),
+    "batch": lambda out: calibrate.doe(batch=1, out=out),
     "to": lambda out: calibrate.export(bundled_lab(), to="abaqus", out=out / "x"),
     "force_unit": lambda out: calibrate.convert("x.csv", force_unit="mm", out=out),
     "exports": lambda out: calibrate.convert(out=out),
@@ -204,6 +209,13 @@ def test_a_wrong_argument_is_called_by_its_name(argument, tmp_path):
         WRONG[argument](tmp_path)
     assert caught.value.field == argument and caught.value.file == "arguments"
     assert "--" not in str(caught.value)
+
+
+def test_names_may_stand_in_one_text(tmp_path):
+    with pytest.raises(calibrate.InputError, match="'density' cannot be fitted"):
+        calibrate.fit(free="shear_modulus, density", out=tmp_path)
+    with pytest.raises(calibrate.InputError, match="no list of numbers"):
+        calibrate.contact("a,b", out=tmp_path)
 
 
 def test_what_would_be_rounded_to_single_precision_is_refused():

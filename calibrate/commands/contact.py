@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from calibrate.commands.options import Changes, Json, Out, answer, parse_changes
-from calibrate.core.errors import COMMAND_LINE, InputError
 
 
 def register(app: typer.Typer) -> None:
@@ -32,16 +31,7 @@ def contact_command(
     from calibrate.verbs.contact import contact
 
     answer(
-        json, "contact.json and contact.png", contact, parse_path(path_um),
+        json, "contact.json and contact.png", contact, path_um.split(","),
         values=parse_changes(changes), radius_mm=radius_mm, young_mpa=young_mpa, poisson=poisson,
         smooth=smooth, out=out,
     )  # fmt: skip
-
-
-def parse_path(path_um: str) -> list[float]:
-    """`--path-um` as numbers."""
-    try:
-        return [float(point) for point in path_um.split(",")]
-    except ValueError:
-        problem = f"'{path_um}' is no list of numbers"
-        raise InputError(COMMAND_LINE, "--path-um", problem, "write 20,2,32,-28") from None

@@ -17,7 +17,6 @@ from calibrate.commands.options import (
     Seed,
     answer,
     parse_changes,
-    parse_names,
 )
 
 
@@ -43,9 +42,8 @@ def fit_command(
     """Calibrate the parameters that the data can fix; say which those are."""
     from calibrate.verbs.fit import fit
 
-    names = None if free is None else parse_names(free)
     answer(
-        json, "result.json, history.csv and fit.png", fit, lab, free=names,
+        json, "result.json, history.csv and fit.png", fit, lab, free=free,
         values=parse_changes(changes), preset=preset, seed=seed,
         prepare_with_soil=prepare_with_soil, conventions=conventions, out=out, dask=dask,
     )  # fmt: skip

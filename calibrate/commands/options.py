@@ -68,11 +68,6 @@ def parse_changes(changes: Sequence[str] | None) -> dict[str, str]:
     return values
 
 
-def parse_names(names: str) -> tuple[str, ...]:
-    """Names separated by commas."""
-    return tuple(name.strip() for name in names.split(",") if name.strip())
-
-
 def answer(
     json: Path | None, files: str, verb: Callable[..., "AbstractResult"], /, *arguments: Any,
     **options: Any,

@@ -93,7 +93,7 @@ def export_figure(values: Mapping[str, float], intervals: Mapping[str, tuple]) -
         axis.plot([low, high], [row, row], color=DARK, lw=2)
         axis.plot(1, row, "o", color=DARK, mfc=DARK if name in intervals else "white")
     axis.set_yticks(range(len(names)), [pretty(name) for name in reversed(names)], fontsize=8)
-    axis.set_xlabel("value over the exported one; bars: 95 % interval; hollow: not fitted")
+    axis.set_xlabel("over the exported value\nbars: 95 % interval; hollow: not fitted")
     return figure
 
 

@@ -21,7 +21,7 @@ from calibrate.records.audit import AuditRecord
 from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,7 +105,7 @@ def _judgement(rows: list[dict]) -> str:
 
 @verb
 def audit(
-    lab: LabLike = None, *, strategies: Sequence[str] = ("fit",),
+    lab: LabLike = None, *, strategies: str | Sequence[str] = ("fit",),
     values: Mapping[str, float | str] | None = None, spheres: int = 300, packings: int = 8,
     preset: str = "quick", seed: int = 0, out: str | Path = "results/audit",
     dask: str | None = None, batch: int | None = None,
@@ -134,7 +134,7 @@ def audit(
         >>> found = calibrate.audit(strategies=["fit", "regression"])
         >>> found.plot()
     """
-    folder, names = Path(out), checked_strategies(strategies)
+    folder, names = Path(out), checked_strategies(listed(strategies))
     session = Session.open(lab, preset, folder, dask, batch=batch).resized(spheres)
     changes = parameter_values(values, session.lab.particles.conventions)
     base = with_values(base_soil(session.lab), changes)

@@ -4,16 +4,17 @@ import abc
 import functools
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
 from rich.console import Console, RenderableType
 from rich.text import Text
 
 from calibrate.core import runtime
-from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import as_json, write_text
 from calibrate.figures import Figure
 from calibrate.io.conventions import check_values
@@ -21,6 +22,14 @@ from calibrate.io.labfile import check_parameter
 
 P = ParamSpec("P")
 R = TypeVar("R")
+# Whole numbers and what they may be, as on the command line; None: no end.
+LIMITS = {
+    "seed": (0, 10_000_000),
+    "spheres": (30, None),
+    "packings": (2, None),
+    "simulate": (0, 400),
+    "batch": (2, None),
+}
 RENAMED = {"set": "values", "strategy": "strategies"}  # options that are called otherwise here
 WIDTH = 110  # characters of a line in a notebook
 
@@ -59,9 +68,9 @@ class AbstractResult(abc.ABC):
 
     def __repr__(self) -> str:
         console = Console(file=io.StringIO(), width=WIDTH, color_system=None)
-        with console.capture() as shown:
+        with console.capture() as text:
             console.print(self)
-        return shown.get().rstrip("\n")
+        return text.get().rstrip("\n")
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>"
@@ -87,28 +96,47 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         runtime.configure()
         try:
+            _check_limits(kwargs)
             return function(*args, **kwargs)
         except InputError as error:
             if runtime.COMMAND.get():
                 raise
-            raise _of_arguments(error) from None
+            raise _in_arguments(error) from None
 
     return called
+
+
+def _check_limits(options: Mapping[str, Any]) -> None:
+    """Refuses numbers outside `LIMITS`."""
+    for name, (low, high) in LIMITS.items():
+        value = options.get(name)
+        if value is None:
+            continue
+        if not isinstance(value, int | np.integer) or value < low or (high and value > high):
+            ends = f"from {low} on" if high is None else f"from {low} to {high}"
+            problem = f"{shown(value, 20)} is no whole number {ends}"
+            raise InputError(COMMAND_LINE, f"--{name}", problem, f"give one {ends}")
+
+
+def listed(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Names, given one by one or in one text with commas."""
+    given = names.split(",") if isinstance(names, str) else names
+    return tuple(name.strip() for name in given if name.strip())
 
 
 OPTION = re.compile(r"--([a-z][a-z-]*)")  # of the command line
 
 
-def _of_arguments(error: InputError) -> InputError:
+def _in_arguments(error: InputError) -> InputError:
     """The same refusal in the words of a Python program."""
     file, field = error.file, error.field
     if file == COMMAND_LINE:
-        name, _, rest = _words(field).partition(" ")
+        name, _, rest = _as_arguments(field).partition(" ")
         file, field = "arguments", f"{RENAMED.get(name, name)}.{rest}".rstrip(".")
-    return InputError(file, field, _words(error.problem), _words(error.repair))
+    return InputError(file, field, _as_arguments(error.problem), _as_arguments(error.repair))
 
 
-def _words(text: str) -> str:
+def _as_arguments(text: str) -> str:
     """Options as arguments."""
     return OPTION.sub(lambda found: found[1].replace("-", "_"), text)
 

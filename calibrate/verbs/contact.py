@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from calibrate import figures
-from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json
 from calibrate.figures import Figure
 from calibrate.simulation import single_contact
@@ -49,7 +49,7 @@ class ContactResult(AbstractDrawnResult):
 
 @verb
 def contact(
-    path_um: Sequence[float], *, values: Mapping[str, float | str] | None = None,
+    path_um: Sequence[float | str], *, values: Mapping[str, float | str] | None = None,
     radius_mm: float = 2.5, young_mpa: float = 5.0, poisson: float = 0.3, smooth: bool = False,
     out: str | Path = "results/contact",
 ) -> ContactResult:  # fmt: skip
@@ -75,7 +75,7 @@ def contact(
         >>> loop = calibrate.contact([20, 2, 32, -28], values={"surface_energy": 20.0})
         >>> loop.normal_force_n.max()
     """
-    points = [1e-6 * float(point) for point in path_um]
+    points = _metres(path_um)
     pair = single_contact.Spheres(*_checked(radius_mm, young_mpa, poisson))
     _check_path(points, pair.radius)
     folder = Path(out)
@@ -87,12 +87,21 @@ def contact(
     return result
 
 
-def _check_path(points: list[float], radius: float) -> None:
-    """Refuses what is no list of overlaps (m), and overlaps of spheres that would have gone through
-    each other."""
+def _metres(path_um: Sequence[float | str]) -> list[float]:
+    """Turning points in m, refused where one is no number."""
+    try:
+        points = [1e-6 * float(point) for point in path_um]
+    except (TypeError, ValueError):
+        points = []
     if not points or not all(map(math.isfinite, points)):
-        problem = "the turning points are no list of numbers"
+        said = ",".join(map(str, path_um))
+        problem = f"{shown(said)} is no list of numbers"
         raise InputError(COMMAND_LINE, "--path-um", problem, "write 20,2,32,-28")
+    return points
+
+
+def _check_path(points: list[float], radius: float) -> None:
+    """Refuses overlaps (m) of spheres that would have gone through each other."""
     deepest = max(points)
     if deepest >= radius:
         problem = f"an overlap of {1e6 * deepest:.6g} um is not below the radius"

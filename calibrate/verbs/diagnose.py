@@ -90,7 +90,7 @@ class DiagnosisResult(AbstractDrawnResult):
 
 @verb
 def diagnose(
-    lab: LabLike, *, further: Sequence[str | Path] = (), simulate: int = 0,
+    lab: LabLike, *, further: str | Path | Sequence[str | Path] = (), simulate: int = 0,
     library: str | Path | None = None, discrepancy: str | Path | None = None, seed: int = 0,
     out: str | Path = "results/diagnose", batch: int | None = None,
 ) -> DiagnosisResult:  # fmt: skip
@@ -129,7 +129,7 @@ def diagnose(
 
 
 def found_by_library(
-    session: Session, further: Sequence[str | Path], simulate: int,
+    session: Session, further: str | Path | Sequence[str | Path], simulate: int,
     library: str | Path | None, discrepancy: str | Path | None, seed: int,
 ) -> tuple[Diagnosis, dict[str, str | int]]:  # fmt: skip
     """The diagnosis of a session's lab, and which library answered."""
@@ -142,7 +142,8 @@ def found_by_library(
     if simulate:
         plan = InfillPlan(simulate, session.out / RUNS, for_terminal(), session.place)
         emulated = with_infill_runs(session.lab, emulated, seed, plan, estimated, say)
-    labs = [load_lab(path) for path in further]
+    paths = [further] if isinstance(further, str | Path) else further
+    labs = [load_lab(path) for path in paths]
     found = diagnosed(session.lab, emulated, seed, discrepancy=estimated, say=say, further=labs)
     return found, library_used(source.name, simulated, emulated.library, seed)
 

@@ -26,7 +26,7 @@ from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound, doubts
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,7 +149,7 @@ VERDICTS = {
 
 @verb
 def fit(
-    lab: LabLike = None, *, free: Sequence[str] | None = None,
+    lab: LabLike = None, *, free: str | Sequence[str] | None = None,
     values: Mapping[str, float | str] | None = None, preset: str = "quick", seed: int = 0,
     prepare_with_soil: bool = False, conventions: str | None = None,
     out: str | Path = "results/fit", dask: str | None = None,
@@ -188,7 +188,7 @@ def fit(
     session = Session.open(lab, preset, folder, dask, conventions)
     followed = session.lab.particles.conventions
     changes = parameter_values(values, followed)
-    names = None if free is None else checked_free(free)
+    names = None if free is None else checked_free(listed(free))
     check_free(followed, names or (), COMMAND_LINE, "--free ")
     preparation = changes if prepare_with_soil else None
     work, spheres = session.campaign(folder, preparation), session.preset.explored

@@ -65,7 +65,7 @@ class NextTestResult(AbstractDrawnResult):
 
 @verb
 def next_test(
-    lab: LabLike, *, further: Sequence[str | Path] = (), simulate: int = 0,
+    lab: LabLike, *, further: str | Path | Sequence[str | Path] = (), simulate: int = 0,
     library: str | Path | None = None, discrepancy: str | Path | None = None, seed: int = 0,
     out: str | Path = "results/next",
 ) -> NextTestResult:  # fmt: skip
