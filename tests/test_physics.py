@@ -10,6 +10,7 @@ processor finds the same to twelve digits, while a change of 1e-6 in a constant 
 It keeps what has not changed, adds what is new, and refuses numbers that changed under a version.
 """
 
+import argparse
 import importlib
 import inspect
 import json
@@ -572,4 +573,6 @@ def test_a_class_of_one_s_own_counts_with_the_text_of_its_file(tmp_path, monkeyp
 
 
 if __name__ == "__main__":
+    plain = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args()
     write()
