@@ -7,7 +7,7 @@
 Each is repeated with fresh accidents until `--refused` of them have been refused: exit status
 2 and one line on standard error.  Accidents that leave a usable file (exit status 0) are counted
 beside them; anything else, a traceback above all, is kept in results/benchmarks/fuzz and fails
-(`support.malformed`).
+(`tests.support.malformed`).
 The program runs in this process without simulating; `--processes` cases of each kind run again
 as real processes.
 
@@ -26,8 +26,7 @@ from pathlib import Path
 
 import reporting
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from support.malformed import KINDS, Case, command_for, fuzzed, laid_out, verdict
+from tests.support.malformed import KINDS, Case, command_for, fuzzed, laid_out, verdict
 
 STRANGE = reporting.CACHE / "fuzz"  # files that were neither read nor refused
 

@@ -8,13 +8,14 @@ amount of processor time and given again, until it ends; then once more in a fre
     unrepeated  none of them was written anew (same file, same time)
 
 and whenever a command got through, its result must equal that of the first run, but for
-counts of simulations and times (`support.pieces`).
+counts of simulations and times (`tests.support.pieces`).
 
 A round of pairs gives every command that writes twice at once, in one folder: both end with 0,
 with the same result, and nothing is left over.
 
-By default simulations are formulas (tests/formulas.py) of 20 ms, so that kills fall into every
-part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and doe.
+By default simulations are formulas (tests/support/formulas.py) of 20 ms, so that kills fall into
+every part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and
+doe.
 The bank is the smallest there is, the study of sealed cases (`withheld`) has two that the bundled
 bank diagnoses after few draws; its seed, otherwise secret, is given, so that results compare.
 
@@ -39,8 +40,10 @@ from pathlib import Path
 import psutil
 import reporting
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from support.pieces import (
+from calibrate.discrepancy import diagnosis as diagnosed
+from calibrate.reports import study
+from studies.sealed import report as withheld_report
+from tests.support.pieces import (
     PAIRED,
     VERBS,
     Tally,
@@ -52,10 +55,6 @@ from support.pieces import (
     result_of,
     written,
 )
-
-from calibrate.discrepancy import diagnosis as diagnosed
-from calibrate.reports import study
-from studies.sealed import report as withheld_report
 
 FOLDER = reporting.CACHE / "kills"
 LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all of the above

@@ -10,9 +10,6 @@ it by growing through the snap; a derivative that is held back does not.
 Writes benchmarks/results/snap.md.
 """
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,9 +21,7 @@ from jdem.engine.loop import AbstractDerivative, run, start
 from jdem.engine.segment import cell_segment, stack
 from jdem.engine.state import TangentDrag
 from jdem.sensitivity.overdamped import Overdamped, OverdampedMotion
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from hand_made_beds import FAR, RADIUS, Smoothing, bed_of, soil_of, spheres_of
+from tests.support.hand_made_beds import FAR, RADIUS, Smoothing, bed_of, soil_of, spheres_of
 
 TRAVEL, SPEED, STEPS = 4e-3, 0.05, 10  # m, m/s
 STEP = 0.2  # in ln of the surface energy

@@ -65,7 +65,8 @@ def _page(folder: Path) -> str:
 def index() -> str:
     """All folders with what each is, in one line."""
     rows = [f"| [{dotted(f)}]({dotted(f)}.md) | {first_line(f)} |" for f in folders()]
-    head = "# Modules\n\nImports run downward only: see `ORDER` in tests/test_architecture.py.\n"
+    rules = "tests/project/test_architecture.py"
+    head = f"# Modules\n\nImports run downward only: see `ORDER` in {rules}.\n"
     return "\n".join([head, "| folder | holds |", "| --- | --- |", *rows, ""])
 
 

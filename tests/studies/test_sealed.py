@@ -11,11 +11,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-import formulas
 import numpy as np
 import pytest
-import toy_library
-from toy_library import SEAT, label, specimens, there_and_back, verdict
 
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
@@ -38,6 +35,8 @@ from studies.sealed.plan import (
     relative_error,
 )
 from studies.sealed.seal import HASHES, LABELS, canary, digest, open_seal, write_seal
+from tests.support import formulas, toy_library
+from tests.support.toy_library import SEAT, label, specimens, there_and_back, verdict
 
 FEATURES = Cylinder(0.05, 0.1, 200.0, 400.0).features()
 

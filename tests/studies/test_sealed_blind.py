@@ -13,10 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import diagnosis_world as generator
 import numpy as np
 import pytest
-from test_architecture import Module, read_modules
 
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
@@ -27,6 +25,9 @@ from calibrate.discrepancy.library.design import CENTRE
 from studies.sealed import baselines, trial
 from studies.sealed.laboratory import SpecimenRecords, write_case
 from studies.sealed.seal import open_seal, write_seal
+from tests import ROOT
+from tests.project.test_architecture import Module, read_modules
+from tests.support import diagnosis_world as generator
 
 ROOTS = ("studies.sealed.trial", "calibrate.discrepancy.diagnosis")
 KNOWING = (
@@ -38,7 +39,7 @@ KNOWING = (
     "scores",
     "canary",
 )  # of studies.sealed
-MODULES = read_modules(Path(__file__).parents[2])
+MODULES = read_modules(ROOT)
 
 
 # ---------------------------------------------------------------- imports

@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from rich.console import Console
-from toy_library import CLASSES, SEAT, label, specimens, verdict
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.probability_calibration import NONE
@@ -34,6 +33,7 @@ from studies.sealed.scores import (
 )
 from studies.sealed.words import found as found_words
 from studies.sealed.words import percent
+from tests.support.toy_library import CLASSES, SEAT, label, specimens, verdict
 
 # ---------------------------------------------------------------- scores
 

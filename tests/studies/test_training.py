@@ -6,7 +6,6 @@ Where the answer is known: evidence that is wrong by a stated factor, a world of
 
 from dataclasses import replace
 
-import diagnosis_world as generator
 import numpy as np
 import pytest
 
@@ -24,6 +23,7 @@ from calibrate.discrepancy.comparison.probability_calibration import (
 from calibrate.discrepancy.comparison.repeats import from_vectors
 from studies.sealed import baselines, training
 from studies.sealed.training import fit_calibration, threshold
+from tests.support import diagnosis_world as generator
 
 
 def summary(singles_, unknown=0.0, p_before=0.5) -> EvidenceSummary:

@@ -1,6 +1,6 @@
 """Opens HTML files in a real browser: what the console says, what is requested, what is too wide.
 
-    python tests/support/browser.py PAGE.html ... [--shots FOLDER]
+    python -m tests.support.browser PAGE.html ... [--shots FOLDER]
 
 Each page is loaded in headless Chromium at 1280 and at 390 pixels width, with every <details>
 open.  A page passes if the console stays silent, nothing but the file itself is requested, no

@@ -1,6 +1,6 @@
 """Malformed files through the program: is there ever a traceback?
 
-Files that had accidents (`support.accidents`) are given to a command in this process, without
+Files that had accidents (`tests.support.accidents`) are given to a command in this process, without
 simulating: refused is exit status 2 and one line on standard error, still usable is status 0,
 anything else is strange.
 """
@@ -20,9 +20,10 @@ from calibrate import cli
 from calibrate import figures as preview
 from calibrate.io.lab import bundled_lab
 from calibrate.simulation import Campaign
-from support.accidents import spoiled_bytes, spoiled_curve, spoiled_lab
+from tests import DATA
+from tests.support.accidents import spoiled_bytes, spoiled_curve, spoiled_lab
 
-EXPORTS = Path(__file__).parents[1] / "data" / "machine_exports"
+EXPORTS = DATA / "machine_exports"
 CURVES = """
 [[curves]]
 test = "confined"

@@ -27,6 +27,7 @@ from jdem.core.vector import Vector
 from jdem.packing.specimen import Packing
 from studies.sealed import __main__ as sealed
 from studies.sealed import plan, run, trial
+from tests import DATA
 
 TINY = Preset("quick", 48, 0.1, 0.2, 2)
 STUDY = "withheld"  # no verb: `python -m studies.sealed`, which resumes and writes as verbs do
@@ -56,7 +57,6 @@ VERBS = {
     "bank": Verb(("bank", "--packings", "8", "--spheres", "60"), "bank.nc", out="bank.nc"),
     STUDY: Verb((STUDY,), "withheld.json", takes_lab=False),
 }
-DATA = Path(__file__).parents[1] / "data"
 _LAB = str(DATA / "silt_loam" / "lab.toml")
 PAIRED = {  # verbs that write, too, and lose nothing that another kill would not
     "simulate": Verb(("simulate",), "result.json"),
@@ -162,7 +162,7 @@ class FormulaPlace(AbstractPlace):
         pass
 
     def simulate(self, lab, specimen, packing, soil):
-        from formulas import specimen as formula
+        from tests.support.formulas import specimen as formula
 
         time.sleep(0.02)
         return formula(soil, round(float(packing.height)) - 1)

@@ -1,12 +1,12 @@
 """The settled beds that ship with the package: those of bundled soils that a first command needs.
 
-    python tests/support/shipped_beds.py            makes all of them (three minutes)
-    python tests/support/shipped_beds.py --rekey    gives those that are there their present names
+    python -m tests.support.shipped_beds            makes all of them (three minutes)
+    python -m tests.support.shipped_beds --rekey    gives those that are there their present names
 
 Which beds: all that `simulate` and `fit` take with seed 0 at the preset quick; beds of the finer
 presets grow in seconds.  A bed's name is the hash of all that it depends on, of
 `jdem.physics.PREPARATION` too.  Once that is raised none of them is found, beds settle as any
-other's do, and tests/test_beds.py asks for one of these commands.
+other's do, and tests/calibrate/simulation/test_beds.py asks for one of these commands.
 
 The rule: `--rekey` is for a change of names that alters no number (a specimen that says more of
 itself, another way to make the hash).  It settles one bed of each soil anew and renames the

@@ -1,0 +1,264 @@
+"""Abuse: files from anywhere, parameters from the edge of what is allowed, disks that refuse.
+
+Whatever is brought in: one line and exit status 2, or a result; never a traceback, never a
+file outside the output folder, and a failed simulation names what failed.
+"""
+
+import ast
+import errno
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from calibrate.core.errors import InputError
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.labfile import PARAMETER_RANGES
+from calibrate.io.soil import with_values
+from calibrate.simulation import session
+from calibrate.simulation.resolution import specimen, virtual_lab
+from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
+from jdem.core.smooth import Smoothing
+from jdem.materials.soil import SoilParameters, particle_law
+from tests import ROOT
+from tests.calibrate.inference.test_fit import BASE, TINY, tiny_campaign, tiny_lab
+from tests.support import malformed
+from tests.support.toy_place import Toy
+
+# ------------------------------------------------------------------ laws
+
+RADIUS, MOST, POINTS = 2.5e-3, 3e-5, 60
+WIDEST = {  # from the smallest to the largest value that anybody may mean
+    "restitution": (1e-3, 0.999),
+    "static_friction": (0.0, 10.0),
+    "rolling_friction": (0.0, 10.0),
+    "surface_energy": (0.0, 1e6),
+    "plasticity_ratio": (1e-6, 1 - 1e-6),
+    "tensile_exponent": (0.5, 5.0),
+    "tangential_multiplier": (1e-3, 10.0),
+    "shear_modulus": (1e3, 1e11),
+    "pull_off_force": (-10.0, 0.0),
+}
+accepted_soils = st.fixed_dictionaries(
+    {name: st.floats(low, high) for name, (low, high) in WIDEST.items()}
+)
+# To a femtometre: overlaps far below an atom's size underflow in squares and mean nothing.
+turning_points = st.lists(
+    st.floats(-MOST, MOST).map(lambda overlap: round(overlap, 15)), min_size=4, max_size=4
+)
+
+
+@eqx.filter_jit
+def forces_along(soil, turns):
+    overlaps = overlap_path(turns, POINTS)
+    law = particle_law(soil, 2 * RADIUS, Smoothing())
+    return overlaps, drive_overlap(law, SpherePair(RADIUS), overlaps)
+
+
+@eqx.filter_jit
+def slopes_along(soil, turns):
+    return eqx.filter_jacfwd(lambda s: forces_along(s, turns)[1])(soil)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(values=accepted_soils, turns=turning_points)
+@example(values={name: low for name, (low, _) in WIDEST.items()}, turns=[MOST, 0.0, MOST, -MOST])
+@example(values={name: high for name, (_, high) in WIDEST.items()}, turns=[MOST, 0.0, MOST, -MOST])
+def test_every_accepted_soil_gives_finite_forces_and_slopes(exponent, values, turns):
+    """On any path; without overlap no force; never more than virgin loading pushes."""
+    assert all(PARAMETER_RANGES[name][0](value) for name, value in values.items())
+    soil = SoilParameters(**values, reference_diameter=2 * RADIUS, slope_exponent=exponent)
+    overlaps, force = forces_along(soil, jnp.asarray(turns))
+    assert np.isfinite(force).all()
+    assert (np.asarray(force)[np.asarray(overlaps) < 0] == 0).all()
+    slopes = jax.tree.leaves(slopes_along(soil, jnp.asarray(turns)))
+    assert all(np.isfinite(slope).all() for slope in slopes)
+
+
+# ------------------------------------------------------------------ readers
+
+
+@pytest.mark.parametrize("kind", malformed.KINDS)
+def test_accidents_to_files_are_refused_in_one_line(kind, tmp_path):
+    counts, _ = malformed.fuzzed(kind, 25, seed=100, strange=tmp_path)
+    assert counts["refused"] == 25
+    assert not counts["strange"], next(tmp_path.glob("*.txt")).read_text()
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)))
+@example(content=b"\xef\xbb\xbf")
+@example(content=b'[soil]\nname = "x"\n' * 2)
+@example(content=b"a = " + b"[" * 5000)
+def test_no_content_of_a_lab_file_or_curve_is_too_strange(tmp_path, content):
+    """Any bytes at all."""
+    (tmp_path / "lab.toml").write_bytes(content)
+    with pytest.raises(InputError):
+        load_lab(tmp_path / "lab.toml")
+    (tmp_path / "lab.toml").write_bytes(malformed.GOOD["lab.toml"])
+    (tmp_path / "confined.csv").write_bytes(content)
+    (tmp_path / "unconfined.csv").write_bytes(malformed.GOOD["unconfined.csv"])
+    with pytest.raises(InputError):
+        load_lab(tmp_path / "lab.toml")
+
+
+# ------------------------------------------------------------------ the command line
+
+
+@pytest.fixture
+def simulated(calibrate, monkeypatch, tmp_path):
+    """Runs a command line in tmp_path/here on formulas; exit status and standard error."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(session, "HERE", Toy(tmp_path / "here" / "notes"))
+    return lambda *arguments: calibrate(*arguments)[::2]
+
+
+EVIL = [
+    "../../evil",
+    "{elsewhere}/evil",
+    "..\\\\evil",
+    "a\\u0000b",
+    "x" * 900,
+    "<script>",
+    "$(touch evil)",
+]
+
+
+@pytest.mark.parametrize("name", EVIL)
+def test_names_in_a_lab_file_write_nothing_outside_the_output_folder(simulated, tmp_path, name):
+    """Of the soil, of its source, and of a set of parameters."""
+    name = name.format(elsewhere=tmp_path)
+    text = bundled_lab().read_text(encoding="utf-8")
+    text = text.replace("wheat after rice, Lishui, Jiangsu", name)
+    text = text.replace("named_sets.paper_optimum", f'named_sets."{name}"')
+    Path("lab.toml").write_text(text, encoding="utf-8")
+    status, _ = simulated("simulate", "lab.toml", "--out", "out", "--json", "j/result.json")
+    assert status == 0
+    written = {path.relative_to(tmp_path).parts[:2] for path in tmp_path.rglob("*")}
+    allowed = {"lab.toml", "notes", "out", "j"}
+    assert written == {("here",), *(("here", inside) for inside in allowed)}
+    assert json.loads(Path("j/result.json").read_text())["observables"]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EIO])
+def test_a_disk_that_refuses_a_result_is_one_line(simulated, monkeypatch, code):
+    def refuse(*_, **__):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    status, error = simulated("simulate", "--out", "out")
+    last = error.splitlines()[-1]
+    assert status == 1 and "Traceback" not in error
+    assert os.strerror(code) in last and "goes on from here" in last
+    assert not list(Path("out").rglob("*.part"))
+
+
+# ------------------------------------------------------------------ simulations that go wrong
+
+
+@pytest.mark.slow
+def test_a_contact_list_that_is_too_small_is_named(tmp_path):
+    """Even the larger ones of the second attempt hold only a tenth of the contacts."""
+    lab, cylinder = tiny_lab(), specimen(tiny_lab(), TINY)
+    small = replace(virtual_lab(lab, TINY).numerics, pairs_per_sphere=0.2)
+    work = tiny_campaign(tmp_path)
+    work.lab, work.specimen = virtual_lab(lab, TINY, small), cylinder
+    run = work.runs([BASE], [0], "small lists")[0][0]
+    assert "a contact list was too small: pairs: have" in run.failure
+    assert run.quality["overflow"] == 1.0
+
+
+@pytest.mark.slow
+def test_a_time_step_that_is_too_large_is_named(tmp_path):
+    """At three times the usual one every number is finite, and wrong."""
+    work = tiny_campaign(tmp_path)
+    work.lab = virtual_lab(tiny_lab(), TINY, replace(work.lab.numerics, safety=0.9))
+    run = work.runs([BASE], [0], "large steps")[0][0]
+    assert "the time step is too large" in run.failure
+    assert np.isfinite(list(run.observables.values())).all()
+
+
+@pytest.mark.slow
+def test_a_parameter_that_is_no_number_is_named(tmp_path):
+    work = tiny_campaign(tmp_path)
+    soil = eqx.tree_at(lambda s: s.surface_energy, BASE, jnp.asarray(np.nan))
+    healthy = with_values(BASE, {"surface_energy": 12.0})
+    (bad,), (good,) = work.runs([soil, healthy], [0], "one of two")
+    assert "surface_energy of the soil is not finite" in bad.failure
+    assert good.failure == ""
+
+
+def test_a_packing_that_is_no_numbers_is_named(tmp_path):
+    work = tiny_campaign(tmp_path)
+    packing = work.packings([0])[0]
+    broken = eqx.tree_at(lambda p: p.position.x, packing, packing.position.x.at[3].set(jnp.nan))
+    work._store.keep_packing(work._packing_name(0), broken)
+    run = work.runs([BASE], [0], "broken bed")[0][0]
+    assert "the packing holds numbers that are not finite" in run.failure
+
+
+# ------------------------------------------------------------------ nothing that users bring is run
+
+FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "runpy"}
+FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
+FORBIDDEN_METHODS = {"system", "popen", "read_pickle", "to_pickle", "eval", "extractall"}
+FORBIDDEN_OPTIONS = {"allow_pickle", "shell"}
+
+
+def offences(source: str) -> Iterator[str]:
+    """What in a file could run code, or read pickles, that users bring."""
+    for node in ast.walk(ast.parse(source)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        yield from (name for name in names if name.split(".")[0] in FORBIDDEN_MODULES)
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
+            yield node.func.id
+        if isinstance(node.func, ast.Attribute) and node.func.attr in FORBIDDEN_METHODS:
+            yield node.func.attr
+        for keyword in node.keywords:
+            off = isinstance(keyword.value, ast.Constant) and keyword.value.value is False
+            if keyword.arg in FORBIDDEN_OPTIONS and not off:
+                yield keyword.arg
+
+
+def test_nothing_that_users_bring_is_unpickled_or_evaluated():
+    files = [path for name in ("jdem", "calibrate") for path in (ROOT / name).rglob("*.py")]
+    found = [(path, list(offences(path.read_text(encoding="utf-8")))) for path in files]
+    assert len(found) > 80
+    assert [entry for entry in found if entry[1]] == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle",
+        "from dill import load",
+        "eval('1')",
+        "os.system('x')",
+        "np.load(f, allow_pickle=True)",
+        "subprocess.run(c, shell=yes)",
+        "pd.eval(x)",
+        "__import__(name)",
+    ],
+)
+def test_the_rule_catches(source):
+    assert len(list(offences(source))) == 1
+
+
+def test_the_rule_lets_pass():
+    assert not list(offences("np.load(f, allow_pickle=False)\njax.eval_shape(f)\nre.compile(x)"))

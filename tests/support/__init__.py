@@ -1,1 +1,0 @@
-"""What tests share with benchmarks, which import it from here."""
