@@ -1,65 +1,26 @@
-"""What all benchmarks share: what every measuring script does, and where their results are kept."""
+"""What scripts that measure speed share: provenance, tables, and where their results are kept."""
 
 from pathlib import Path
 
 from studies.reporting import (
     CACHE,
-    IMAGES,
     configure,
     footer,
     keep_content,
     keep_page,
     kept_entry,
-    no_options,
-    physics_of,
     provenance,
     table,
 )
 
-__all__ = [
-    "CACHE",
-    "IMAGES",
-    "configure",
-    "earlier",
-    "file_of",
-    "footer",
-    "no_options",
-    "physics_of",
-    "provenance",
-    "table",
-    "write",
-    "write_content",
-    "write_page",
-]
+__all__ = ["CACHE", "configure", "earlier", "footer", "provenance", "table", "write", "write_page"]
 RESULTS = Path(__file__).parent / "results"  # what is committed
-SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
-OWN = (
-    "convergence",
-    "kills",
-    "pairs",
-    "recovery",
-    "sizes",
-    "verification",
-)  # only their script goes on
-OF_NOTEBOOKS = Path(__file__).parents[1] / "notebooks" / "data"
-
-
-def file_of(name: str) -> Path:
-    """Where a result's JSON is kept."""
-    if name in OWN:
-        return CACHE / f"{name}.json"
-    return (OF_NOTEBOOKS if name in SHOWN else RESULTS) / f"{name}.json"
 
 
 def write(name: str, content: dict, markdown: str) -> None:
-    """The result's JSON and benchmarks/results/<name>.md; says where they are."""
-    write_content(name, content)
+    """The result's JSON in CACHE and benchmarks/results/<name>.md; says where they are."""
+    keep_content(CACHE / f"{name}.json", content)
     write_page(name, markdown)
-
-
-def write_content(name: str, content: dict) -> None:
-    """The result's JSON alone, for a page that shows several."""
-    keep_content(file_of(name), content)
 
 
 def write_page(name: str, markdown: str) -> None:
@@ -69,4 +30,4 @@ def write_page(name: str, markdown: str) -> None:
 
 def earlier(name: str, key: str) -> dict:
     """Entry `key` of results written before with the same physics, or an empty dict."""
-    return kept_entry(file_of(name), key)
+    return kept_entry(CACHE / f"{name}.json", key)

@@ -48,7 +48,7 @@ MOULD_RADIUS = 0.025  # m, as in benchmarks/peers
 DENSITY = 1830.0  # kg/m3 of the spheres, as in benchmarks/peers
 TIME_STEP = 1.5e-5  # s, as in benchmarks/peers
 
-# As in benchmarks/peers/in.common.edinburgh: k2/k1 = 1.667 is a plasticity ratio of 0.4.
+# As in benchmarks/peers/in.common: k2/k1 = 1.667 is a plasticity ratio of 0.4.
 SOIL = SoilParameters(
     restitution=0.5,
     static_friction=0.6,

@@ -1,6 +1,7 @@
 """What scripts share that measure something: JAX's settings, provenance, JSON and Markdown files.
 
-Results of studies lie in studies/results, those of benchmarks where benchmarks/reporting.py says.
+Results of studies lie in studies/results.  Scripts in `verification` and in benchmarks have files
+like this one that say where theirs are.
 """
 
 import argparse
@@ -23,6 +24,7 @@ CACHE = Path("results/benchmarks")  # campaigns: packings and runs
 RESULTS = Path(__file__).parent / "results"  # what is committed
 IMAGES = ROOT / "docs" / "images"  # of pages
 FIRST = "cd59c67cb0da6576"  # engine in files that have the numbers of physics 1
+MODULES = ("studies", "verification")  # folders whose files run as `python -m`
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -118,8 +120,9 @@ def footer(origin: dict) -> str:
     """One line of provenance for a Markdown file."""
     machine, versions = origin["machine"], origin["versions"]
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
+    day = f" on {origin['date']}" if "date" in origin else ""
     return (
-        f"\nMade by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
+        f"\nMade{day} by `{origin['command']}` on {machine['cores']} cores of {machine['cpu']}; "
         f"{listed}; physics {physics_of(origin)}.\n"
     )
 
@@ -135,12 +138,12 @@ def _arguments() -> list[str]:
 
 
 def _program(path: str) -> list[str]:
-    """What `python` is given to run a file: a module of studies, else a script."""
+    """What `python` is given to run a file: a module, else a script."""
     resolved = Path(path).resolve()
     if not resolved.is_relative_to(ROOT):
         return [resolved.name]
     place = resolved.relative_to(ROOT)
-    if place.parts[0] != Path(__file__).parent.name:
+    if place.parts[0] not in MODULES:
         return [str(place)]
     parts = place.with_suffix("").parts
     return ["-m", ".".join(parts[:-1] if parts[-1] == "__main__" else parts)]

@@ -1,5 +1,5 @@
 """Tests: folders mirror the packages, `support` holds what tests share with each other and with
-benchmarks, `data` what they compare with."""
+`verification`, `data` what they compare with."""
 
 from pathlib import Path
 

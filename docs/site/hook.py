@@ -22,7 +22,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ("benchmarks/results", "studies/results")
+RESULTS = ("benchmarks/results", "verification/results", "studies/results")
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$\w])\$([^$\n]+?)\$(?!\w)", re.DOTALL)
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 FENCE = re.compile(r"(^ *```.*?^ *```|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
@@ -165,6 +165,7 @@ def place_on_site(path: str) -> str | None:
         "notebooks": "tutorials/01_one_contact.ipynb",
         "benchmarks/results": "results/index.md",
         "benchmarks/results/README.md": "results/index.md",
+        "verification/results": "results/status.md",
     }
     if path in special:
         return special[path]

@@ -77,9 +77,9 @@ def main() -> None:
     alike = _yade_loop(soil(CASES["exponent_1"]), (radius, radius), folder / "yade", ONCE)
     _keep_yade(found, equal)
     measured = {
-        "loops": {name: _errors(*loop) for name, loop in loops.items()},
+        "loops": {name: deviations(*loop) for name, loop in loops.items()},
         "liggghts": _liggghts_rows(folder),
-        "yade_exponent_1": _errors(*alike),
+        "yade_exponent_1": deviations(*alike),
         "yade": [
             *_yade_rows("equal spheres", *equal),
             *_yade_rows("radii 0.7 and 1.3 of the mean", *unequal),
@@ -109,6 +109,12 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def ours(found: Found, overlap: np.ndarray) -> np.ndarray:
+    """Our forces (N) along overlaps (m)."""
+    forces = eqx.filter_jit(drive_overlap)(law_of(found), _pair(found), jnp.asarray(overlap))
+    return np.asarray(forces)
+
+
 def _pair(found: Found) -> SpherePair:
     return SpherePair(jnp.asarray(found.diameter / 2), two_spheres.DENSITY)
 
@@ -122,8 +128,7 @@ def _loop(name: str, changes: dict[str, float], folder: Path):
     overlap, force = two_spheres.liggghts_loop(section, radius, path, folder / name)
     _keep_section(name, section)
     _keep(f"liggghts_{name}", overlap, force)
-    ours = eqx.filter_jit(drive_overlap)(law_of(found), _pair(found), jnp.asarray(overlap))
-    return overlap, force, np.asarray(ours)
+    return overlap, force, ours(found, overlap)
 
 
 def _yade_loop(found: Found, radii: tuple[float, float], folder: Path, turns=TWICE):
@@ -166,7 +171,7 @@ def _keep(name: str, overlap: np.ndarray, force: np.ndarray) -> None:
     )
 
 
-def _errors(overlap, force, ours) -> list[float]:
+def deviations(overlap, force, ours) -> list[float]:
     """Largest deviation on each leg over the largest force."""
     legs = np.abs(force - ours).reshape(-1, two_spheres.POINTS).max(axis=1)
     return (legs / np.abs(force).max()).tolist()

@@ -15,9 +15,13 @@ import pytest
 
 from tests import ROOT
 
-PACKAGES = ("jdem", "calibrate", "studies")
-ABOVE = {"jdem": ("calibrate", "studies"), "calibrate": ("studies",)}  # what neither may import
-UNPACKAGED = ("benchmarks", "tests", "reporting")  # nor these, whoever it is
+PACKAGES = ("jdem", "calibrate", "studies", "verification")
+ABOVE = {  # what each may not import; `verification` repeats what tests do, and may import these
+    "jdem": ("calibrate", "studies", "verification", "tests"),
+    "calibrate": ("studies", "verification", "tests"),
+    "studies": ("verification", "tests"),
+}
+UNPACKAGED = ("benchmarks", "reporting")  # nor these, whoever it is
 FAMILIES = (
     "jdem.bodies",
     "jdem.boundaries",
@@ -75,6 +79,29 @@ ORDER = {
         "liggghts",
         "diagnosis",
     ),
+    "verification": (
+        "reporting",
+        "made_lab",
+        "audit",
+        "convergence",
+        "derivatives",
+        "designs",
+        "fresh_packings",
+        "fuzz",
+        "kills",
+        "overdamped",
+        "prior",
+        "recovery",
+        "calibration",
+        "resolution",
+        "sizes",
+        "snap",
+        "tangents",
+        "whole_curves",
+        "rows",
+        "quick",
+        "__main__",
+    ),
 }
 SHARED_IN_FAMILY = "base"  # every member may import it
 COMPOSES_FAMILY = ("__init__", "composite")  # may import every member
@@ -85,6 +112,9 @@ PLOTTERS = (
     "studies.liggghts.codes",
     "studies.liggghts.export_contact",
     "studies.sealed.figures",
+    "verification.resolution",
+    "verification.tangents",
+    "verification.whole_curves",
 )
 MAX_FILE_LINES = 400
 MAX_BODY_LINES = 60
@@ -178,7 +208,7 @@ def read_modules(root: Path) -> dict[str, Module]:
 
 
 def packages_are_ordered(modules: dict[str, Module]) -> list[str]:
-    """`jdem` never imports `calibrate`, neither imports a study, none a benchmark or a test."""
+    """What may import what: see ABOVE; nobody imports a benchmark."""
     return [
         module.at(item.line, f"{package} imports {item.target}")
         for module in modules.values()
@@ -234,7 +264,7 @@ def folders_are_ordered(modules: dict[str, Module]) -> list[str]:
 
 
 def only_plotters_plot(modules: dict[str, Module]) -> list[str]:
-    """Only `calibrate/figures/`, `calibrate/reports/` and figures of studies import matplotlib."""
+    """Only PLOTTERS import matplotlib."""
     return [
         module.at(item.line, f"{module.name} imports {item.target}")
         for module in modules.values()
@@ -353,6 +383,7 @@ GOOD_TREE = {
     "calibrate/core/shapes.py": "import jax\njax.eval_shape(len, 1)\n",
     "studies/sealed/run.py": "from calibrate.core import main\nfrom studies import reporting\n",
     "studies/reporting.py": "from jdem import laws\n",
+    "verification/fuzz.py": "from studies import reporting\nfrom tests.support import malformed\n",
 }
 
 BAD_FILES = [
@@ -371,6 +402,9 @@ BAD_FILES = [
     (packages_are_ordered, "jdem/mechanics/contact.py", "def f():\n    import studies\n"),
     (packages_are_ordered, "studies/sealed/run.py", "from benchmarks import reporting\n"),
     (packages_are_ordered, "studies/sealed/run.py", "from tests.support import pieces\n"),
+    (packages_are_ordered, "studies/sealed/run.py", "from verification import audit\n"),
+    (packages_are_ordered, "calibrate/core/main.py", "from verification import rows\n"),
+    (packages_are_ordered, "verification/audit.py", "import reporting\n"),
     (folders_are_ordered, "studies/new.py", "x = 1\n"),
     (folders_are_ordered, "studies/reporting.py", "from studies.sealed import run\n"),
     (siblings_are_strangers, "jdem/laws/eepa.py", "from jdem.laws.coulomb import B\n"),

@@ -40,7 +40,9 @@ VERBS = {name for name, verb in PROGRAM.commands.items() if not verb.hidden}
 HISTORY = ("docs/decisions.md", "docs/decisions/", "CHANGELOG.md")  # pages that tell what was
 LONGEST = 1500  # words of a page
 LONGEST_README = 1000
-PATH = re.compile(r"(?<![\w/.-])((?:jdem|calibrate|studies|benchmarks|tests|notebooks)/[\w./-]*\w)")
+PATH = re.compile(
+    r"(?<![\w/.-])((?:jdem|calibrate|studies|benchmarks|verification|tests|notebooks)/[\w./-]*\w)"
+)
 # Words that only this project used, and what the field says.
 PRIVATE = {
     r"banks?": "library of runs",

@@ -8,7 +8,6 @@ formulas in place of spheres.
 
 import argparse
 import contextlib
-import importlib
 import importlib.util
 import json
 import re
@@ -25,6 +24,7 @@ import typer
 from calibrate import cli
 from tests import ROOT
 from tests.support.formulas import in_place_of_spheres
+from verification import reporting
 
 FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -124,8 +124,8 @@ class TestCommitted:
 MAIN = re.compile(r'^if __name__ == "__main__":', re.MULTILINE)
 # have tests of their own, make data or pages, or are called by LIGGGHTS
 APART = ("calibrate/", "jdem/", "docs/", "build/", "tests/data/", "studies/liggghts/referee")
-STUDIES = "studies"
-BY_MODULE = (STUDIES, "tests")  # packages that are not installed
+MODULES = ("studies", "verification")  # folders whose files run as `python -m`
+BY_MODULE = (*MODULES, "tests")  # packages that are not installed
 
 
 def is_script(path: Path) -> bool:
@@ -148,7 +148,7 @@ PAGES = [
     *ROOT.glob("*.md"),
     *(ROOT / "docs").rglob("*.md"),
     *ROOT.glob("bench*/**/*.md"),
-    *ROOT.glob(f"{STUDIES}/**/*.md"),
+    *(page for name in MODULES for page in (ROOT / name).rglob("*.md")),
 ]
 CALLED = rf"[\w/]+/\w+\.py|-m (?:{'|'.join(BY_MODULE)})\.[a-z][\w.]*\w"
 ON_PAGES = re.compile(rf"python ((?:{CALLED})[^`\n#|*]*)")
@@ -175,7 +175,8 @@ def script(monkeypatch, tmp_path):
         name, arguments = " ".join(words[:count]), words[count:]
         path = SCRIPTS[name]
         monkeypatch.chdir(tmp_path)
-        monkeypatch.syspath_prepend(path.parent)
+        if count == 1:
+            monkeypatch.syspath_prepend(path.parent)
         monkeypatch.setattr(sys, "argv", [str(path), *arguments])
         monkeypatch.setattr(cli, "_configure", lambda: None)
         return runpy.run_path(str(path), run_name="__main__")
@@ -219,14 +220,14 @@ def test_a_script_takes_the_command_lines_of_pages(script, line, monkeypatch):
 
 
 SMALL = (  # whole runs, where simulating is all that they would take long for
-    "audit.py --spheres 48 --packings 4 --seeds 21 --folder runs",
-    "calibration.py --folder runs",
-    "convergence.py --packings 3 --folder runs",
-    "designs.py --folder runs",
-    "fuzz.py --refused 2 --processes 0",
-    "prior.py --soils 4 --folder runs",
-    "recovery.py --case two --start 'base soil' --folder runs",
-    "resolution.py --most 500 --folder runs",
+    "audit --spheres 48 --packings 4 --seeds 21 --folder runs",
+    "calibration --folder runs",
+    "convergence --packings 3 --folder runs",
+    "designs --folder runs",
+    "fuzz --refused 2 --processes 0",
+    "prior --soils 4 --folder runs",
+    "recovery --case two --start 'base soil' --folder runs",
+    "resolution --most 500 --folder runs",
 )
 
 
@@ -235,14 +236,12 @@ SMALL = (  # whole runs, where simulating is all that they would take long for
 def test_a_script_runs_to_its_end(script, line, monkeypatch, tmp_path):
     """On formulas; its page lands in tmp_path."""
     in_place_of_spheres(monkeypatch)
-    [name] = [name for name in SCRIPTS if name.endswith(f"/{line.partition(' ')[0]}")]
-    monkeypatch.syspath_prepend(SCRIPTS[name].parent)
-    reporting = importlib.import_module("reporting")
     monkeypatch.setattr(reporting, "configure", lambda *given: None)
     for place in ("RESULTS", "OF_NOTEBOOKS", "IMAGES"):
         monkeypatch.setattr(reporting, place, tmp_path)
     with contextlib.suppress(SystemExit):
-        script(name.rpartition("/")[0] + "/" + line)
+        script(f"-m verification.{line}")
     [page] = tmp_path.glob("*.md")
-    assert page.stem == SCRIPTS[name].stem
+    name = line.partition(" ")[0]
+    assert page.stem == {"fuzz": "reliability"}.get(name, name)
     assert "| --- |" in page.read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
 """What a command has finished on disk, and what a kill did to it: lost, repeated, different.
 
-`benchmarks/kills.py` kills commands at random moments and looks by these; a command is one line of
-`VERBS`.
+`verification/kills.py` kills commands at random moments and looks by these; a command is one line
+of `VERBS`.
 """
 
 import json

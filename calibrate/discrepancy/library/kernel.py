@@ -35,7 +35,7 @@ SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
 JITTER = 1e-6
 NOTHING = -6.0  # logarithm of a deviation that counts for nothing
 PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
-COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (benchmarks/resolution.py)
+COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (verification/resolution.py)
 
 
 class Kernel(NamedTuple):
