@@ -10,7 +10,7 @@ TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadsco
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test test-slow check lint docs notebooks clean help
+.PHONY: calibrate test test-slow check lint docs notebooks verification verification-quick clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in results/calibrate
 	$(BIN)/calibrate fit --preset standard --out results/calibrate
@@ -35,12 +35,18 @@ docs: $(STAMP)  ## the documentation as a searchable site, in build/docs/index.h
 notebooks: $(STAMP)  ## run all notebooks in place, with times; a quarter of an hour
 	$(BIN)/python notebooks/execute.py
 
+verification: $(STAMP)  ## make the numbers of README and pages again, as far as they are out of date; many hours
+	$(BIN)/python -m verification
+
+verification-quick: $(STAMP)  ## which of these numbers no longer hold; ten minutes
+	$(BIN)/python -m verification.quick
+
 clean:  ## remove the environment, caches and build products; results/ stays
 	rm -rf $(VENV) build dist *.egg-info .jax_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:  ## show this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 20
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -143,7 +143,7 @@ ROWS = (
     Row(
         "fresh packings", README,
         ("Three fits of the bundled soil met its depression depth within {depth:.1f} % and its "
-         "crushing force within {force:.1f} %, each on twelve simulated specimens",),
+         "crushing force within {force:.1f} %, each on twelve fresh packings",),
         "fresh_packings",
         {name: Cell("fresh_packings", "error", {**WHEAT, **of}, how=_size)
          for name, of in (("depth", DEPTH), ("force", FORCE))},
