@@ -22,29 +22,10 @@ CACHE = Path(__file__).parents[1] / ".jax_cache" / "differentiable-soil"
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-# Modules that take longer than some eight seconds on one core, the longest first.  They are begun
-# in this order, so that two workers end at about the same time; `make check` leaves them out.
-THOROUGH = (
-    *("notebooks", "overdamped", "lab", "fit", "effects", "cluster", "report", "virtual_power"),
-    *("first_order", "tangent_kernel", "engine"),
-    *("laws_contract", "laws", "view", "abuse", "study"),
-    *("physics", "protocol", "machine_abuse", "boundaries", "beds", "diagnose_verb", "added_tests"),
-    *("sphere_indenter", "neighbour_lists", "liggghts", "campaign", "laws_friction"),
-    *("sensitivity", "smooth", "machine_alone"),
-)
-
-# Fixtures that take longer than ten seconds on one core, by module: what asks for one is slow.
-SLOW = {"lab": "outcome", "protocol": "outcome", "beds": "grown", "report": "folders"}
-
 
 def pytest_collection_modifyitems(items):
-    place = {f"test_{name}": number for number, name in enumerate(THOROUGH)}
-    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
-    for item in items:
-        if item.path.stem in place:
-            item.add_marker(pytest.mark.thorough)
-        if SLOW.get(item.path.stem.removeprefix("test_")) in item.fixturenames:
-            item.add_marker(pytest.mark.slow)
+    """What takes longest is begun first, so that two workers end at about the same time."""
+    items.sort(key=lambda item: item.get_closest_marker("thorough") is None)
 
 
 @pytest.fixture

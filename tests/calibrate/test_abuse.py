@@ -34,6 +34,8 @@ from tests.calibrate.inference.test_fit import BASE, TINY, tiny_campaign, tiny_l
 from tests.support import malformed
 from tests.support.toy_place import Toy
 
+pytestmark = pytest.mark.thorough
+
 # ------------------------------------------------------------------ laws
 
 RADIUS, MOST, POINTS = 2.5e-3, 3e-5, 60

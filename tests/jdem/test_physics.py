@@ -66,6 +66,8 @@ from jdem.sensitivity.overdamped import Overdamped
 from tests import DATA
 from tests.support.toy_place import SPECIMEN, soils, toy_campaign
 
+pytestmark = pytest.mark.thorough
+
 KEPT = DATA / "physics.json"
 TOLERANCE = 1e-9  # of the largest number of its kind in a run
 CHANGED = "numbers changed: raise the version, or find the fault"

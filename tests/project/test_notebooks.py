@@ -26,6 +26,8 @@ from tests import ROOT
 from tests.support.formulas import in_place_of_spheres
 from verification import reporting
 
+pytestmark = pytest.mark.thorough
+
 FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 PROSE = (0.4, 0.7)  # of the words

@@ -25,6 +25,8 @@ from studies.liggghts.specimen import Run, run
 from studies.sealed.labels import normalised
 from studies.sealed.seal import digest, open_seal, write_seal
 
+pytestmark = pytest.mark.thorough
+
 ARCHIVE = Path(referee.__file__).parents[1] / "results" / "withheld_liggghts.tar.xz"
 
 

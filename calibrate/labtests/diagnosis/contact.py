@@ -18,6 +18,7 @@ CONTACT = 0.012  # share of the range of forces at which the platen surely touch
 TOUCH = 0.002  # the same at which it may touch already, where noise allows to see it
 SURE = 4.0  # deviations of a reading that are no noise
 FEWEST_BEFORE = 3  # readings before contact that make a mean
+STANDS = 0.1  # of the usual travel between readings; a platen that moves less holds a load
 
 
 def force_noise(forces: Sequence[np.ndarray]) -> float:
@@ -41,7 +42,8 @@ def begins_before_contact(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> bo
     like rest are the few readings before the rise leaves their noise.  So at least half of the
     records must show enough readings at rest, and these may not rise: with travel x, the slope of
     force over its standard error, s/sqrt(sum (x - <x>)^2) with the noise s, stays below `RISES` in
-    each and, summed over n records and divided by sqrt(n), below `ALL_RISE`."""
+    each and, summed over n records and divided by sqrt(n), below `ALL_RISE`.  First readings of a
+    platen that stands still do not count: a machine holds a preload, too."""
     rises = [rise for x, force in curves if (rise := _rise_at_rest(x, force)) is not None]
     at_rest = sum(rise < RISES for rise in rises)
     if not at_rest or 2 * at_rest < len(curves):
@@ -50,8 +52,10 @@ def begins_before_contact(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> bo
 
 
 def _rise_at_rest(displacement: np.ndarray, force: np.ndarray) -> float | None:
-    """Slope of force over its standard error among the readings that look like rest; None where
-    they are too few."""
+    """Slope of force over its standard error among the readings that look like rest while the
+    platen moves; None where they are too few."""
+    moves = _moves_from(displacement, _readings_at_rest(force))
+    displacement, force = displacement[moves:], force[moves:]
     readings = _readings_at_rest(force)
     if readings < FEWEST_BEFORE:
         return None
@@ -60,6 +64,16 @@ def _rise_at_rest(displacement: np.ndarray, force: np.ndarray) -> float | None:
     centred = x - x.mean()
     length = float(np.sqrt(centred @ centred))
     return float(centred @ force[:readings]) / (length * noise) if length > 0 else 0.0
+
+
+def _moves_from(displacement: np.ndarray, readings: int) -> int:
+    """The first of some readings from which on the platen moves, compared with its way after
+    them."""
+    if len(displacement) < readings + 2 or len(displacement) <= FEWEST_BEFORE:
+        return 0
+    usual = np.median(np.abs(np.diff(displacement[readings:])))
+    moved = np.abs(displacement[FEWEST_BEFORE:] - displacement[:-FEWEST_BEFORE]) / FEWEST_BEFORE
+    return int(np.argmax(moved[: readings + 1] > STANDS * usual))
 
 
 def _readings_at_rest(force: np.ndarray) -> int:

@@ -25,6 +25,8 @@ from calibrate.simulation.session import Session
 from calibrate.simulation.specimens import campaign
 from tests.support.formulas import BASE, LAB, Formulas, pressed_lightly, specimen
 
+pytestmark = pytest.mark.thorough
+
 TARGETS = {
     "depression_depth_mm": Target(2.5, 0.1, 4),
     "crushing_force_n": Target(185.0, 8.0, 4),

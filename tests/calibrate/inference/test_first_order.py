@@ -18,6 +18,8 @@ from calibrate.io.soil import base_soil
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 
+pytestmark = pytest.mark.thorough
+
 FREE = ("shear_modulus",)
 QUICK = replace(PRESETS["quick"], spheres=40)
 TARGETS = '[tests.targets]\ndepression_depth = { mean = "3 mm", scatter = "0.1 mm", repeats = 4 }\n'

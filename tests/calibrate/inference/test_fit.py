@@ -30,6 +30,8 @@ from calibrate.simulation.specimens import campaign
 from tests import ROOT
 from tests.support.formulas import BASE, LAB, Formulas, pressed_lightly, specimen
 
+pytestmark = pytest.mark.thorough
+
 SEEDS = range(3)
 
 

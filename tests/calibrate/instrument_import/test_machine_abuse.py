@@ -17,6 +17,8 @@ from calibrate.instrument_import.convert import file_stem, read_export
 from calibrate.io.lab import load_lab
 from tests.support.machine_files import EXPORTS, HEADING, NAMES, columns, text_of, written
 
+pytestmark = pytest.mark.thorough
+
 # ------------------------------------------------------------------ abuse
 
 

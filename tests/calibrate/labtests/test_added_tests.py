@@ -22,6 +22,8 @@ from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.composite import prepare
 
+pytestmark = pytest.mark.thorough
+
 TINY = Preset("tiny", 48, 0.2, 0.4, 1)
 OEDOMETER = load_lab(bundled_lab("trumao_oedometer"))
 HOLD = """[soil]

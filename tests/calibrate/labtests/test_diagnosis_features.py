@@ -255,6 +255,15 @@ def recorded(seed: int, air: float, begins: float = 0.0, rest: float = 0.0, powe
     return way[first:], force[first:]
 
 
+def held(seed: int, preload: float, creep: float = 0.0, tared: float = 0.0, air: float = 0.0):
+    """A record whose platen stands for sixty readings, creeping by `creep` (mm) a reading, at a
+    preload (N), before it moves, through `air` (mm) first; `tared` (N) was taken off."""
+    way, force = recorded(seed, air, preload)
+    noise = 0.4 * np.random.default_rng([seed, 1]).standard_normal(60)
+    standing = way[0] + creep * np.arange(-60.0, 0.0)
+    return np.r_[standing, way], np.r_[preload + noise, force] - tared
+
+
 @pytest.mark.parametrize(
     ("what", "records", "before"),
     [
@@ -270,6 +279,11 @@ def recorded(seed: int, air: float, begins: float = 0.0, rest: float = 0.0, powe
         ("a straight rise from contact on", [recorded(k, 0.0, power=1.0) for k in range(4)], False),
         ("preload of 6 N", [recorded(k, 0.6, 6.0) for k in range(4)], False),
         ("no noise, from contact on", [(np.arange(9.0), 5.0 * np.arange(9.0))], False),
+        ("a preload of 10 N, held", [held(k, 10.0) for k in range(4)], False),
+        ("a preload of 10 N, held, creeping", [held(k, 10.0, 0.001) for k in range(4)], False),
+        ("a preload, held, then tared", [held(k, 10.0, tared=10.0) for k in range(4)], False),
+        ("three readings", [(np.arange(3.0), np.arange(3.0))], False),
+        ("at rest, and then air", [held(k, 0.0, air=0.6) for k in range(4)], True),
     ],
 )
 def test_records_that_hold_readings_before_contact_are_told_from_those_that_do_not(

@@ -34,6 +34,8 @@ from jdem.effects.seating import SeatingGap
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
 
+pytestmark = pytest.mark.thorough
+
 TINY = Preset("tiny", 48, 0.2, 0.4, 2)
 FORCE, LOADING = 300.0, 60.0
 HEAD = """[soil]

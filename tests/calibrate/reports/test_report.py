@@ -42,6 +42,8 @@ from jdem.physics import PHYSICS
 from tests.support import browser
 from tests.support.formulas import BASE, LAB, Capped, Formulas, specimen
 
+pytestmark = pytest.mark.thorough
+
 HOSTILE = (
     "</title><script>alert('x')</script><img src=http://example.org/x onerror=alert(1)>"
     ' $\\frac$ & "q"'
@@ -111,6 +113,7 @@ def text_of(page: str) -> str:
 # ------------------------------------------------------------------ what a page shows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_page_stands_alone(pages, kind):
     page = pages[kind]
@@ -124,6 +127,7 @@ def test_a_page_stands_alone(pages, kind):
     assert "default-src 'none'" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_page_says_what_made_it(folders, pages, kind):
     text = text_of(pages[kind])
@@ -141,14 +145,17 @@ def test_a_page_says_what_made_it(folders, pages, kind):
     assert ", ".join(map(str, origin["seeds"])) in text
 
 
+@pytest.mark.slow
 def test_a_page_is_the_same_every_time(folders, pages):
     assert page_of(folders["fit"]) == pages["fit"]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_study_is_that_of_its_command(folders, pages):
     assert pages["doe"] == (folders["doe"] / study.PAGE).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_fit_shows_its_numbers(folders, pages):
     """Fitted value and interval of every free parameter, targets, every packing in a picture."""
     text = text_of(pages["fit"])
@@ -165,6 +172,7 @@ def test_a_fit_shows_its_numbers(folders, pages):
         assert f"{packing['crushing_force_n'] / 185:.3g}" in alt
 
 
+@pytest.mark.slow
 def test_drawn_curves_keep_ends_and_shape(folders):
     result = json.loads((folders["fit"] / "result.json").read_text())
     curve = result["packings"]["fitted"][0]["curves"]["confined"]
@@ -174,6 +182,7 @@ def test_drawn_curves_keep_ends_and_shape(folders):
     assert (len(long["force_n"]), long["force_n"][-1]) == (specimens.DRAWN, 3.0)
 
 
+@pytest.mark.slow
 def test_an_audit_shows_its_verdicts(folders, pages):
     text = text_of(pages["audit"])
     rows = json.loads((folders["audit"] / "audit.json").read_text())["rows"]
@@ -214,6 +223,7 @@ def test_hostile_text_is_shown_as_text(tmp_path):
     assert text_of(page).count("alert('x')") >= 12
 
 
+@pytest.mark.slow
 def test_a_failed_packing_is_named(tmp_path, folders):
     result = json.loads((folders["fit"] / "result.json").read_text())
     failed = result["packings"]["fresh"][1]
@@ -267,6 +277,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_result_is_refused(report, folders, tmp_path, case):
     content = BROKEN[case](json.loads((folders["fit"] / "result.json").read_text()))
@@ -279,6 +290,7 @@ def test_a_broken_result_is_refused(report, folders, tmp_path, case):
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_broken_study_is_refused(report, folders, tmp_path):
     """A design without its responses, and one whose points and responses differ in number."""
     result = json.loads((folders["doe"] / "result.json").read_text())
@@ -340,6 +352,7 @@ def drawn_only(figure) -> str:
 # ------------------------------------------------------------------ the command
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_a_summary(report, folders, tmp_path):
     status, out, error = report(folders["fit"], "--out", "here", "--json", "there/s.json")
     assert (status, error) == (0, "")
@@ -350,6 +363,7 @@ def test_the_command_writes_a_page_and_a_summary(report, folders, tmp_path):
     assert not (folders["fit"] / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_single_file_will_do(report, folders, tmp_path):
     shutil.copy(folders["audit"] / "audit.json", tmp_path / "mine.json")
     assert report("mine.json")[0] == 0
@@ -364,6 +378,7 @@ def test_a_folder_without_result_is_refused(report, tmp_path, place):
     assert place in error
 
 
+@pytest.mark.slow
 def test_two_results_in_a_folder_are_asked_about(report, folders, tmp_path):
     for kind, name in (("fit", "result.json"), ("audit", "audit.json")):
         shutil.copy(folders[kind] / name, tmp_path / name)
@@ -375,6 +390,7 @@ def test_two_results_in_a_folder_are_asked_about(report, folders, tmp_path):
 # ------------------------------------------------------------------ a real browser
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.program() is None, reason="no Chromium is installed")
 def test_pages_in_a_browser(pages, tmp_path):
     """No word on the console, no request, nothing wider than the screen, at both widths."""

@@ -20,6 +20,8 @@ from jdem.packing.specimen import Specimen
 from tests.support import shipped_beds
 from tests.support.shipped_beds import WANTED, cylinder, name_of, seeds
 
+pytestmark = pytest.mark.thorough
+
 GROWN = Specimen(count=250, porosity=0.47)
 COMMAND = "python -m tests.support.shipped_beds"
 
@@ -139,6 +141,7 @@ def grown():
     return prepare(GROWN, 0)
 
 
+@pytest.mark.slow
 def test_a_grown_bed_has_the_porosity_height_and_density_that_were_asked_for(grown):
     assert 1 - float(grown.solid_fraction()) == pytest.approx(GROWN.porosity, rel=0.01)
     assert float(grown.height) == pytest.approx(GROWN.height, rel=0.01)
@@ -152,6 +155,7 @@ def test_denser_and_looser_grown_beds_are_reached(porosity):
     assert 1 - float(found.solid_fraction()) == pytest.approx(porosity, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_grown_bed_lies_in_its_mould_and_its_spheres_hardly_overlap(grown):
     centres, radius = np.asarray(grown.position.stack()), np.asarray(grown.spheres.radius)
     outside = np.hypot(*centres.T[:2]) + radius - float(grown.mould_radius)
@@ -161,6 +165,7 @@ def test_a_grown_bed_lies_in_its_mould_and_its_spheres_hardly_overlap(grown):
     assert gaps.min() > -0.01 * radius.mean()
 
 
+@pytest.mark.slow
 def test_a_grown_bed_is_as_dense_below_as_above(grown):
     """A density that rose by the share s from top to bottom would shift the centre by s h/12."""
     volume, height = np.asarray(grown.spheres.radius) ** 3, np.asarray(grown.position.z)
@@ -168,6 +173,7 @@ def test_a_grown_bed_is_as_dense_below_as_above(grown):
     assert 12 * abs(centre - 0.5) < 0.05
 
 
+@pytest.mark.slow
 def test_grown_beds_share_their_radii_and_nothing_else(grown):
     one, two = (_radii(GROWN, np.random.default_rng(seed)) for seed in (0, 1))
     assert np.array_equal(np.sort(one), np.sort(two)) and not np.array_equal(one, two)

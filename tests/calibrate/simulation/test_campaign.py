@@ -35,6 +35,8 @@ from tests import ROOT
 from tests.calibrate.inference.test_fit import BASE, tiny_campaign
 from tests.support.toy_place import formula, soils, toy_campaign
 
+pytestmark = pytest.mark.thorough
+
 SEEDS = (0, 1)
 
 

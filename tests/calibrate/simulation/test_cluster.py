@@ -22,6 +22,8 @@ from jdem.effects.composite import EFFECTS
 from tests.calibrate.inference.test_fit import BASE, tiny_campaign
 from tests.support.toy_place import soils, toy_campaign
 
+pytestmark = pytest.mark.thorough
+
 SEEDS = (0, 1)
 ENERGIES = (10.0, 12.0, 14.0, 16.0)
 

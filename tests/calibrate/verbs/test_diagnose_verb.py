@@ -34,6 +34,8 @@ from calibrate.reports.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 from tests.support import diagnosis_world, toy_library
 
+pytestmark = pytest.mark.thorough
+
 HOSTILE = "</title><script>alert(1)</script><img src=http://example.org/x> $\\\\frac$ & more"
 OFFSET = 10.0  # N
 CONTRACT = {

@@ -24,7 +24,7 @@ from jdem.laboratory.virtual_lab import TestSequence
 from jdem.packing.composite import prepare
 from tests.support.effect_lab import SMALL, SOIL, small_lab
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.thorough]
 SEATED = 1.0  # N; the servo's tolerance is 0.75 N
 
 

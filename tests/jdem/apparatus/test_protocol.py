@@ -19,6 +19,8 @@ from jdem.observables import ForceLeft, LargestDisplacement
 from jdem.packing.composite import prepare
 from jdem.packing.specimen import Specimen
 
+pytestmark = pytest.mark.thorough
+
 SPECIMEN = Specimen(diameter=0.05, height=0.05, count=48)  # test_fit's: one program settles both
 CYCLE = (
     Step("force", "load", 100.0),
@@ -92,6 +94,7 @@ def outcome():
     return lab, eqx.filter_jit(VirtualLab.run)(lab, prepare(SPECIMEN, 1), SoilParameters())
 
 
+@pytest.mark.slow
 def test_a_sequence_gives_curves_and_observables_by_test(outcome):
     _, found = outcome
     assert not bool(found.failed)
@@ -100,6 +103,7 @@ def test_a_sequence_gives_curves_and_observables_by_test(outcome):
     assert all(bool(jnp.isfinite(v)) for v in found.observables["cycle"].values())
 
 
+@pytest.mark.slow
 def test_the_machine_goes_where_the_steps_say(outcome):
     lab, found = outcome
     segment = np.asarray(found.record.samples.segment)
@@ -114,6 +118,7 @@ def test_the_machine_goes_where_the_steps_say(outcome):
     assert 80.0 < ends[1] < 101.0  # it relaxes a little and gains nothing
 
 
+@pytest.mark.slow
 def test_reloading_is_stiffer_than_loading(outcome):
     """Plastic contacts: from 10 to 90 N the platen goes less far the second time."""
     lab, found = outcome

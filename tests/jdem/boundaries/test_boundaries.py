@@ -37,6 +37,8 @@ from tests.support.hand_made_beds import (
     state_of,
 )
 
+pytestmark = pytest.mark.thorough
+
 TILTED = (0.6, 0.0, 0.8)
 CENTRE = np.array([0.2, -0.1, 0.3])
 RATES = Rates(*map(jnp.asarray, (0.3, 2.0, 0.1)))

@@ -14,6 +14,8 @@ from jdem.engine.loop import begun, run
 from jdem.engine.segment import LOWER, Segment, stack
 from tests.support.hand_made_beds import CAPACITY, RADIUS, advanced, bed_of, soil_of, spheres_of
 
+pytestmark = pytest.mark.thorough
+
 INDENTER = 6e-3  # m, its radius
 SURFACES = ("platen", "platen")
 running = eqx.filter_jit(run)

@@ -14,6 +14,8 @@ from jdem.core import smooth
 from jdem.core.logarithm import logarithm
 from jdem.core.vector import Vector
 
+pytestmark = pytest.mark.thorough
+
 WIDTHS = [1e-9, 0.02, 0.5, 3.0]
 ALL_WIDTHS = [0.0, *WIDTHS]
 GRID = np.sort(np.concatenate([np.linspace(-4.0, 4.0, 161), [-1e-12, 1e-12, -1e-30, 1e-30]]))

@@ -20,6 +20,8 @@ from jdem.sensitivity.overdamped import OverdampedMotion
 from tests import ROOT
 from tests.support.hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
 
+pytestmark = pytest.mark.thorough
+
 LENGTHS = (1, 7, BLOCK, BLOCK + 1, 3 * BLOCK)
 
 

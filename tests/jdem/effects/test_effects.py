@@ -35,6 +35,8 @@ from tests.support.effect_lab import (
     lab_with,
 )
 
+pytestmark = pytest.mark.thorough
+
 NAMES = list(EFFECTS)
 TYPICAL = {name: effect.about.typical[-1] for name, effect in EFFECTS.items()}
 

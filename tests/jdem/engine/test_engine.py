@@ -39,6 +39,8 @@ from tests.support.hand_made_beds import (
     state_of,
 )
 
+pytestmark = pytest.mark.thorough
+
 # ------------------------------------------------------------------ action = reaction
 
 

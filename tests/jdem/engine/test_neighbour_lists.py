@@ -15,6 +15,8 @@ from jdem.engine.neighbors import ContactList, Grid, rebuild
 from jdem.laws.base import AbstractContactLaw
 from tests.support.hand_made_beds import RADIUS, spheres_of
 
+pytestmark = pytest.mark.thorough
+
 CLOUD = 60
 
 

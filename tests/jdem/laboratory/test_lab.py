@@ -30,6 +30,8 @@ from jdem.packing.settling import neutral_soil
 from jdem.packing.specimen import Specimen, load, save
 from tests.support.effect_lab import NUMERICS, ROWS, SMALL, SOIL, small_lab
 
+pytestmark = pytest.mark.thorough
+
 LOW = dict(zip(FACTORS, (0.3, 0.2, 0.1, 4.0, 0.2, 0.5, 0.3), strict=True))  # Table 2
 HIGH = dict(zip(FACTORS, (0.7, 1.0, 0.6, 20.0, 0.7, 3.0, 1.0), strict=True))
 GENERATOR = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])  # Plackett and Burman 1946, 12 runs
@@ -152,6 +154,7 @@ def test_base_and_mould_carry_the_weight(packing, wall_friction):
         assert last.mould_drag == 0.0
 
 
+@pytest.mark.slow
 def test_energy_is_accounted_for(outcome):
     """The ledger closes to round-off: 3e5 additions of terms up to 1 J, 1e-16 each."""
     energy, last = outcome.record.state.energy, outcome.record.samples
@@ -162,6 +165,7 @@ def test_energy_is_accounted_for(outcome):
     assert abs(float(energy.integration)) < 0.01 * float(energy.platen)
 
 
+@pytest.mark.slow
 def test_the_specimen_rests_before_it_is_crushed(outcome):
     samples = outcome.record.samples
     row = np.flatnonzero(np.asarray(samples.segment) == WHOLE.tests.names.index("resting"))[-1]
@@ -170,6 +174,7 @@ def test_the_specimen_rests_before_it_is_crushed(outcome):
     assert share < 1e-4
 
 
+@pytest.mark.slow
 def test_nothing_failed(outcome):
     assert not outcome.failed
     assert 0.5e-3 < outcome.observables["confined"]["depression_depth"] < 10e-3
@@ -180,6 +185,7 @@ def test_nothing_failed(outcome):
 # ------------------------------------------------------------------ one program for all
 
 
+@pytest.mark.slow
 def test_one_compilation_serves_all_soils_packings_and_rates(outcome, other_packing):
     """`whole` may be traced once."""
     harder = replace(SOIL, shear_modulus=jnp.asarray(2e7), restitution=jnp.asarray(0.5))

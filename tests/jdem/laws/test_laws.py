@@ -38,6 +38,8 @@ from tests.support.law_cases import (
     stiffness_of,
 )
 
+pytestmark = pytest.mark.thorough
+
 # ------------------------------------------------------------------ no overlap
 
 

@@ -30,6 +30,8 @@ from tests.support.law_cases import (
     stacked,
 )
 
+pytestmark = pytest.mark.thorough
+
 SMOOTHINGS = {"sharp": Smoothing.sharp(), "default": Smoothing()}
 every_law = pytest.mark.parametrize("name", LAWS)
 every_smoothing = pytest.mark.parametrize("smoothing", SMOOTHINGS.values(), ids=SMOOTHINGS)

@@ -28,6 +28,8 @@ from tests.support.law_cases import (
     stiffness_of,
 )
 
+pytestmark = pytest.mark.thorough
+
 
 @every_exponent
 @every_smoothing

@@ -35,6 +35,8 @@ from jdem.sensitivity.base import Traced
 from jdem.sensitivity.overdamped import Overdamped, OverdampedMotion
 from tests.support.hand_made_beds import RADIUS, bed_of, listed, quickly, soil_of, spheres_of
 
+pytestmark = pytest.mark.thorough
+
 TRAVEL, SPEED = 2e-4, 0.05  # m, m/s
 STEPS, SAMPLES, CAPACITY = 100, 160, 256  # of rest; capacity of the record
 DRAG = TangentDrag(1.0, 1e-6)  # little: an elastic bed without friction holds itself

@@ -29,6 +29,8 @@ from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
 from tests.support.formulas import two_tests
 
+pytestmark = pytest.mark.thorough
+
 PACKINGS, PARAMETERS = 5, 7
 RNG = np.random.default_rng(7)
 LEVEL = jnp.asarray(RNG.normal(size=(PACKINGS, 2)))

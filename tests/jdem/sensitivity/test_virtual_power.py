@@ -23,6 +23,8 @@ from jdem.engine.segment import cell_segment, stack
 from jdem.sensitivity.virtual_power import FrozenMotion
 from tests.support.hand_made_beds import RADIUS, bed_of, quickly, soil_of, spheres_of
 
+pytestmark = pytest.mark.thorough
+
 NAMES = (*FACTORS, "shear_modulus")
 CLAY = {
     "surface_energy": 20.0,
