@@ -39,7 +39,7 @@ SCRIPTS = {
     "fuzz": Script((RUN + "fuzz",), 5, "reliability", "Malformed files", physics=False),
     "convergence": Script((RUN + "convergence --packings 8",), 5, "convergence"),
     "again": Script(
-        (RUN + "resolution --check --most 500",), 3, "resolution", "The same once more"
+        (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
     ),
     "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
