@@ -81,12 +81,12 @@ def results() -> list[Path]:
 
 
 def results_index() -> str:
-    """The list of committed results, after what their folder says of itself."""
-    given = ROOT / RESULTS[0] / "README.md"
-    head = given.read_text(encoding="utf-8") if given.exists() else "# Results\n"
+    """The list of committed results, before what the folder of speed says of itself."""
+    speed = (ROOT / RESULTS[0] / "README.md").read_text(encoding="utf-8")
     rows = [f"- [{p.stem}]({p.name})" for p in results()]
-    intro = "Each page names the command that made it.\n"
-    return "\n".join([head, "## Pages", "", intro, *rows, ""])
+    intro = "Each page names the command that made it. [States](status.md) has every sentence with"
+    head = ["# Results", "", f"{intro} measured numbers.", "", *rows, ""]
+    return "\n".join([*head, speed.replace("# Speed", "## Speed", 1)])
 
 
 # ---------------------------------------------------------------- notebooks
