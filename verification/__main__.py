@@ -117,7 +117,8 @@ def standing(rows: Sequence[Row], scripts: Mapping[str, Script], root: Path = RO
     """The README's sentence about which of its rows stand on the present physics."""
     names: dict[bool, list[str]] = {True: [], False: []}
     for row in (row for row in rows if row.page == README):
-        names[scripts[row.script].is_current(root)].append(row.name)
+        note = f" ({row.note})" if row.note else ""
+        names[scripts[row.script].is_current(root)].append(row.name + note)
     present, earlier = (" and ".join(names[current]) for current in (True, False))
     physics = "stand on the present version of the physics"
     if not earlier:

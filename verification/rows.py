@@ -184,7 +184,7 @@ ROWS = (
         "the 95 % intervals of the shares reach 90, 60 and 70 %, and begin at most at 5 %",
         lambda n: (n["strong"] >= 90 and n["weak"] >= 60 and n["unknown"] >= 70
                    and n["sound"] <= 5),
-        "its library was simulated before version 1",
+        "its library is older",
     ),
     Row(
         "fresh packings, one by one", SURE,
