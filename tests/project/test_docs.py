@@ -173,7 +173,7 @@ def run(tmp_path_factory):
 
 
 SMALLER = {  # a view draws spheres, not a formula; a diagnosis by the bundled library takes minutes
-    "view": ["--preset", "quick"],
+    "view": ["--preset", "quick", "--frames", "6"],
     "diagnose": ["--library", "library.nc"],
     "next": ["--library", "library.nc"],
 }
