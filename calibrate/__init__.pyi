@@ -19,8 +19,8 @@ from .verbs.export import ExportResult as ExportResult
 from .verbs.export import export as export
 from .verbs.fit import FitResult as FitResult
 from .verbs.fit import fit as fit
-from .verbs.next_test import NextTestResult as NextTestResult
-from .verbs.next_test import next_test as next_test
+from .verbs.next import NextTestResult as NextTestResult
+from .verbs.next import next_test as next_test
 from .verbs.report import ReportResult as ReportResult
 from .verbs.report import report as report
 from .verbs.simulate import SimulationResult as SimulationResult

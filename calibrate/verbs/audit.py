@@ -1,11 +1,13 @@
-"""Auditing derivatives: slopes by some strategies beside the slope of the response itself."""
+"""Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.console import RenderableType
 from rich.table import Table
 
@@ -15,12 +17,12 @@ from calibrate.figures import Figure
 from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.parameters import FACTORS, space
-from calibrate.io.lab import LabLike
 from calibrate.io.soil import base_soil, with_values
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
 
 
@@ -34,6 +36,7 @@ class AuditResult(AbstractDrawnResult):
         content: everything, with the keys of audit.json.
     """
 
+    files = ("audit.json", "audit.png", "audit_curves.png")
     slopes: Audit
     folder: Path
     content: dict
@@ -105,11 +108,27 @@ def _judgement(rows: list[dict]) -> str:
 
 @verb
 def audit(
-    lab: LabLike = None, *, strategies: str | Sequence[str] = ("fit",),
-    values: Mapping[str, float | str] | None = None, spheres: int = 300, packings: int = 8,
-    preset: str = "quick", seed: int = 0, out: str | Path = "results/audit",
-    dask: str | None = None, batch: int | None = None,
-) -> AuditResult:  # fmt: skip
+    lab: options.LabFile = None,
+    *,
+    strategies: Annotated[
+        str | Sequence[str],
+        typer.Option(
+            "--strategy",
+            help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
+            "overdamped, overdamped_blend, virtual_power, virtual_power_blend; may be given "
+            "several times.",
+        ),
+        options.Typed(list[str] | None),
+    ] = ("fit",),
+    values: options.Changes = None,
+    spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
+    packings: Annotated[int, typer.Option("--packings", min=2, help="Packings.")] = 8,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    out: options.Out = "results/audit",
+    dask: options.Dask = None,
+    batch: options.Batch = None,
+) -> AuditResult:
     """Compares derivatives with the slope of the response over ±20 %, parameter by parameter.
 
     Args:
