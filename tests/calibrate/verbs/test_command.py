@@ -14,7 +14,7 @@ from calibrate.verbs import VERBS, command, options
 
 FOLDER = Path(command.__file__).parent
 SHARED = {"__init__", "base", "command", "options"}
-HEAVY = ("jax", "numpy", "pandas", "matplotlib", "scipy", "pydantic")
+HEAVY = ("jax", "numpy", "pandas", "matplotlib", "scipy")
 
 
 def test_every_file_of_a_verb_is_in_the_table_and_says_what_it_does():
@@ -24,8 +24,19 @@ def test_every_file_of_a_verb_is_in_the_table_and_says_what_it_does():
 
 def shown(name: str, only_help: bool) -> list[tuple]:
     """What the options of a verb are."""
-    kinds = [each.to_info_dict() for each in command.command_of(name, only_help).params]
-    return [tuple((k, str(v)) for k, v in kind.items()) for kind in kinds]
+    told = (
+        "name",
+        "opts",
+        "secondary_opts",
+        "help",
+        "metavar",
+        "required",
+        "default",
+        "min",
+        "max",
+    )
+    parameters = command.command_of(name, only_help).params
+    return [tuple(getattr(each, what, None) for what in told) for each in parameters]
 
 
 @pytest.mark.parametrize("name", VERBS)
@@ -95,5 +106,5 @@ def test_what_is_typed_is_read():
 def test_what_is_typed_wrongly_is_refused():
     with pytest.raises(InputError, match="no '='"):
         given("--set", "a")
-    with pytest.raises(typer.exceptions.TyperException, match="--seed"):
+    with pytest.raises(typer.exceptions.TyperException, match="equal to 0"):
         given("--seed", "-1")
