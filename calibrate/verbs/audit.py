@@ -11,7 +11,6 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate import figures
 from calibrate.core.files import write_json
 from calibrate.figures import Figure
 from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
@@ -23,11 +22,11 @@ from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AuditResult(AbstractDrawnResult):
+class AuditResult(AbstractFiguresResult):
     """Slopes of observables and curves in every parameter, and how far from the reference they are.
 
     Attributes:
@@ -36,7 +35,8 @@ class AuditResult(AbstractDrawnResult):
         content: everything, with the keys of audit.json.
     """
 
-    files = ("audit.json", "audit.png", "audit_curves.png")
+    verb = "audit"
+    files = ("audit.json",)
     slopes: Audit
     folder: Path
     content: dict
@@ -52,9 +52,10 @@ class AuditResult(AbstractDrawnResult):
             yield line(f"{name}: {_judgement(self.slopes.rows(name))}")
             yield from (line(f"{name}: {sentence}") for sentence in self._refusals(name))
 
-    def plot(self) -> Figure:
-        """Estimates against the reference, one panel an observable."""
-        return figures.closed(figures.audit_figure(self.record))
+    @property
+    def drawn(self) -> tuple[AuditRecord]:
+        """The record of the audit."""
+        return (self.record,)
 
     def plot_curves(self) -> Figure:
         """Slopes of whole curves in every parameter.
@@ -62,7 +63,7 @@ class AuditResult(AbstractDrawnResult):
         Returns:
             A matplotlib figure.
         """
-        return figures.closed(figures.curve_slopes_figure(self.record))
+        return self.plot("audit_curves")
 
     def _table(self, strategy: str) -> Table:
         title = f"{strategy}, {self.slopes.packings} packings"
@@ -164,6 +165,5 @@ def audit(
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     found = AuditResult(slopes, folder, {**origin_of(session), **settings, **audit_json(slopes)})
     write_json(folder / "audit.json", found.content)
-    figures.save(found.plot(), folder / "audit.png")
-    figures.save(found.plot_curves(), folder / "audit_curves.png")
+    found.save_figures()
     return found

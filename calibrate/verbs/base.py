@@ -5,7 +5,7 @@ import functools
 import inspect
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from numbers import Integral
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, ForwardRef, ParamSpec, TypeVar, get_args
 from rich.console import Console, RenderableType
 from rich.text import Text
 
+from calibrate import figures
 from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import as_json, write_text
@@ -30,10 +31,12 @@ class AbstractResult(abc.ABC):
     """What a verb found.
 
     Printed, it is what the command line shows; at the end of a notebook's cell it is the same in
-    HTML.  `folder` holds the files that the verb wrote; `files` names them, where the words do
-    not.  `content` is everything that was found, as plain data with the keys of the JSON file.
+    HTML.  `folder` holds the files that the verb wrote; `files` names those that are no pictures,
+    where the words do not.  `content` is everything that was found, as plain data with the keys of
+    the JSON file.
     """
 
+    verb: ClassVar[str] = ""  # under which its pictures stand in `calibrate.figures.FIGURES`
     files: ClassVar[tuple[str, ...]] = ()
     folder: Path
     content: dict
@@ -41,6 +44,11 @@ class AbstractResult(abc.ABC):
     @abc.abstractmethod
     def words(self) -> Iterator[RenderableType]:
         """Tables and sentences, as the terminal shows them."""
+
+    def written(self) -> tuple[str, ...]:
+        """What lies in the folder, pictures last; empty where the words say it."""
+        pictures = (f"{name}.png" for name in figures.FIGURES.get(self.verb, ()))
+        return (*self.files, *pictures) if self.files else ()
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The result as JSON text.
@@ -79,6 +87,42 @@ class AbstractDrawnResult(AbstractResult):
         Returns:
             A matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
         """
+
+
+class AbstractFiguresResult(AbstractDrawnResult):
+    """A result whose pictures stand in `calibrate.figures.FIGURES`."""
+
+    @property
+    @abc.abstractmethod
+    def drawn(self) -> tuple:
+        """What each picture is drawn from: the arguments of its function."""
+
+    def plot(self, name: str | None = None) -> Figure:
+        """A picture of the result.
+
+        Args:
+            name: that of its file, without .png; None: the first.
+
+        Returns:
+            A matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
+
+        Raises:
+            InputError: the result has no picture of this name.
+        """
+        known = figures.FIGURES[self.verb]
+        chosen = next(iter(known)) if name is None else name
+        if chosen not in known:
+            raise InputError("arguments", "name", f"no picture {shown(name)}", f"give {_or(known)}")
+        return figures.closed(known[chosen](*self.drawn))
+
+    def save_figures(self) -> None:
+        """Writes all of them to the folder."""
+        for name in figures.FIGURES[self.verb]:
+            figures.save(self.plot(name), self.folder / f"{name}.png")
+
+
+def _or(names: Iterable[str]) -> str:
+    return " or ".join(f'"{name}"' for name in names)
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:

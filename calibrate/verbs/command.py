@@ -137,8 +137,8 @@ def answer(json: Path | None, work: Callable[[], "AbstractResult"]) -> None:
         console = Console()
         for part in found.words():
             console.print(part, soft_wrap=not console.is_terminal and isinstance(part, Text))
-        if found.files:
-            *first, last = found.files
+        if found.written():
+            *first, last = found.written()
             print(f"{', '.join(first)} and {last} are in {found.folder}")
     if error is not None:
         raise error

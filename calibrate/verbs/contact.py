@@ -10,17 +10,15 @@ import numpy as np
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json
-from calibrate.figures import Figure
 from calibrate.simulation import single_contact
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContactResult(AbstractDrawnResult):
+class ContactResult(AbstractFiguresResult):
     """The force-overlap loop of one contact.
 
     Attributes:
@@ -28,7 +26,8 @@ class ContactResult(AbstractDrawnResult):
         content: everything, with the keys of contact.json.
     """
 
-    files = ("contact.json", "contact.png")
+    verb = "contact"
+    files = ("contact.json",)
     folder: Path
     content: dict
 
@@ -46,9 +45,10 @@ class ContactResult(AbstractDrawnResult):
         force = self.normal_force_n
         yield line(f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N")
 
-    def plot(self) -> Figure:
-        """Normal force against overlap."""
-        return figures.closed(figures.contact_figure(self.overlap_m, self.normal_force_n))
+    @property
+    def drawn(self) -> tuple[np.ndarray, np.ndarray]:
+        """Overlaps (m) and normal forces (N)."""
+        return self.overlap_m, self.normal_force_n
 
 
 @verb
@@ -98,7 +98,7 @@ def contact(
     found = single_contact.drive(pair, parameter_values(values), points, smooth)
     result = ContactResult(folder, found)
     write_json(folder / "contact.json", found)
-    figures.save(result.plot(), folder / "contact.png")
+    result.save_figures()
     return result
 
 

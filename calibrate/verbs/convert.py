@@ -8,11 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
 from calibrate.core.files import make_folder, write_json, write_text
 from calibrate.core.units import LENGTH, positive_quantity
-from calibrate.figures import Figure
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import Export, file_stem, joined, read_export
 from calibrate.instrument_import.measured import Units
@@ -23,11 +21,11 @@ from calibrate.instrument_import.unittext import Unit, doubt, unit_of
 from calibrate.instrument_import.vocabulary import TESTS
 from calibrate.io.lab import Lab, load_lab
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, verb
+from calibrate.verbs.base import AbstractFiguresResult, line, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ConvertResult(AbstractDrawnResult):
+class ConvertResult(AbstractFiguresResult):
     """What a testing machine's export holds.
 
     Attributes:
@@ -37,6 +35,7 @@ class ConvertResult(AbstractDrawnResult):
         content: everything, with the keys of convert.json.
     """
 
+    verb = "convert"
     export: Export
     lab_file: Path
     folder: Path
@@ -74,9 +73,10 @@ class ConvertResult(AbstractDrawnResult):
         yield from (f"WARNING: {sentence}" for sentence in read.skipped)
         yield f"look at {self.folder / 'preview.png'}, then: calibrate fit {self.lab_file}"
 
-    def plot(self) -> Figure:
-        """Each specimen as recorded and as kept, with what was assumed."""
-        return figures.closed(figures.preview_figure(self.export))
+    @property
+    def drawn(self) -> tuple[Export]:
+        """Specimens as recorded and as kept."""
+        return (self.export,)
 
 
 @verb
@@ -178,7 +178,7 @@ def _kept(read: Export, out: Path) -> ConvertResult:
         write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
     write_text(lab, labtext.lab_text(read))
     found = ConvertResult(read, lab, out, summary(read, lab))
-    figures.save(found.plot(), out / "preview.png")
+    found.save_figures()
     write_json(out / "convert.json", found.content)
     return found
 

@@ -12,10 +12,8 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE
 from calibrate.core.files import write_json, write_text
-from calibrate.figures import Figure
 from calibrate.inference.calibration import Calibrated, calibrate, fit_json
 from calibrate.inference.parameters import RANGES, checked_free
 from calibrate.inference.resolutions import Coarse
@@ -29,11 +27,11 @@ from calibrate.reports.terminal import observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound, doubts
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult(AbstractDrawnResult):
+class FitResult(AbstractFiguresResult):
     """Fitted parameters of one soil, how well the data fix them, and the check on fresh packings.
 
     Attributes:
@@ -42,7 +40,8 @@ class FitResult(AbstractDrawnResult):
         content: everything, with the keys of result.json.
     """
 
-    files = ("result.json", "history.csv", "fit.png")
+    verb = "fit"
+    files = ("result.json", "history.csv")
     lab: Lab
     folder: Path
     content: dict
@@ -99,9 +98,10 @@ class FitResult(AbstractDrawnResult):
         yield from map(line, [*self._verification(), *self._conclusions()])
         yield from warned_of_observables(found)
 
-    def plot(self) -> Figure:
-        """Curves, observables and parameters at a glance; below them what the fit warned of."""
-        return figures.closed(figures.fit_figure(self.record))
+    @property
+    def drawn(self) -> tuple[FitRecord]:
+        """The record of the fit."""
+        return (self.record,)
 
     def _parameters(self) -> Table:
         table = Table(title="free parameters", title_justify="left")
@@ -221,7 +221,7 @@ def kept(session: Session, done: Calibrated) -> FitResult:
     found = FitResult(session.lab, session.out, content)
     write_json(session.out / "result.json", content)
     write_text(session.out / "history.csv", _table_of(content["history"]))
-    figures.save(found.plot(), session.out / "fit.png")
+    found.save_figures()
     check_some_sound(done.fresh_runs, "fresh packings", found)
     return found
 

@@ -9,9 +9,7 @@ import numpy as np
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.files import write_json
-from calibrate.figures import Figure
 from calibrate.io.lab import Lab
 from calibrate.records.base import Measured, record
 from calibrate.reports.terminal import (
@@ -24,11 +22,11 @@ from calibrate.simulation import specimens
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationResult(AbstractDrawnResult):
+class SimulationResult(AbstractFiguresResult):
     """Simulated tests of one soil on several packings.
 
     Attributes:
@@ -38,7 +36,8 @@ class SimulationResult(AbstractDrawnResult):
         runs: one run a packing, failed ones among them.
     """
 
-    files = ("result.json", "curves.png")
+    verb = "simulate"
+    files = ("result.json",)
     lab: Lab
     folder: Path
     content: dict
@@ -78,10 +77,10 @@ class SimulationResult(AbstractDrawnResult):
         yield line(course(found))
         yield from warned_of_resolution(found)
 
-    def plot(self) -> Figure:
-        """Curves of all packings, one panel a test, beside what was measured."""
-        measured = record(Measured, specimens.measured_json(self.lab))
-        return figures.closed(figures.simulation_figure(self.runs, measured))
+    @property
+    def drawn(self) -> tuple[tuple[Run, ...], Measured]:
+        """The runs, and what was measured."""
+        return self.runs, record(Measured, specimens.measured_json(self.lab))
 
 
 @verb
@@ -142,6 +141,6 @@ def kept(session: Session, content: dict, runs: Sequence[Run]) -> SimulationResu
     content = {**origin_of(session), **content}
     found = SimulationResult(session.lab, session.out, content, tuple(runs))
     write_json(session.out / "result.json", content)
-    figures.save(found.plot(), session.out / "curves.png")
+    found.save_figures()
     specimens.check_some_sound(runs, result=found)
     return found
