@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import typer
 
-import calibrate
+import calibrate as package
+from calibrate import figures
 from calibrate.core.errors import InputError
 from calibrate.verbs import VERBS, command, options
 
@@ -65,11 +66,26 @@ print("heavy:", *({HEAVY} & sys.modules.keys()))
 
 def test_a_signature_in_python_has_nothing_of_the_command_line():
     for name in ("fit", "contact", "convert", "next_test"):
-        said = str(inspect.signature(getattr(calibrate, name)))
+        said = str(inspect.signature(getattr(package, name)))
         assert "typer" not in said and "Typed" not in said, said
     assert "strategies: str | collections.abc.Sequence[str] = ('fit',)" in str(
-        inspect.signature(calibrate.audit)
+        inspect.signature(package.audit)
     )
+
+
+def test_a_picture_takes_one_line(monkeypatch, calibrate, tmp_path):
+    """It is written, named on the terminal, and drawn in a notebook; others are refused."""
+    twice = lambda overlap, force: figures.contact_figure(2 * overlap, force)  # noqa: E731
+    monkeypatch.setitem(figures.FIGURES["contact"], "twice", twice)
+    status, out, error = calibrate("contact", "--path-um", "9,1", "--out", "o")
+    assert (status, error) == (0, "")
+    assert out.splitlines()[-1] == "contact.json, contact.png and twice.png are in o"
+    assert (tmp_path / "o" / "twice.png").stat().st_size > 1000
+    found = package.contact([9, 1], out=tmp_path)
+    widest = [found.plot(name).axes[0].lines[0].get_xdata().max() for name in (None, "twice")]
+    assert widest == pytest.approx([9.0, 18.0])
+    with pytest.raises(InputError, match='give "contact" or "twice"'):
+        found.plot("thrice")
 
 
 # ------------------------------------------------------------------ from what is typed to arguments
