@@ -10,6 +10,7 @@ from collections.abc import Callable
 from calibrate.figures.audit import MARKS, audit_figure, curve_slopes_figure
 from calibrate.figures.fit import contact_figure, export_figure, fit_figure, simulation_figure
 from calibrate.figures.lab import preview_figure
+from calibrate.figures.misfit import misfit_figure
 from calibrate.figures.panels import RATIOS
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, Figure, closed, save
 
@@ -22,6 +23,7 @@ FIGURES: dict[str, dict[str, Callable[..., Figure]]] = {
     },
     "fit": {
         "fit": fit_figure,
+        "misfit": misfit_figure,
     },
     "contact": {
         "contact": contact_figure,
