@@ -7,6 +7,7 @@ from .io.lab import bundled_lab as bundled_lab
 from .io.lab import load_lab as load_lab
 from .verbs.audit import AuditResult as AuditResult
 from .verbs.audit import audit as audit
+from .verbs.check import check as check
 from .verbs.contact import ContactResult as ContactResult
 from .verbs.contact import contact as contact
 from .verbs.convert import ConvertResult as ConvertResult
