@@ -10,12 +10,15 @@ TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadsco
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test test-slow check lint docs notebooks verification verification-quick clean help
+.PHONY: calibrate test quick test-slow check lint docs notebooks verification verification-quick clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in results/calibrate
 	$(BIN)/calibrate fit --preset standard --out results/calibrate
 
-test: lint  ## lint, then the tests that take seconds, on two cores
+test: $(STAMP)  ## lint and, at the same time, the tests that take seconds, on two cores
+	@$(MAKE) --no-print-directory --jobs=2 lint quick
+
+quick: $(STAMP)
 	$(TESTS) -m "not slow"
 
 test-slow: $(STAMP)  ## the other tests

@@ -14,8 +14,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from calibrate import commands
 from calibrate.core.errors import CalibrationError, InputError, one_line
+from calibrate.verbs import VERBS, command
 
 # Before numpy is loaded: its matrices here are small, and with two threads that wait for each other
 # a diagnosis took 25 s instead of 17 s.
@@ -25,7 +25,8 @@ PACKAGE = "differentiable-soil"  # under which it is installed
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-commands.register(app)
+for verb in VERBS:
+    app.command(verb, cls=command.VerbCommand, help=command.summary(verb))(lambda: None)
 
 
 def _show_version(asked: bool) -> None:

@@ -24,8 +24,14 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def pytest_collection_modifyitems(items):
-    """What takes longest is begun first, so that two workers end at about the same time."""
-    items.sort(key=lambda item: item.get_closest_marker("thorough") is None)
+    """Files that take long are begun first, those that run whole programs before the others, so
+    that two workers end at about the same time."""
+    long = {
+        item.path
+        for item in items
+        if item.get_closest_marker("slow") or item.get_closest_marker("thorough")
+    }
+    items.sort(key=lambda item: (item.path not in long, "project" not in item.path.parts))
 
 
 @pytest.fixture

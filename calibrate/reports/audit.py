@@ -11,7 +11,16 @@ from calibrate.labtests.composite import described
 from calibrate.records.audit import AuditRecord, Slope, StrategyRecord
 from calibrate.records.audit import Strategy as StrategyName
 from calibrate.records.base import Observable, read
-from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
+from calibrate.reports.html import (
+    Page,
+    Picture,
+    Table,
+    further_pictures,
+    number,
+    quantity,
+    render,
+    words,
+)
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,10 @@ def page(path: Path) -> Page:
         "within": {_name(name): f"{100 * share:.0f} %" for name, share in found.within.items()},
         "agreement": [_agreement(found, name) for name in found.observables],
         "strategies": [_strategy(found, name) for name in found.strategies],
-        "curves": [_curves(found, name) for name in found.parameters_of_curves],
+        "curves": [
+            *(_curves(found, name) for name in found.parameters_of_curves),
+            *further_pictures("audit", found, shown=2),
+        ],
         "values": Table(
             ["parameter", "value"],
             [[words(n), quantity(n, v)] for n, v in found.parameters.items()],

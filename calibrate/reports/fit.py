@@ -11,7 +11,17 @@ from calibrate.labtests.composite import described
 from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, Test, read
 from calibrate.records.fit import FitRecord, Packing, Summary
-from calibrate.reports.html import Page, Picture, Table, number, plus_minus, quantity, render, words
+from calibrate.reports.html import (
+    Page,
+    Picture,
+    Table,
+    further_pictures,
+    number,
+    plus_minus,
+    quantity,
+    render,
+    words,
+)
 
 SMALL = (4.6, 2.9)  # inches
 FAR = 2.0  # deviations within which a fitted number is counted as near
@@ -25,7 +35,10 @@ def page(path: Path) -> Page:
         "warnings": list(_warnings(found)),
         "targets": _targets(found),
         "features": _features(found),
-        "curves": [_curves(found, test) for test in found.measured.tests],
+        "curves": [
+            *(_curves(found, test) for test in found.measured.tests),
+            *further_pictures("fit", found, shown=1),
+        ],
         "free": _free(found),
         "pictures": list(_pictures(found)),
         "directions": _directions(found),

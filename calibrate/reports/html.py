@@ -7,13 +7,16 @@ they share.
 """
 
 import base64
-from collections.abc import Sequence
+import inspect
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
 import numpy as np
 
+from calibrate.figures import FIGURES
+from calibrate.figures.style import svg
 from calibrate.io.labfile import PARAMETER_UNITS
 
 TEMPLATES = jinja2.Environment(
@@ -68,6 +71,13 @@ def embedded(svg: str) -> str:
     """An SVG drawing as an address that an <img> can show without a request."""
     code = base64.b64encode(svg.encode("utf-8")).decode("ascii")
     return f"data:image/svg+xml;base64,{code}"
+
+
+def further_pictures(verb: str, found: object, shown: int) -> Iterator[Picture]:
+    """A verb's figures of the record `found`, but for the first that the page shows its own way."""
+    for draw in list(FIGURES[verb].values())[shown:]:
+        said = " ".join((inspect.getdoc(draw) or "").partition("\n\n")[0].split())
+        yield Picture(svg(draw(found)), said, said)
 
 
 def number(value: float | None, digits: int = 5) -> str:

@@ -1,31 +1,32 @@
-"""Auditing derivatives: slopes by some strategies beside the slope of the response itself."""
+"""Compare gradients with the slope of the response over +-20 %, parameter by parameter."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate import figures
 from calibrate.core.files import write_json
 from calibrate.figures import Figure
 from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.parameters import FACTORS, space
-from calibrate.io.lab import LabLike
 from calibrate.io.soil import base_soil, with_values
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AuditResult(AbstractDrawnResult):
+class AuditResult(AbstractFiguresResult):
     """Slopes of observables and curves in every parameter, and how far from the reference they are.
 
     Attributes:
@@ -34,6 +35,8 @@ class AuditResult(AbstractDrawnResult):
         content: everything, with the keys of audit.json.
     """
 
+    verb = "audit"
+    files = ("audit.json",)
     slopes: Audit
     folder: Path
     content: dict
@@ -49,9 +52,10 @@ class AuditResult(AbstractDrawnResult):
             yield line(f"{name}: {_judgement(self.slopes.rows(name))}")
             yield from (line(f"{name}: {sentence}") for sentence in self._refusals(name))
 
-    def plot(self) -> Figure:
-        """Estimates against the reference, one panel an observable."""
-        return figures.closed(figures.audit_figure(self.record))
+    @property
+    def drawn(self) -> tuple[AuditRecord]:
+        """The record of the audit."""
+        return (self.record,)
 
     def plot_curves(self) -> Figure:
         """Slopes of whole curves in every parameter.
@@ -59,7 +63,7 @@ class AuditResult(AbstractDrawnResult):
         Returns:
             A matplotlib figure.
         """
-        return figures.closed(figures.curve_slopes_figure(self.record))
+        return self.plot("audit_curves")
 
     def _table(self, strategy: str) -> Table:
         title = f"{strategy}, {self.slopes.packings} packings"
@@ -105,11 +109,27 @@ def _judgement(rows: list[dict]) -> str:
 
 @verb
 def audit(
-    lab: LabLike = None, *, strategies: str | Sequence[str] = ("fit",),
-    values: Mapping[str, float | str] | None = None, spheres: int = 300, packings: int = 8,
-    preset: str = "quick", seed: int = 0, out: str | Path = "results/audit",
-    dask: str | None = None, batch: int | None = None,
-) -> AuditResult:  # fmt: skip
+    lab: options.LabFile = None,
+    *,
+    strategies: Annotated[
+        str | Sequence[str],
+        typer.Option(
+            "--strategy",
+            help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
+            "overdamped, overdamped_blend, virtual_power, virtual_power_blend; may be given "
+            "several times.",
+        ),
+        options.Typed(list[str] | None),
+    ] = ("fit",),
+    values: options.Changes = None,
+    spheres: Annotated[int, typer.Option("--spheres", min=30, help="Spheres a packing.")] = 300,
+    packings: Annotated[int, typer.Option("--packings", min=2, help="Packings.")] = 8,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    out: options.Out = "results/audit",
+    dask: options.Dask = None,
+    batch: options.Batch = None,
+) -> AuditResult:
     """Compares derivatives with the slope of the response over ±20 %, parameter by parameter.
 
     Args:
@@ -145,6 +165,5 @@ def audit(
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     found = AuditResult(slopes, folder, {**origin_of(session), **settings, **audit_json(slopes)})
     write_json(folder / "audit.json", found.content)
-    figures.save(found.plot(), folder / "audit.png")
-    figures.save(found.plot_curves(), folder / "audit_curves.png")
+    found.save_figures()
     return found

@@ -2,17 +2,19 @@
 
 import abc
 import functools
+import inspect
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
+from numbers import Integral
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ClassVar, ForwardRef, ParamSpec, TypeVar, get_args
 
-import numpy as np
 from rich.console import Console, RenderableType
 from rich.text import Text
 
+from calibrate import figures
 from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import as_json, write_text
@@ -22,15 +24,6 @@ from calibrate.io.labfile import check_parameter
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# Whole numbers and what they may be, as on the command line; None: no end.
-LIMITS = {
-    "seed": (0, 10_000_000),
-    "spheres": (30, None),
-    "packings": (2, None),
-    "simulate": (0, 400),
-    "batch": (2, None),
-}
-RENAMED = {"set": "values", "strategy": "strategies"}  # options that are called otherwise here
 WIDTH = 110  # characters of a line in a notebook
 
 
@@ -38,16 +31,24 @@ class AbstractResult(abc.ABC):
     """What a verb found.
 
     Printed, it is what the command line shows; at the end of a notebook's cell it is the same in
-    HTML.  `folder` holds the files that the verb wrote, `content` everything that was found, as
-    plain data with the keys of the JSON file.
+    HTML.  `folder` holds the files that the verb wrote; `files` names those that are no pictures,
+    where the words do not.  `content` is everything that was found, as plain data with the keys of
+    the JSON file.
     """
 
+    verb: ClassVar[str] = ""  # under which its pictures stand in `calibrate.figures.FIGURES`
+    files: ClassVar[tuple[str, ...]] = ()
     folder: Path
     content: dict
 
     @abc.abstractmethod
     def words(self) -> Iterator[RenderableType]:
         """Tables and sentences, as the terminal shows them."""
+
+    def written(self) -> tuple[str, ...]:
+        """What lies in the folder, pictures last; empty where the words say it."""
+        pictures = (f"{name}.png" for name in figures.FIGURES.get(self.verb, ()))
+        return (*self.files, *pictures) if self.files else ()
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The result as JSON text.
@@ -88,31 +89,81 @@ class AbstractDrawnResult(AbstractResult):
         """
 
 
+class AbstractFiguresResult(AbstractDrawnResult):
+    """A result whose pictures stand in `calibrate.figures.FIGURES`."""
+
+    @property
+    @abc.abstractmethod
+    def drawn(self) -> tuple:
+        """What each picture is drawn from: the arguments of its function."""
+
+    def plot(self, name: str | None = None) -> Figure:
+        """A picture of the result.
+
+        Args:
+            name: that of its file, without .png; None: the first.
+
+        Returns:
+            A matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
+
+        Raises:
+            InputError: the result has no picture of this name.
+        """
+        known = figures.FIGURES[self.verb]
+        chosen = next(iter(known)) if name is None else name
+        if chosen not in known:
+            raise InputError("arguments", "name", f"no picture {shown(name)}", f"give {_or(known)}")
+        return figures.closed(known[chosen](*self.drawn))
+
+    def save_figures(self) -> None:
+        """Writes all of them to the folder."""
+        for name in figures.FIGURES[self.verb]:
+            figures.save(self.plot(name), self.folder / f"{name}.png")
+
+
+def _or(names: Iterable[str]) -> str:
+    return " or ".join(f'"{name}"' for name in names)
+
+
 def verb(function: Callable[P, R]) -> Callable[P, R]:
-    """A function that sets JAX up before it computes, and calls arguments by their own names where
-    the command line would call them options."""
+    """A function that sets JAX up before it computes, refuses numbers outside the limits of its
+    options, and calls arguments by their own names where the command line would call them options.
+    """
+    signature = inspect.signature(function)
+    options = {name: get_args(p.annotation)[1] for name, p in signature.parameters.items()}
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         runtime.configure()
         try:
-            _check_limits(kwargs)
+            _check_limits(options, kwargs)
             return function(*args, **kwargs)
         except InputError as error:
             if runtime.COMMAND.get():
                 raise
-            raise _in_arguments(error) from None
+            raise _in_arguments(error, options) from None
 
+    called.__signature__ = _in_python(signature)  # pyright: ignore[reportAttributeAccessIssue]
     return called
 
 
-def _check_limits(options: Mapping[str, Any]) -> None:
-    """Refuses numbers outside `LIMITS`."""
-    for name, (low, high) in LIMITS.items():
-        value = options.get(name)
-        if value is None:
+def _in_python(signature: inspect.Signature) -> inspect.Signature:
+    """A signature without what is for the command line, as `help` and notebooks show it."""
+    parameters = []
+    for parameter in signature.parameters.values():
+        kind = get_args(parameter.annotation)[0]
+        shown = kind.__forward_arg__ if isinstance(kind, ForwardRef) else kind
+        parameters.append(parameter.replace(annotation=shown))
+    return signature.replace(parameters=parameters)
+
+
+def _check_limits(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Refuses numbers that the command line would refuse; a limit of None is no end."""
+    for name, option in options.items():
+        value, low, high = given.get(name), option.min, option.max
+        if value is None or low is None:
             continue
-        if not isinstance(value, int | np.integer) or value < low or (high and value > high):
+        if not isinstance(value, Integral) or value < low or (high and value > high):
             ends = f"from {low} on" if high is None else f"from {low} to {high}"
             problem = f"{shown(value, 20)} is no whole number {ends}"
             raise InputError(COMMAND_LINE, f"--{name}", problem, f"give one {ends}")
@@ -127,13 +178,19 @@ def listed(names: str | Sequence[str]) -> tuple[str, ...]:
 OPTION = re.compile(r"--([a-z][a-z-]*)")  # of the command line
 
 
-def _in_arguments(error: InputError) -> InputError:
+def _in_arguments(error: InputError, options: Mapping[str, Any]) -> InputError:
     """The same refusal in the words of a Python program."""
     file, field = error.file, error.field
     if file == COMMAND_LINE:
         name, _, rest = _as_arguments(field).partition(" ")
-        file, field = "arguments", f"{RENAMED.get(name, name)}.{rest}".rstrip(".")
+        called = {_flag(option): argument for argument, option in options.items()}
+        file, field = "arguments", f"{called.get(name, name)}.{rest}".rstrip(".")
     return InputError(file, field, _as_arguments(error.problem), _as_arguments(error.repair))
+
+
+def _flag(option: Any) -> str:
+    """The name of an option, as an argument; "" of a positional argument."""
+    return _as_arguments(str(option.default)) if option.default is not ... else ""
 
 
 def _as_arguments(text: str) -> str:

@@ -1,23 +1,24 @@
-"""One contact: the normal force of two equal spheres that are driven through overlaps."""
+"""Drive two equal spheres through overlaps, quasi-statically: force-overlap loop."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json
-from calibrate.figures import Figure
 from calibrate.simulation import single_contact
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContactResult(AbstractDrawnResult):
+class ContactResult(AbstractFiguresResult):
     """The force-overlap loop of one contact.
 
     Attributes:
@@ -25,6 +26,8 @@ class ContactResult(AbstractDrawnResult):
         content: everything, with the keys of contact.json.
     """
 
+    verb = "contact"
+    files = ("contact.json",)
     folder: Path
     content: dict
 
@@ -42,17 +45,29 @@ class ContactResult(AbstractDrawnResult):
         force = self.normal_force_n
         yield line(f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N")
 
-    def plot(self) -> Figure:
-        """Normal force against overlap."""
-        return figures.closed(figures.contact_figure(self.overlap_m, self.normal_force_n))
+    @property
+    def drawn(self) -> tuple[np.ndarray, np.ndarray]:
+        """Overlaps (m) and normal forces (N)."""
+        return self.overlap_m, self.normal_force_n
 
 
 @verb
 def contact(
-    path_um: Sequence[float | str], *, values: Mapping[str, float | str] | None = None,
-    radius_mm: float = 2.5, young_mpa: float = 5.0, poisson: float = 0.3, smooth: bool = False,
-    out: str | Path = "results/contact",
-) -> ContactResult:  # fmt: skip
+    path_um: Annotated[
+        Sequence[float | str],
+        typer.Option("--path-um", help="Turning points of the overlap, micrometres."),
+        options.Typed(str, lambda text: text.split(",")),
+    ],
+    *,
+    values: options.Changes = None,
+    radius_mm: Annotated[float, typer.Option("--radius-mm", help="Radius of both spheres.")] = 2.5,
+    young_mpa: Annotated[float, typer.Option("--young-mpa", help="Young's modulus.")] = 5.0,
+    poisson: Annotated[float, typer.Option("--poisson", help="Poisson's ratio.")] = 0.3,
+    smooth: Annotated[
+        bool, typer.Option("--smooth/--sharp", help="Default roundings, or the law as printed.")
+    ] = False,
+    out: options.Out = "results/contact",
+) -> ContactResult:
     """Drives two equal spheres through overlaps, quasi-statically.
 
     Args:
@@ -83,7 +98,7 @@ def contact(
     found = single_contact.drive(pair, parameter_values(values), points, smooth)
     result = ContactResult(folder, found)
     write_json(folder / "contact.json", found)
-    figures.save(result.plot(), folder / "contact.png")
+    result.save_figures()
     return result
 
 

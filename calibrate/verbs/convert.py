@@ -1,16 +1,16 @@
-"""Converting a testing machine's export: clean curves, a lab file, and what was assumed."""
+"""Turn exports of testing machines into clean curves and a lab file for `calibrate fit`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
 from calibrate.core.files import make_folder, write_json, write_text
 from calibrate.core.units import LENGTH, positive_quantity
-from calibrate.figures import Figure
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import Export, file_stem, joined, read_export
 from calibrate.instrument_import.measured import Units
@@ -20,11 +20,12 @@ from calibrate.instrument_import.strengths import Strengths
 from calibrate.instrument_import.unittext import Unit, doubt, unit_of
 from calibrate.instrument_import.vocabulary import TESTS
 from calibrate.io.lab import Lab, load_lab
-from calibrate.verbs.base import AbstractDrawnResult, line, verb
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractFiguresResult, line, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ConvertResult(AbstractDrawnResult):
+class ConvertResult(AbstractFiguresResult):
     """What a testing machine's export holds.
 
     Attributes:
@@ -34,6 +35,7 @@ class ConvertResult(AbstractDrawnResult):
         content: everything, with the keys of convert.json.
     """
 
+    verb = "convert"
     export: Export
     lab_file: Path
     folder: Path
@@ -71,20 +73,57 @@ class ConvertResult(AbstractDrawnResult):
         yield from (f"WARNING: {sentence}" for sentence in read.skipped)
         yield f"look at {self.folder / 'preview.png'}, then: calibrate fit {self.lab_file}"
 
-    def plot(self) -> Figure:
-        """Each specimen as recorded and as kept, with what was assumed."""
-        return figures.closed(figures.preview_figure(self.export))
+    @property
+    def drawn(self) -> tuple[Export]:
+        """Specimens as recorded and as kept."""
+        return (self.export,)
 
 
 @verb
 def convert(
-    *exports: str | Path, test: str | None = None, diameter: str | None = None,
-    height: str | None = None, void_ratio: str | None = None, settlement: str | None = None,
-    points: bool | None = None, force_unit: str | None = None,
-    displacement_unit: str | None = None, stress_unit: str | None = None,
-    strain_unit: str | None = None, time_unit: str | None = None,
-    out: str | Path = "results/convert",
-) -> ConvertResult:  # fmt: skip
+    *exports: Annotated[
+        str | Path,
+        typer.Argument(metavar="EXPORT...", help=".csv, .txt or .xlsx files of one soil."),
+        options.Typed(list[Path]),
+    ],
+    test: Annotated[
+        str | None,
+        typer.Option("--test", help="Its type (calibrate.labtests); default: found out."),
+    ] = None,
+    diameter: Annotated[
+        str | None, typer.Option("--diameter", help="Of the specimen, for stresses: 50 mm.")
+    ] = None,
+    height: Annotated[
+        str | None, typer.Option("--height", help="Of the specimen, for strains: 100 mm.")
+    ] = None,
+    void_ratio: Annotated[
+        str | None,
+        typer.Option("--void-ratio", help="Initial one (e0), or one a specimen: 1.2,1.3; first."),
+    ] = None,
+    settlement: Annotated[
+        str | None,
+        typer.Option("--settlement", help="Whole one of a degree of consolidation: 0.2 mm, 1 %."),
+    ] = None,
+    points: Annotated[
+        bool | None, typer.Option("--points/--curve", help="Rows are load steps, or a curve.")
+    ] = None,
+    force_unit: Annotated[
+        str | None, typer.Option("--force-unit", help="Unit of force, against the file: kN.")
+    ] = None,
+    displacement_unit: Annotated[
+        str | None, typer.Option("--displacement-unit", help="Unit of travel, against the file.")
+    ] = None,
+    stress_unit: Annotated[
+        str | None, typer.Option("--stress-unit", help="Unit of stress, against the file: MPa.")
+    ] = None,
+    strain_unit: Annotated[
+        str | None, typer.Option("--strain-unit", help="Unit of strain, against the file: % or -.")
+    ] = None,
+    time_unit: Annotated[
+        str | None, typer.Option("--time-unit", help="Unit of time, against the file: min.")
+    ] = None,
+    out: options.Folder = "results/convert",
+) -> ConvertResult:
     """Turns exports of testing machines into clean curves and a lab file for `fit`.
 
     Args:
@@ -139,7 +178,7 @@ def _kept(read: Export, out: Path) -> ConvertResult:
         write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
     write_text(lab, labtext.lab_text(read))
     found = ConvertResult(read, lab, out, summary(read, lab))
-    figures.save(found.plot(), out / "preview.png")
+    found.save_figures()
     write_json(out / "convert.json", found.content)
     return found
 

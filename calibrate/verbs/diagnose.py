@@ -1,10 +1,12 @@
-"""Diagnosing the gap: where a calibrated model misses the curves, and which effect it lacks."""
+"""Say where model and curves differ, which effect is left out, how far the gap shrinks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 
 from calibrate import figures
@@ -17,13 +19,14 @@ from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
 from calibrate.figures import Figure
 from calibrate.figures import diagnosis as plots
-from calibrate.io.lab import LabLike, load_lab
+from calibrate.io.lab import load_lab
 from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.records.base import record
 from calibrate.records.diagnosis import DiagnosisRecord, content
 from calibrate.reports import diagnosis as report
 from calibrate.reports.effects import title
 from calibrate.simulation.session import Session, origin_of
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, verb
 
 RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder
@@ -40,6 +43,7 @@ class DiagnosisResult(AbstractDrawnResult):
         content: everything, with the keys of result.json.
     """
 
+    files = ("result.json", "diagnosis.html", "figures")
     folder: Path
     content: dict
 
@@ -90,23 +94,38 @@ class DiagnosisResult(AbstractDrawnResult):
 
 @verb
 def diagnose(
-    lab: LabLike, *, further: str | Path | Sequence[str | Path] = (), simulate: int = 0,
-    library: str | Path | None = None, discrepancy: str | Path | None = None, seed: int = 0,
-    out: str | Path = "results/diagnose", batch: int | None = None,
-) -> DiagnosisResult:  # fmt: skip
+    lab: options.LabWithCurves,
+    *,
+    library: options.LibraryFile = None,
+    discrepancy: options.DiscrepancyFile = None,
+    simulate: Annotated[
+        int,
+        typer.Option(
+            "--simulate",
+            min=0,
+            max=400,
+            metavar="N",
+            help="Simulate the leading explanations on N more packings; 0: none.",
+        ),
+    ] = 0,
+    batch: options.Batch = None,
+    further: options.FurtherLabs = (),
+    seed: options.StatisticsSeed = 0,
+    out: options.Folder = "results/diagnose",
+) -> DiagnosisResult:
     """Says where model and curves differ, which effect is left out, how far the gap shrinks.
 
     A library of simulations answers, so that nothing is simulated unless `simulate` asks for it.
 
     Args:
         lab: a lab file's path, or what `load_lab` returned: curves of both tests.
-        further: lab files of further tests on the same soil.
-        simulate: number of packings on which the leading explanations are simulated as well.
         library: file of a library of runs; None: the bundled one.
         discrepancy: what `calibrate discrepancy` wrote; None: the model is taken as it is.
+        simulate: number of packings on which the leading explanations are simulated as well.
+        batch: specimens to simulate at once on an accelerator; None: on processor cores.
+        further: lab files of further tests on the same soil.
         seed: of simulated statistics.
         out: folder for results.
-        batch: specimens to simulate at once on an accelerator; None: on processor cores.
 
     Returns:
         Verdict, probabilities, places, what to test next; result.json, diagnosis.html and figures

@@ -1,6 +1,6 @@
-"""Calibrating by designed experiments, with gradients beside them."""
+"""Calibrate by designed experiments, the paper's way, and lay gradients beside them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +11,11 @@ from calibrate import figures
 from calibrate.designs.comparison import Designed, design
 from calibrate.figures import Figure
 from calibrate.figures.doe import study_figure
-from calibrate.io.lab import LabLike
 from calibrate.records.base import record
 from calibrate.records.study import StudyRecord
 from calibrate.reports import study as report
 from calibrate.simulation.session import Session
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, parameter_values, verb
 
 
@@ -29,6 +29,7 @@ class DoeResult(AbstractDrawnResult):
         content: everything, with the keys of result.json.
     """
 
+    files = ("result.json", "study.html", "run sheets")
     study: Designed
     folder: Path
     content: dict
@@ -53,10 +54,15 @@ class DoeResult(AbstractDrawnResult):
 
 @verb
 def doe(
-    lab: LabLike = None, *, values: Mapping[str, float | str] | None = None,
-    preset: str = "quick", seed: int = 0, out: str | Path = "results/doe",
-    dask: str | None = None, batch: int | None = None,
-) -> DoeResult:  # fmt: skip
+    lab: options.LabFile = None,
+    *,
+    values: options.Changes = None,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    out: options.Out = "results/doe",
+    dask: options.Dask = None,
+    batch: options.Batch = None,
+) -> DoeResult:
     """Calibrates by Plackett-Burman, central composite and Box-Behnken designs.
 
     Args:

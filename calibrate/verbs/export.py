@@ -1,9 +1,11 @@
-"""Exporting parameters to another program: its input as text, with intervals and warnings."""
+"""Write a soil's parameters for another program, with uncertainty and scale-up note."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 
 from calibrate import figures
@@ -15,6 +17,7 @@ from calibrate.exporters.composite import EXPORTERS, NAMES
 from calibrate.exporters.parameters_json import content as content_of
 from calibrate.exporters.source import Found, find
 from calibrate.figures import Figure
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
 from calibrate.verbs.fit import FitResult
 
@@ -55,10 +58,29 @@ class ExportResult(AbstractDrawnResult):
 
 @verb
 def export(
-    source: FitResult | str | Path, *, to: str, diameter: str | None = None,
-    values: Mapping[str, float | str] | None = None, out: str | Path | None = None,
-    force: bool = False,
-) -> ExportResult:  # fmt: skip
+    source: Annotated[
+        FitResult | str | Path,
+        typer.Argument(metavar="DIR", help="Folder of a fit, or a lab file (its start)."),
+        options.Typed(Path),
+    ],
+    *,
+    to: Annotated[
+        str, typer.Option("--to", help="Program or format: liggghts, ... (docs/export.md).")
+    ],
+    diameter: Annotated[
+        str | None,
+        typer.Option("--diameter", help='Of your particles: "4 mm"; default: as calibrated.'),
+    ] = None,
+    values: options.Changes = None,
+    out: Annotated[
+        str | Path | None,
+        typer.Option("--out", help="File to write; default: in results/export."),
+        options.Typed(Path | None),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Also of a fit that missed its data.")
+    ] = False,
+) -> ExportResult:
     """Writes a soil's parameters for another program, with uncertainty and a note on scaling.
 
     Args:

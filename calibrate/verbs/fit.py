@@ -1,24 +1,24 @@
-"""Fitting the parameters that the data can fix: the function, and the result with its words."""
+"""Calibrate the parameters that the data can fix; say which those are."""
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE
 from calibrate.core.files import write_json, write_text
-from calibrate.figures import Figure
 from calibrate.inference.calibration import Calibrated, calibrate, fit_json
 from calibrate.inference.parameters import RANGES, checked_free
 from calibrate.inference.resolutions import Coarse
 from calibrate.io.conventions import check_free
-from calibrate.io.lab import Lab, LabLike
+from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
 from calibrate.records.base import record
@@ -26,11 +26,12 @@ from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound, doubts
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult(AbstractDrawnResult):
+class FitResult(AbstractFiguresResult):
     """Fitted parameters of one soil, how well the data fix them, and the check on fresh packings.
 
     Attributes:
@@ -39,6 +40,8 @@ class FitResult(AbstractDrawnResult):
         content: everything, with the keys of result.json.
     """
 
+    verb = "fit"
+    files = ("result.json", "history.csv")
     lab: Lab
     folder: Path
     content: dict
@@ -95,9 +98,10 @@ class FitResult(AbstractDrawnResult):
         yield from map(line, [*self._verification(), *self._conclusions()])
         yield from warned_of_observables(found)
 
-    def plot(self) -> Figure:
-        """Curves, observables and parameters at a glance; below them what the fit warned of."""
-        return figures.closed(figures.fit_figure(self.record))
+    @property
+    def drawn(self) -> tuple[FitRecord]:
+        """The record of the fit."""
+        return (self.record,)
 
     def _parameters(self) -> Table:
         table = Table(title="free parameters", title_justify="left")
@@ -149,11 +153,21 @@ VERDICTS = {
 
 @verb
 def fit(
-    lab: LabLike = None, *, free: str | Sequence[str] | None = None,
-    values: Mapping[str, float | str] | None = None, preset: str = "quick", seed: int = 0,
-    prepare_with_soil: bool = False, conventions: str | None = None,
-    out: str | Path = "results/fit", dask: str | None = None,
-) -> FitResult:  # fmt: skip
+    lab: options.LabFile = None,
+    *,
+    free: Annotated[
+        str | Sequence[str] | None,
+        typer.Option("--free", help="Names, comma-separated; default: chosen by data."),
+        options.Typed(str | None),
+    ] = None,
+    values: options.Changes = None,
+    conventions: options.Conventions = None,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    prepare_with_soil: options.Preparation = False,
+    out: options.Out = "results/fit",
+    dask: options.Dask = None,
+) -> FitResult:
     """Fits the parameters that the data can fix, and says which those are.
 
     Simulations are kept in `out`; a second call with the same arguments goes on where the first
@@ -164,11 +178,11 @@ def fit(
         free: names of the parameters to fit; None: the lab file's choice, or what the data can fix.
         values: parameters to start from in place of the lab file's, by name, in SI units or with a
             unit ("12 J/m^2").
+        conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
+            file's.
         preset: "quick", "standard" or "fine": how many spheres and packings.
         seed: choice of packings, from 0.
         prepare_with_soil: beds settle with the soil under test, not with a slippery one.
-        conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
-            file's.
         out: folder for results.
         dask: address of a Dask cluster that simulates; None: this machine.
 
@@ -207,7 +221,7 @@ def kept(session: Session, done: Calibrated) -> FitResult:
     found = FitResult(session.lab, session.out, content)
     write_json(session.out / "result.json", content)
     write_text(session.out / "history.csv", _table_of(content["history"]))
-    figures.save(found.plot(), session.out / "fit.png")
+    found.save_figures()
     check_some_sound(done.fresh_runs, "fresh packings", found)
     return found
 

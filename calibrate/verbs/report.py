@@ -1,13 +1,16 @@
-"""Reporting a result: one self-contained HTML file with figures, tables, settings and versions."""
+"""Write report.html: one file with figures, tables, settings and versions, to hand on."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 
 from calibrate.core.files import make_folder, write_text
 from calibrate.reports import kinds
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractResult, line, verb
 
 PAGE = "report.html"
@@ -35,7 +38,21 @@ class ReportResult(AbstractResult):
 
 
 @verb
-def report(source: AbstractResult | str | Path, *, out: str | Path | None = None) -> ReportResult:
+def report(
+    source: Annotated[
+        AbstractResult | str | Path,
+        typer.Argument(
+            metavar="DIR", help="Folder that fit, doe, audit or diagnose wrote, or its JSON file."
+        ),
+        options.Typed(Path),
+    ],
+    *,
+    out: Annotated[
+        str | Path | None,
+        typer.Option("--out", help="Folder for report.html; default: DIR itself."),
+        options.Typed(Path | None),
+    ] = None,
+) -> ReportResult:
     """Writes report.html of a result: one file with figures, tables and settings, to hand on.
 
     Args:

@@ -1,16 +1,16 @@
-"""Simulating a lab's tests on several packings: curves, observables, their scatter."""
+"""Run the lab's virtual tests on several packings: curves, observables, scatter."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.files import write_json
-from calibrate.figures import Figure
-from calibrate.io.lab import Lab, LabLike
+from calibrate.io.lab import Lab
 from calibrate.records.base import Measured, record
 from calibrate.reports.terminal import (
     course,
@@ -21,11 +21,12 @@ from calibrate.reports.terminal import (
 from calibrate.simulation import specimens
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationResult(AbstractDrawnResult):
+class SimulationResult(AbstractFiguresResult):
     """Simulated tests of one soil on several packings.
 
     Attributes:
@@ -35,6 +36,8 @@ class SimulationResult(AbstractDrawnResult):
         runs: one run a packing, failed ones among them.
     """
 
+    verb = "simulate"
+    files = ("result.json",)
     lab: Lab
     folder: Path
     content: dict
@@ -74,18 +77,27 @@ class SimulationResult(AbstractDrawnResult):
         yield line(course(found))
         yield from warned_of_resolution(found)
 
-    def plot(self) -> Figure:
-        """Curves of all packings, one panel a test, beside what was measured."""
-        measured = record(Measured, specimens.measured_json(self.lab))
-        return figures.closed(figures.simulation_figure(self.runs, measured))
+    @property
+    def drawn(self) -> tuple[tuple[Run, ...], Measured]:
+        """The runs, and what was measured."""
+        return self.runs, record(Measured, specimens.measured_json(self.lab))
 
 
 @verb
 def simulate(
-    lab: LabLike = None, *, values: Mapping[str, float | str] | None = None,
-    preset: str = "quick", seed: int = 0, single: bool = False, prepare_with_soil: bool = False,
-    conventions: str | None = None, out: str | Path = "results/simulate", dask: str | None = None,
-) -> SimulationResult:  # fmt: skip
+    lab: options.LabFile = None,
+    *,
+    values: options.Changes = None,
+    conventions: options.Conventions = None,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    prepare_with_soil: options.Preparation = False,
+    single: Annotated[
+        bool, typer.Option("--single/--double", help="Numbers in single precision: faster.")
+    ] = False,
+    out: options.Out = "results/simulate",
+    dask: options.Dask = None,
+) -> SimulationResult:
     """Simulates the tests of a lab file on several packings of spheres.
 
     Simulations are kept in `out`; a second call with the same arguments reads them.
@@ -94,12 +106,12 @@ def simulate(
         lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
         values: parameters in place of the lab file's, by name, in SI units or with a unit
             ("12 J/m^2").
-        preset: "quick", "standard" or "fine": how many spheres and packings.
-        seed: choice of packings, from 0.
-        single: in single precision, which is faster.
-        prepare_with_soil: beds settle with the soil under test, not with a slippery one.
         conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
             file's.
+        preset: "quick", "standard" or "fine": how many spheres and packings.
+        seed: choice of packings, from 0.
+        prepare_with_soil: beds settle with the soil under test, not with a slippery one.
+        single: in single precision, which is faster.
         out: folder for results.
         dask: address of a Dask cluster that simulates; None: this machine.
 
@@ -129,6 +141,6 @@ def kept(session: Session, content: dict, runs: Sequence[Run]) -> SimulationResu
     content = {**origin_of(session), **content}
     found = SimulationResult(session.lab, session.out, content, tuple(runs))
     write_json(session.out / "result.json", content)
-    figures.save(found.plot(), session.out / "curves.png")
+    found.save_figures()
     specimens.check_some_sound(runs, result=found)
     return found

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import typer
-
 HEAD = """# Command line
 
 `calibrate VERB --help` says the same on the terminal. A second run of a command with the same
@@ -17,18 +15,12 @@ HEAD = """# Command line
 """
 
 
-def program() -> Any:
-    from calibrate import cli
-
-    return typer.main.get_command(cli.app)
-
-
 def page() -> str:
     """All verbs in the order of `calibrate --help`."""
-    verbs = program().commands
-    return "\n".join(
-        [HEAD, *[_verb(name, verb) for name, verb in verbs.items() if not verb.hidden]]
-    )
+    from calibrate.verbs import VERBS
+    from calibrate.verbs.command import command_of
+
+    return "\n".join([HEAD, *[_verb(name, command_of(name)) for name in VERBS]])
 
 
 def _verb(name: str, verb: Any) -> str:

@@ -9,13 +9,15 @@ from pathlib import Path
 import typer
 
 from calibrate import cli
-from calibrate.commands.options import Json, Out
+from calibrate.verbs.command import typed
+from calibrate.verbs.options import Json, Out
 
 NAME = "python -m studies.chen_2023"
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
+@typed
 def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -> None:
     """Put the paper's published figures beside what its own printed tables give."""
     from rich.console import Console
@@ -24,11 +26,12 @@ def reproduce_command(out: Out = Path("results/reproduce"), json: Json = None) -
     from studies.chen_2023 import paper, report
 
     check_writable(json)
-    make_folder(out)
+    folder = Path(out)
+    make_folder(folder)
     result = paper.reproduce()
-    report.write(result, out, json)
+    report.write(result, folder, json)
     report.show(result, Console())
-    print(f"page and JSON in {out}")
+    print(f"page and JSON in {folder}")
 
 
 if __name__ == "__main__":

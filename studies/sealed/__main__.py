@@ -11,13 +11,15 @@ from typing import Annotated
 import typer
 
 from calibrate import cli
-from calibrate.commands.options import Batch, DiscrepancyFile, LibraryFile
+from calibrate.verbs.command import typed
+from calibrate.verbs.options import Batch, DiscrepancyFile, LibraryFile
 
 NAME = "python -m studies.sealed"
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
+@typed
 def sealed_command(
     given: Annotated[
         Path | None, typer.Option("--given", help="Folder of sealed cases; default: make them.")
@@ -66,8 +68,8 @@ def sealed_command(
     check_writable(json)
     make_folder(out)
     progress = for_terminal()
-    emulated = EmulatedLibrary.of(store.load(library or store.bundled_library()))
-    estimated = None if discrepancy is None else load_discrepancy(discrepancy, emulated)
+    emulated = EmulatedLibrary.of(store.load(Path(library or store.bundled_library())))
+    estimated = None if discrepancy is None else load_discrepancy(Path(discrepancy), emulated)
     if given is None:
         usual, sizes = (OF_SHAPES, SHAPES) if shapes else (COUNTS, (USUAL,))
         counts = {kind: max(round(share * count), 1) for kind, count in usual.items()}

@@ -63,7 +63,6 @@ ORDER = {
         "exporters",
         "reports",
         "verbs",
-        "commands",
         "cli",
         "__main__",
     ),

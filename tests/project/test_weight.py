@@ -1,4 +1,4 @@
-"""A checkout stays light, and tests need nothing of the folder of benchmarks."""
+"""A checkout stays light, no file edits sys.path, and tests need nothing of benchmarks."""
 
 import ast
 import re
@@ -80,3 +80,22 @@ def test_the_rule_catches(source):
 
 def test_the_rule_lets_words_pass():
     assert not needs('import numpy\nmessage = "run `python benchmarks/beds.py`"', {"benchmarks"})
+
+
+def edits_path(source: str) -> bool:
+    """Whether a file uses `sys.path`: what it imports would depend on what ran before."""
+    return any(
+        isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.path"
+        for node in ast.walk(ast.parse(source))
+    )
+
+
+def test_no_file_edits_the_path_of_imports():
+    files = [path for path in tracked() if path.suffix == ".py"]
+    assert len(files) > 400
+    assert not [path for path in files if edits_path(path.read_text(encoding="utf-8"))]
+
+
+@pytest.mark.parametrize("source", ['sys.path.insert(0, "tests")', "sys.path += [folder]"])
+def test_an_edit_of_the_path_is_caught(source):
+    assert edits_path(source) and not edits_path("import sys\nplace = f'{sys.argv[0]}'")

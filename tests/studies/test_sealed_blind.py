@@ -39,7 +39,11 @@ KNOWING = (
     "scores",
     "canary",
 )  # of studies.sealed
-MODULES = read_modules(ROOT)
+
+
+@pytest.fixture(scope="module")
+def modules() -> dict[str, Module]:
+    return read_modules(ROOT)
 
 
 # ---------------------------------------------------------------- imports
@@ -65,8 +69,8 @@ def paths_in(module: Module) -> list[str]:
     return [w for w in given if w == "sealed" or "sealed/" in w or "labels." in w]
 
 
-def test_a_diagnosis_imports_nothing_that_knows_the_labels():
-    found = reached(ROOTS, MODULES)
+def test_a_diagnosis_imports_nothing_that_knows_the_labels(modules):
+    found = reached(ROOTS, modules)
     assert (
         "calibrate.discrepancy.comparison.compare" in found
         and "calibrate.discrepancy.library.emulator" in found
@@ -74,15 +78,15 @@ def test_a_diagnosis_imports_nothing_that_knows_the_labels():
     assert not found & {f"studies.sealed.{name}" for name in KNOWING}
 
 
-def test_a_diagnosis_names_no_path_to_the_labels():
+def test_a_diagnosis_names_no_path_to_the_labels(modules):
     """Entries of the run cache are sealed too, with a checksum: another thing."""
-    named = {n: p for n in reached(ROOTS, MODULES) if (p := paths_in(MODULES[n]))}
+    named = {n: p for n in reached(ROOTS, modules) if (p := paths_in(modules[n]))}
     assert not {n for n in named if not n.startswith("calibrate.simulation.")}
-    assert paths_in(MODULES["studies.sealed.seal"])  # the rule sees what it is to see
+    assert paths_in(modules["studies.sealed.seal"])  # the rule sees what it is to see
 
 
-def test_whoever_opens_the_seal_is_seen_by_the_rule():
-    assert "studies.sealed.seal" in reached(("studies.sealed.run",), MODULES)
+def test_whoever_opens_the_seal_is_seen_by_the_rule(modules):
+    assert "studies.sealed.seal" in reached(("studies.sealed.run",), modules)
 
 
 # ---------------------------------------------------------------- running

@@ -24,8 +24,9 @@ from calibrate.core.files import write_json
 from calibrate.core.progress import Silent
 from calibrate.designs.comparison import SlopePair, design
 from calibrate.figures import doe
+from calibrate.figures.misfit import misfit_figure
 from calibrate.figures.panels import BANDED, FRESH, _band, _resampled
-from calibrate.figures.style import PANEL
+from calibrate.figures.style import DARK, MIDDLE, PANEL
 from calibrate.inference.audit import audit, audit_json
 from calibrate.inference.calibration import calibrate as fit
 from calibrate.inference.parameters import FACTORS, space
@@ -455,6 +456,18 @@ def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit):
         assert not axis.axison or axis.lines or axis.collections or axis.patches
         assert not axis.axison or len(axis.lines) > 1
     plt.close(figure)
+
+
+def test_the_misfit_of_a_fit_marks_what_it_warns_of(missed_fit):
+    found = records.read(missed_fit / "result.json", FitRecord)
+    axis = misfit_figure(found).axes[0]
+    points = {line.get_color(): list(line.get_xdata()) for line in axis.lines[1:]}
+    off = [(each.simulated - each.measured) / each.sd for each in found.features.values()]
+    assert points[MIDDLE] == [each for each in off if abs(each) > 3] != []
+    assert points[DARK] == [each for each in off if abs(each) <= 3]
+    assert "which the fit warns of" in page_of(missed_fit)
+    assert (missed_fit / "misfit.png").stat().st_size > 10_000
+    plt.close("all")
 
 
 def test_what_a_wider_round_freed_is_shown_with_its_start(tmp_path):

@@ -1,22 +1,24 @@
-"""What to measure next: what each further test would tell, and a lab file for its answer."""
+"""Say what to measure next: what each test would tell, what it costs, what it would show."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import RenderableType
 
 from calibrate import figures
 from calibrate.core.errors import CalibrationError
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.figures import Figure
-from calibrate.io.lab import LabLike
 from calibrate.records.base import record
 from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.records.diagnosis import content as diagnosis_content
 from calibrate.reports import next_test as report
 from calibrate.simulation.session import Session, made_by
+from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, verb
 from calibrate.verbs.diagnose import NO_PRESET, found_by_library
 
@@ -32,6 +34,7 @@ class NextTestResult(AbstractDrawnResult):
         origin: what made it.
     """
 
+    files = ("next.json", "figures")
     diagnosis: Diagnosis
     folder: Path
     content: dict
@@ -65,18 +68,32 @@ class NextTestResult(AbstractDrawnResult):
 
 @verb
 def next_test(
-    lab: LabLike, *, further: str | Path | Sequence[str | Path] = (), simulate: int = 0,
-    library: str | Path | None = None, discrepancy: str | Path | None = None, seed: int = 0,
-    out: str | Path = "results/next",
-) -> NextTestResult:  # fmt: skip
+    lab: options.LabWithCurves,
+    *,
+    library: options.LibraryFile = None,
+    discrepancy: options.DiscrepancyFile = None,
+    simulate: Annotated[
+        int,
+        typer.Option(
+            "--simulate",
+            min=0,
+            max=400,
+            metavar="N",
+            help="Simulate the leading explanations on N more packings first; 0: none.",
+        ),
+    ] = 0,
+    further: options.FurtherLabs = (),
+    seed: options.StatisticsSeed = 0,
+    out: options.Folder = "results/next",
+) -> NextTestResult:
     """Says what to measure next: what each test would tell, what it costs, what it would show.
 
     Args:
         lab: a lab file's path, or what `load_lab` returned: curves of both tests.
-        further: lab files of further tests that were made already.
-        simulate: number of packings on which the leading explanations are simulated first.
         library: file of a library of runs; None: the bundled one.
         discrepancy: what `calibrate discrepancy` wrote; None: the model is taken as it is.
+        simulate: number of packings on which the leading explanations are simulated first.
+        further: lab files of further tests that were made already.
         seed: of simulated statistics.
         out: folder for results.
 

@@ -1,0 +1,92 @@
+"""Run one specimen and show its bed: bed.png, bed.gif, and files for ParaView."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import RenderableType
+
+from calibrate.core.files import make_folder, write_json
+from calibrate.figures import bed
+from calibrate.io.soil import base_soil, with_values
+from calibrate.simulation.session import Session
+from calibrate.verbs import options
+from calibrate.verbs.base import AbstractResult, line, parameter_values, verb
+from calibrate.view.contacts import contacts_of
+from calibrate.view.frames import Frame
+from calibrate.view.frames import frames as states
+from calibrate.view.vtk import write_series
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ViewResult(AbstractResult):
+    """Moments of one specimen in its tests.
+
+    Attributes:
+        frames: the bed at each moment.
+        folder: where the pictures and the files for ParaView are.
+        content: the moments, with the keys of view.json.
+    """
+
+    frames: Sequence[Frame]
+    folder: Path
+    content: dict
+
+    def words(self) -> Iterator[RenderableType]:
+        files = "bed.png, bed.gif, particles.pvd and contacts.pvd"
+        yield line(f"{len(self.frames)} moments; {files} are in {self.folder}")
+
+
+@verb
+def view(
+    lab: options.LabFile = None,
+    *,
+    values: options.Changes = None,
+    frames: Annotated[
+        int, typer.Option("--frames", min=4, max=1000, help="About how many moments.")
+    ] = 24,
+    preset: options.PresetName = "quick",
+    seed: options.Seed = 0,
+    out: options.Folder = "results/view",
+) -> ViewResult:
+    """Runs one specimen through its tests and shows its bed.
+
+    Args:
+        lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
+        values: parameters in place of the lab file's, by name, in SI units or with a unit.
+        frames: about how many moments.
+        preset: "quick", "standard" or "fine": how many spheres.
+        seed: choice of the packing, from 0.
+        out: folder for results.
+
+    Returns:
+        The moments; bed.png, bed.gif and files for ParaView in `out`.
+
+    Raises:
+        InputError: the lab file or an argument is wrong.
+    """
+    folder = Path(out)
+    session = Session.open(lab, preset, folder)
+    make_folder(folder / "vtk")
+    changes = parameter_values(values, session.lab.particles.conventions)
+    soil = with_values(base_soil(session.lab), changes)
+    work = session.campaign_of_one(folder, None)
+    (packing,) = work.packings([seed])
+    seen = states(work.lab, packing, soil, frames, session.progress.say)
+    touching = [contacts_of(frame.bed, frame.state) for frame in seen]
+    write_series(seen, touching, folder)
+    bed.bed_figure(seen, touching, folder / "bed.png")
+    bed.bed_animation(seen, touching, folder / "bed.gif")
+    content = {
+        "soil": session.lab.name,
+        "preset": session.preset.name,
+        "seed": seed,
+        "frames": [
+            {"movement": f.movement, "time_s": f.time, "platen_force_n": f.platen_force}
+            for f in seen
+        ],
+    }
+    write_json(folder / "view.json", content)
+    return ViewResult(seen, folder, content)
