@@ -26,7 +26,7 @@ from calibrate.instrument_import.labparts import (
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
 from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS
-from calibrate.labtests.features import displacement_up
+from calibrate.labtests.reading import displacement_on_rise, loading
 
 STRENGTHS_FILE = "strengths.csv"
 REACHED = 0.98  # of force_high is what `calibrate fit` asks of a curve
@@ -93,10 +93,9 @@ def observables(export: Export) -> dict[str, list[float]]:
     depths, crushing = [], []
     for specimen in fitted(export):
         if specimen.test == STIFFENS:
-            top = int(np.argmax(specimen.force_n)) + 1
-            loading = (specimen.displacement_mm[:top], specimen.force_n[:top])
-            low, high = (displacement_up(*loading, f) for f in (forces.low, forces.high))
-            depths.append(high - low)
+            rise = loading(specimen.displacement_mm, specimen.force_n)
+            low, high = (displacement_on_rise(*rise, f) for f in (forces.low, forces.high))
+            depths.append(float(high - low))
         elif specimen.test == SOFTENS and not specimen.clipped:
             crushing.append(float(specimen.force_n.max()))
     if export.strengths:

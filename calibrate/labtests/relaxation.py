@@ -17,6 +17,7 @@ from calibrate.labtests.features import (
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, PLATEN, WAIT, StepTable
+from calibrate.labtests.reading import Zero
 from jdem.apparatus.base import AbstractApparatus
 from jdem.observables import ForceLeft
 
@@ -54,7 +55,7 @@ class RelaxationTest(AbstractLabTest):
         found: list[AbstractFeature] = [
             DisplacementOnLoading(
                 f"displacement at {share * self.force:g} N, {self.called}",
-                "mm", self.called, share * self.force, zero,
+                "mm", self.called, share * self.force, Zero(zero),
             )
             for share in LOADING
             if share * self.force > zero

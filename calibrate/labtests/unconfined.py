@@ -14,11 +14,11 @@ from calibrate.labtests.features import (
     SHORT_OF,
     AbstractFeature,
     ForceAtDisplacement,
-    seat,
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, PLATEN, WAIT
+from calibrate.labtests.reading import Zero
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.observables import CrushingForce
@@ -96,9 +96,9 @@ class UnconfinedTest(AbstractLabTest):
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
-        zero = zero_of(curves)
+        zero = Zero(zero_of(curves), on_row=True)
         reach = min(
-            curve.displacement_mm.max() - seat(curve.displacement_mm, curve.force_n, zero)
+            curve.displacement_mm.max() - zero.of(curve.displacement_mm, curve.force_n)
             for curve in curves
         )
         places = [share * 1e3 * cylinder.height for share in CRUSHING]
