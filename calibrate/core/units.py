@@ -34,6 +34,7 @@ MILLIMETRES = Kind("length", "mm", "3.36 mm")
 AREA = Kind("area", "m^2", "19.6 cm^2")
 STRESS = Kind("stress", "kPa", "200 kPa")
 STRAIN = Kind("strain", "", "5 %")
+PERCENT = Kind("strain", "%", "5 %")
 STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 VOID_RATIO = Kind("void ratio", "", "1.2")
 

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar
 
+import equinox as eqx
 import numpy as np
+from jax import Array
 
 from calibrate.labtests.measured import Curve
 from calibrate.labtests.reading import (
@@ -22,8 +24,11 @@ from calibrate.labtests.reading import (
     force_near,
     loading,
     passing,
+    peak_displacement,
     unloading,
 )
+from jdem.observables import AbstractGauge
+from jdem.observables import Curve as RunCurve
 
 SEATING = 2.0  # N; force at which displacement starts to count, where every record holds it
 SEATED = Zero(SEATING)
@@ -121,6 +126,33 @@ class ForceAtEnd(AbstractCurveFeature):
 
     def of_curve(self, displacement_mm, force_n):
         return force_n[-1]
+
+
+@dataclass(frozen=True)
+class StrainAtPeak(AbstractCurveFeature):
+    """Strain (%) at the largest force: the displacement beyond `zero` over the specimen's `height`
+    (mm); the force is averaged over `half_width` (mm) to either side."""
+
+    height: float
+    half_width: float
+    zero: Zero = SEATED
+
+    def of_curve(self, displacement_mm, force_n):
+        zero = self.zero.of(*loading(displacement_mm, force_n))
+        peak = peak_displacement(displacement_mm, force_n, self.half_width)
+        return 100 * (peak - zero) / self.height
+
+
+class FeatureGauge(AbstractGauge):
+    """A feature as a number of a run, SI: `scale` takes it from there to the feature's unit."""
+
+    feature: AbstractCurveFeature = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def of(self, curve: RunCurve, movement: Array) -> Array:
+        whole = curve.filled()
+        return self.feature.of_curve(1e3 * whole.displacement, whole.force) / self.scale
 
 
 @dataclass(frozen=True)

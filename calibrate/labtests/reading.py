@@ -21,8 +21,11 @@ from scipy.optimize import isotonic_regression
 
 from jdem.observables import displacement_on_rise, running_maximum
 
+TINY = 1e-9  # N
 FEWEST = 4  # points that make a straight line
 FEWEST_NEAR = 3  # points that make a mean
+PEAK_WIDTH = 0.02  # share of the largest force within which the place of the peak is averaged
+PEAK_PLACES = 401  # along a curve, where its peak is looked for
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,22 @@ def averaged(travel, force, locations, half_width):
     order = numbers.argsort(travel, stable=True)
     between = numbers.interp(locations, travel[order], force[order])
     return numbers.where(enough & (spread > 0), level - slope * middle, between)
+
+
+def peak_displacement(displacement, force, half_width: float):
+    """Displacement at the peak of the force, once it is averaged over `half_width` to either side.
+
+        u = sum u_k w_k / sum w_k,    w_k = exp((F_k/F_max - 1)/PEAK_WIDTH)
+
+    over places at equal distances along the curve.  So noise on a flat peak moves it by little, the
+    middle of a symmetric peak is met exactly, and it has a derivative in the forces.
+    """
+    numbers = force.__array_namespace__()
+    places = numbers.linspace(displacement.min(), displacement.max(), PEAK_PLACES)
+    along = averaged(displacement, force, places, half_width)
+    highest = numbers.maximum(along.max(), TINY)
+    weight = numbers.exp((along / highest - 1) / PEAK_WIDTH)
+    return (weight * places).sum() / weight.sum()
 
 
 def passing(displacement, force, row, wanted: float, rising: bool, tolerance: float):

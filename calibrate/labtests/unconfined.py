@@ -37,7 +37,7 @@ FORCE = Observable(
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
 END = 0.1  # share of the travel over which a force at the end is averaged
 RISES = 0.01  # share of the force by which it is higher there than just before
-STRAIN = 0.15  # to which a specimen is crushed
+CRUSHED_TO = 0.15  # strain
 PEAK_WINDOW = 2.5e-4  # m; travel over which the crushing force is averaged
 
 
@@ -78,7 +78,7 @@ class UnconfinedTest(AbstractLabTest):
             simulated_rate=pace.free,
             nominal_rate=self.rate,
             nominal_rest=self.rest,
-            stroke=STRAIN * cylinder.height,
+            stroke=CRUSHED_TO * cylinder.height,
             peak_rows=rows,
             name=self.called,
         )
