@@ -1,6 +1,7 @@
 """Unconfined compression: the mould is taken away, the specimen rests, and is crushed.
 
-The crushing force F is the largest force, averaged over a short travel of the platen.
+The crushing force F is the largest force, averaged over a short travel of the platen.  The failure
+strain is the displacement there, from 2 N on, over the specimen's height.
 """
 
 from collections.abc import Sequence
@@ -9,11 +10,13 @@ from typing import Annotated
 import numpy as np
 
 from calibrate.core.tables import Duration, Speed
+from calibrate.core.units import STRAIN, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
 from calibrate.labtests.features import (
     SHORT_OF,
     AbstractFeature,
     ForceAtDisplacement,
+    StrainAtPeak,
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
@@ -33,6 +36,19 @@ FORCE = Observable(
     drawn=True,
     symbol="F",
     usually=LOAD,
+)
+FAILURE_STRAIN = Observable(
+    "failure_strain_percent",
+    "failure strain",
+    "%",
+    "failure_strain",
+    100.0,
+    within=0.25,
+    symbol="ε",
+    usually=Range(STRAIN, "0.1 %", "50 %"),
+    feature=lambda size: StrainAtPeak(
+        "failure strain", "%", "unconfined", 1e3 * size.height, 0.5e3 * PEAK_WINDOW
+    ),
 )
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
 END = 0.1  # share of the travel over which a force at the end is averaged
@@ -58,6 +74,7 @@ class UnconfinedTest(AbstractLabTest):
     type_name = "unconfined"
     title = "unconfined compression"
     observables = (FORCE,)
+    further = (FAILURE_STRAIN,)
     plain = True
     shape = "softens"
     words = (
@@ -84,13 +101,13 @@ class UnconfinedTest(AbstractLabTest):
         )
 
     def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        if observable is not FORCE or not still_rises(*curve.T):
+        if observable not in (FORCE, FAILURE_STRAIN) or not still_rises(*curve.T):
             return ""
         travel = float(np.ptp(curve[:, 0]))
         return (
-            f"the force still rises at the end of the travel, {travel:.3g} mm: there is no crushing"
-            " force, the number is where the curve stops; a slender specimen (twice as high as "
-            "wide) breaks, a flat one is only compressed"
+            f"the force still rises at the end of the travel, {travel:.3g} mm: there is no "
+            f"{observable.label}, the number is where the curve stops; a slender specimen "
+            "(twice as high as wide) breaks, a flat one is only compressed"
         )
 
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
