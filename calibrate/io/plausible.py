@@ -44,6 +44,7 @@ UNITS = {  # of each kind, the likeliest first
     "s": ("s", "min", "h", "ms", "day"),
     "1/s": ("%/min", "%/s", "%/h", "1/s"),
     "": ("%",),
+    "J": ("J", "mJ", "kJ"),
     "J/m^2": ("J/m^2", "mJ/m^2"),
 }
 BY_SIZE = {STRESS: FORCE, STRAIN: LENGTH}  # what counts by the specimen's size

@@ -18,6 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.tables import AbstractTable, Text
 from calibrate.core.units import (
+    ENERGY,
     FORCE,
     FRACTION,
     LENGTH,
@@ -55,13 +56,13 @@ _STRANGE = re.compile(r"[^\w .+-]")
 @dataclass(frozen=True)
 class Unit:
     """A unit of observables: the kind of quantity that a target is given in, and where it usually
-    lies; the `other` kind that a target may be given in instead, and what one of that is in this
-    unit on a specimen."""
+    lies; the `other` kind that a target may be given in instead, if there is one, and what one of
+    that is in this unit on a specimen."""
 
     kind: Kind
     usual: Range
-    other: Kind
-    on: Callable[[Cylinder], float]
+    other: Kind | None = None
+    on: Callable[[Cylinder], float] = lambda size: 1.0
 
 
 UNITS = {
@@ -70,6 +71,8 @@ UNITS = {
     ),
     "N": Unit(FORCE, Range(STRESS, "0.05 kPa", "20 MPa"), STRESS, lambda size: 1e3 * size.area),
     "%": Unit(PERCENT, Range(STRAIN, "0.01 %", "90 %"), LENGTH, lambda size: 100 / size.height),
+    "kPa": Unit(STRESS, Range(STRESS, "10 kPa", "10 GPa")),
+    "J": Unit(ENERGY, Range(ENERGY, "0.01 mJ", "10 kJ")),
 }
 
 
@@ -110,9 +113,9 @@ class Observable:
         return UNITS[self.unit].kind
 
     def by_size(self, cylinder: Cylinder) -> tuple[Kind, float]:
-        """The other kind of quantity that a target may be given in, and its factor."""
+        """The other kind of quantity that a target may be given in, else its own; its factor."""
         unit = UNITS[self.unit]
-        return unit.other, unit.on(cylinder)
+        return unit.other or unit.kind, unit.on(cylinder)
 
     def gauge(self, cylinder: Cylinder) -> AbstractGauge:
         """What reads the observable's `feature` in a run."""

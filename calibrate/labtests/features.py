@@ -143,6 +143,32 @@ class StrainAtPeak(AbstractCurveFeature):
         return 100 * (peak - zero) / self.height
 
 
+@dataclass(frozen=True)
+class SecantModulus(AbstractCurveFeature):
+    """Secant modulus (kPa): stress at a `share` of the largest force on a specimen of this `area`
+    (mm2), over the strain there, which counts from `zero` on this `height` (mm)."""
+
+    share: float
+    area: float
+    height: float
+    zero: Zero = SEATED
+
+    def of_curve(self, displacement_mm, force_n):
+        rise = loading(displacement_mm, force_n)
+        force = self.share * force_n.max()
+        way = displacement_on_rise(*rise, force) - self.zero.of(*rise)
+        return 1e3 * (force / self.area) / (way / self.height)
+
+
+@dataclass(frozen=True)
+class WorkToPeak(AbstractCurveFeature):
+    """Work (J) of the force up to its largest value."""
+
+    def of_curve(self, displacement_mm, force_n):
+        way, force = loading(displacement_mm, force_n)
+        return 1e-3 * ((force[1:] + force[:-1]) * (way[1:] - way[:-1])).sum() / 2
+
+
 class FeatureGauge(AbstractGauge):
     """A feature as a number of a run, SI: `scale` takes it from there to the feature's unit."""
 

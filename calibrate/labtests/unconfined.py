@@ -16,7 +16,9 @@ from calibrate.labtests.features import (
     SHORT_OF,
     AbstractFeature,
     ForceAtDisplacement,
+    SecantModulus,
     StrainAtPeak,
+    WorkToPeak,
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
@@ -50,6 +52,28 @@ FAILURE_STRAIN = Observable(
         "failure strain", "%", "unconfined", 1e3 * size.height, 0.5e3 * PEAK_WINDOW
     ),
 )
+SECANT_MODULUS = Observable(
+    "secant_modulus_kpa",
+    "secant modulus E50",
+    "kPa",
+    "secant_modulus",
+    1e-3,
+    within=0.25,
+    symbol="E50",
+    feature=lambda size: SecantModulus(
+        "secant modulus", "kPa", "unconfined", 0.5, 1e6 * size.area, 1e3 * size.height
+    ),
+)
+WORK = Observable(
+    "work_to_failure_j",
+    "work to failure",
+    "J",
+    "work_to_failure",
+    1.0,
+    within=0.25,
+    symbol="W",
+    feature=lambda size: WorkToPeak("work to failure", "J", "unconfined"),
+)
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
 END = 0.1  # share of the travel over which a force at the end is averaged
 RISES = 0.01  # share of the force by which it is higher there than just before
@@ -74,7 +98,7 @@ class UnconfinedTest(AbstractLabTest):
     type_name = "unconfined"
     title = "unconfined compression"
     observables = (FORCE,)
-    further = (FAILURE_STRAIN,)
+    further = (FAILURE_STRAIN, SECANT_MODULUS, WORK)
     plain = True
     shape = "softens"
     words = (
@@ -101,7 +125,7 @@ class UnconfinedTest(AbstractLabTest):
         )
 
     def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        if observable not in (FORCE, FAILURE_STRAIN) or not still_rises(*curve.T):
+        if not still_rises(*curve.T):
             return ""
         travel = float(np.ptp(curve[:, 0]))
         return (

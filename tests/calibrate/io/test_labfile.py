@@ -87,6 +87,20 @@ def test_a_failure_strain_is_a_target_in_per_cent(tmp_path, mean, scatter):
     assert [o.name for o in lab.called("unconfined").given][1:] == ["failure_strain_percent"]
 
 
+@pytest.mark.parametrize(
+    ("name", "mean", "value"),
+    [("secant_modulus", "4.5 MPa", 4500.0), ("work_to_failure", "800 mJ", 0.8)],
+)
+def test_modulus_and_work_are_targets_in_any_unit_of_theirs(tmp_path, name, mean, value):
+    path = tmp_path / "lab.toml"
+    table = f'[targets.{name}]\nmean = "{mean}"\nscatter = "{mean}"\nrepeats = 3\n'
+    path.write_text(HEAD + table)
+    (target,) = load_lab(path).targets.values()
+    assert (target.mean, target.scatter) == pytest.approx((value, value))
+    path.write_text(HEAD + table.replace(mean, "3 mm"))
+    assert "'mm' is not a unit of" in refusal(path)
+
+
 def test_repeats_of_failure_strain_are_a_column(tmp_path):
     (tmp_path / "r.csv").write_text("eps\n5\n6\n7\n")
     (tmp_path / "lab.toml").write_text(

@@ -23,7 +23,7 @@ from calibrate.labtests.features import cyclic_course, path_features, turning_ro
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import StepTable, program
 from calibrate.labtests.reading import Zero
-from calibrate.labtests.unconfined import FAILURE_STRAIN, UnconfinedTest
+from calibrate.labtests.unconfined import FAILURE_STRAIN, SECANT_MODULUS, WORK, UnconfinedTest
 from calibrate.simulation.resolution import PRESETS, virtual_lab
 from calibrate.simulation.specimens import doubts
 from jdem.observables import Curve as RunCurve
@@ -365,6 +365,28 @@ def test_failure_strain_of_a_parabola(points, noise):
     gauge, curve = FAILURE_STRAIN.gauge(Cylinder(0.05, 0.08)), (1e-3 * way, load, np.ones(points))
     in_run = gauge.of(RunCurve(*map(jnp.asarray, curve)), jnp.zeros(points))
     assert 100 * float(in_run) == pytest.approx(feature.of_curve(way, load), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("observable", "exact"),
+    [
+        # half of 200 N on 1963 mm2, over the way from 2 N to 100 N on 80 mm
+        (SECANT_MODULUS, 1e-3 * 100 / AREA * 80 / (6 * (np.sqrt(0.99) - np.sqrt(0.5)))),
+        (WORK, 1e-3 * 200 * 6 * 2 / 3),
+    ],
+    ids=lambda given: getattr(given, "name", ""),
+)
+def test_modulus_and_work_of_a_parabola(observable, exact):
+    """The same curve: two thirds of 200 N over 6 mm, and the chord to half of 200 N."""
+    way = np.linspace(0.0, 12.0, 2001)
+    load = 200 * (1 - (way / 6 - 1) ** 2)
+    feature, size = observable.feature(Cylinder(0.05, 0.08)), Cylinder(0.05, 0.08)
+    assert feature.of_curve(way, load) == pytest.approx(exact, rel=1e-5)
+    in_run = observable.gauge(size).of(
+        RunCurve(*map(jnp.asarray, (1e-3 * way, load, np.ones_like(way)))), jnp.zeros(2001)
+    )
+    assert observable.scale * float(in_run) == pytest.approx(exact, rel=1e-5)
+    assert observable.name.endswith(f"_{observable.unit.lower()}")
 
 
 def test_failure_strain_is_given_where_a_target_asks_for_it():
