@@ -233,6 +233,9 @@ def _before(specimens: Sequence[Curves], begun: Collection[str] = ()) -> np.ndar
 
 def _targets(lab: Lab, every: Sequence[Feature]) -> Measurements:
     names = [name for name in TARGETS if name in lab.targets]
+    if not names:
+        problem = f"there is no curve, and a diagnosis knows no target {', '.join(lab.targets)}"
+        raise InputError(lab.file, "targets", problem, f"add curves, or {' or '.join(TARGETS)}")
     features = declare_targets(names)
     given = [lab.targets[name] for name in names]
     values = {n: (t.mean, t.scatter, t.repeats) for n, t in zip(names, given, strict=True)}
