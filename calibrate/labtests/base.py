@@ -153,9 +153,8 @@ class AbstractLabTest(AbstractTable):
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
     further: what is read off its curve as well where a target asks for it; plain: its table may
-    stand alone, called like the type, in a lab file without [[tests]]; words: what machines call
-    the test, in lower case without accents; shape: of a curve that says so itself; with_soil:
-    without it, the test takes no specimen, and no fit compares it.
+    stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
+    says so itself; with_soil: without it, the test takes no specimen, and no fit compares it.
     """
 
     type_name: ClassVar[str]
@@ -163,7 +162,6 @@ class AbstractLabTest(AbstractTable):
     observables: ClassVar[tuple[Observable, ...]]
     further: ClassVar[tuple[Observable, ...]] = ()
     plain: ClassVar[bool] = False
-    words: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True
 

@@ -51,10 +51,6 @@ class ConfinedTest(AbstractLabTest):
     observables = (DEPTH,)
     plain = True
     shape = "stiffens"
-    words = (
-        *("confined", "behinderte seitendehnung", "confinad", "confine", "侧限"),
-        "mould compression",
-    )
 
     rate: Annotated[Speed, PLATEN] = 8e-3
     pressed_at: Annotated[Speed | None, PLATEN] = None

@@ -33,7 +33,6 @@ class RelaxationTest(AbstractLabTest):
     type_name = "relaxation"
     title = "relaxation test"
     observables = (FORCE_LEFT,)
-    words = ("relaxation", "relajacion", "rilassamento", "松弛")
 
     rate: Annotated[Speed, PLATEN] = 8e-3
     force: Annotated[Force, LOAD] = 400.0

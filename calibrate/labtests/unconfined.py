@@ -101,10 +101,6 @@ class UnconfinedTest(AbstractLabTest):
     further = (FAILURE_STRAIN, SECANT_MODULUS, WORK)
     plain = True
     shape = "softens"
-    words = (
-        *("unconfined", "uniaxial compressive strength", "ucs", "einaxial", "unbehindert"),
-        *("no confinad", "inconfinad", "compresion simple", "non confine", "无侧限", "crush"),
-    )
 
     rate: Annotated[Speed, PLATEN] = 1e-5
     rest: Annotated[Duration, WAIT] = 1.0
