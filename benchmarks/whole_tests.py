@@ -29,6 +29,7 @@ from calibrate.core.progress import for_terminal
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import campaign
+from jdem.observables import displacement_on_rise
 from jdem.packing.specimen import Packing
 
 PEERS = Path(__file__).parent / "peers"
@@ -79,8 +80,8 @@ def theirs(packing: Packing, folder: Path) -> dict:
     steps = max(int(row[0]) for row in rows if row and row[0].isdigit())
     crushing = np.loadtxt(folder / "ucs.txt", skiprows=1)
     loading = np.loadtxt(folder / "load.txt", skiprows=1)
-    force = np.maximum.accumulate(_smooth(loading[:, 1], 5))
-    low, high = np.interp((200.0, min(400.0, force[-1])), force, loading[:, 0])
+    force = _smooth(loading[:, 1], 5)
+    low, high = displacement_on_rise(loading[:, 0], force, (200.0, min(400.0, force.max())))
     return {
         "program": "LIGGGHTS, two ranks",
         "specimens": 1,

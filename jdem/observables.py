@@ -10,6 +10,7 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jdem.core import smooth
@@ -37,49 +38,51 @@ class Curve(eqx.Module):
         return Curve(self.displacement[source], self.force[source], ones, self.window)
 
 
-def displacement_at(loading: Curve, force) -> Array:
-    """Displacement (m) at which the loading curve first reaches `force` (N).
+def displacement_on_rise(displacement, force, wanted, window: float = 0.0):
+    """Displacement at which the rising force reaches `wanted`: the one reading of its kind.
 
-    Linear interpolation of the curve's running maximum; a force beyond the last row
-    gives the last row's displacement.  A derivative takes the curve over its window, where it
-    has one: between two neighbouring rows its slope is mostly roughness.
+    Linear interpolation of the running maximum of the force; beyond it the last row's displacement,
+    below it the first row's.  Arrays (n,) of numpy or JAX in any units, `wanted` a number or an
+    array (m,) in that of the force.  JAX differentiates it, over a `window` as in `Curve` where
+    there is one: between two neighbouring rows the slope of a curve is mostly roughness.
     """
+    numbers = force.__array_namespace__()
+    travel = numbers.interp(wanted, running_maximum(force), displacement)
+    if window == 0:
+        return travel
+    stretched = jnp.vectorize(lambda one: _stretched(displacement, force, one, window))(wanted)
+    return with_derivative_of(travel, jax.lax.stop_gradient(travel) * stretched)
+
+
+def running_maximum(force):
+    """The largest force so far, at each row of an array (n,) of numpy or JAX."""
+    if isinstance(force, np.ndarray):
+        return np.maximum.accumulate(force)
+    return jax.lax.cummax(force)  # jnp.maximum.accumulate goes row by row
+
+
+def displacement_at(loading: Curve, force) -> Array:
+    """Displacement (m) at which the loading curve first reaches `force` (N)."""
     curve = loading.filled()
-    highest = jax.lax.cummax(curve.force)
-    after = jnp.argmax(highest >= force)
-    after = jnp.where(highest[-1] < force, curve.force.shape[0] - 1, after)
-    before = jnp.maximum(after - 1, 0)
-    rise = highest[after] - highest[before]
-    share = smooth.divide(force - highest[before], rise)
-    share = jax.lax.stop_gradient(jnp.where(rise > 0, share, 1.0))
-    share = jnp.clip(share, 0.0, 1.0)
-    travel, reached = (
-        rows[before] + share * (rows[after] - rows[before])
-        for rows in (curve.displacement, highest)
-    )
-    if curve.window > 0:
-        return with_derivative_of(travel, jax.lax.stop_gradient(travel) * _stretched(curve, force))
-    way = curve.displacement[after] - curve.displacement[before]
-    slope = jax.lax.stop_gradient(smooth.divide(rise, way))
-    return with_derivative_of(travel, travel + smooth.divide(force - reached, slope))
+    return displacement_on_rise(curve.displacement, curve.force, force, curve.window)
 
 
-def _stretched(curve: Curve, force) -> Array:
+def _stretched(displacement, force, wanted, window: float) -> Array:
     """1, with the derivative of ln(displacement) at a force: over the window, of a power law.
 
     F ~ u^n there, so d ln u = mean(d ln u_k - d ln F_k / n) + d ln F / n over its rows k.
     """
-    rows = jnp.arange(curve.force.shape[0])
-    known = (curve.force > 0) & (curve.displacement > 0) & (rows <= jnp.argmax(curve.force))
-    travels, forces = (jnp.where(known, part, 1.0) for part in (curve.displacement, curve.force))
+    rows = jnp.arange(force.shape[0])
+    known = (force > 0) & (displacement > 0) & (rows <= jnp.argmax(force))
+    travels, forces = (jnp.where(known, part, 1.0) for part in (displacement, force))
     x, y = jnp.log(travels), jnp.log(forces)
-    away = jnp.where(known, jnp.abs(y - jnp.log(force)), jnp.inf)
-    chosen = away <= jnp.maximum(curve.window, jnp.min(away))
+    away = jnp.where(known, jnp.abs(y - jnp.log(wanted)), jnp.inf)
+    chosen = away <= jnp.maximum(window, jnp.min(away))
     weight = jax.lax.stop_gradient(chosen / jnp.sum(chosen))
     dx, dy = (part - jnp.sum(weight * part) for part in (x, y))
     exponent = smooth.divide(jnp.sum(weight * dx * dy), jnp.sum(weight * dx * dx))
     exponent = jax.lax.stop_gradient(jnp.where(exponent > 0, exponent, 1.0))
-    changes = jnp.sum(weight * (x - y / exponent)) + jnp.log(force) / exponent
+    changes = jnp.sum(weight * (x - y / exponent)) + jnp.log(wanted) / exponent
     return 1 + changes - jax.lax.stop_gradient(changes)
 
 

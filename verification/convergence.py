@@ -33,6 +33,7 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.core.smooth import Smoothing
 from jdem.engine.bed import Numerics
 from jdem.laboratory.virtual_lab import VirtualLab
+from jdem.observables import displacement_on_rise
 from jdem.packing.specimen import Specimen
 from verification import reporting
 
@@ -154,7 +155,7 @@ def depth_before_servo(run: Run) -> float:
     test = ConfinedCompression()
     travel, force = run.curves[test.name].T
     ends = (float(test.force_low), float(test.force_high - 2 * test.servo_width))
-    low, high = np.interp(ends, np.maximum.accumulate(force), travel)
+    low, high = displacement_on_rise(travel, force, ends)
     return float(high - low)
 
 

@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibrate.core.files import whole
+from calibrate.labtests.composite import BY_NAME
 
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
 MAP = "cividis"
@@ -69,4 +70,6 @@ def above(axis: Axes) -> None:
 
 def pretty(name: str) -> str:
     """A parameter or observable as words."""
-    return name.removesuffix("_mm").removesuffix("_n").replace("_", " ")
+    test, dot, plain = name.rpartition(".")
+    known = BY_NAME.get(plain)
+    return f"{test}{dot}{known.short if known else plain}".replace("_", " ")

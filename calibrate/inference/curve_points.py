@@ -7,17 +7,22 @@ no such force:                   forces (N) at shares of the platen's stroke
 from dataclasses import dataclass
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from calibrate.labtests.composite import names
+from calibrate.labtests.features import (
+    AbstractCurveFeature,
+    DisplacementOnLoading,
+    ForceAtDisplacement,
+)
+from calibrate.labtests.reading import AS_RECORDED
 from calibrate.simulation import Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.apparatus.base import AbstractApparatus
 from jdem.laboratory.virtual_lab import Outcome
-from jdem.observables import Curve, displacement_at
+from jdem.observables import Curve
 
 POINTS = 20  # of each curve
 
@@ -25,7 +30,7 @@ POINTS = 20  # of each curve
 @dataclass(frozen=True)
 class CurveReading:
     """Where one test's curve is read: displacements (mm) at forces (N) on loading, or forces at
-    displacements; `along` says which of the two the `points` are."""
+    displacements, both as recorded; `along` says which of the two the `points` are."""
 
     test: str
     along: Literal["force_n", "displacement_mm"]
@@ -39,20 +44,20 @@ class CurveReading:
             return CurveReading(test.name, "force_n", float(test.required_force) * share)
         return CurveReading(test.name, "displacement_mm", 1e3 * float(test.stroke) * share)
 
+    def feature(self, window: float = 0.0) -> AbstractCurveFeature:
+        """All points as one feature, whose derivative is taken over a window."""
+        if self.along == "displacement_mm":
+            return ForceAtDisplacement("", "N", self.test, self.points, AS_RECORDED, 0.0)
+        return DisplacementOnLoading("", "mm", self.test, self.points, AS_RECORDED, window)
+
     def read(self, curve: np.ndarray) -> np.ndarray:
         """Of a curve (rows, 2) in mm and N."""
-        travel, force = curve.T
-        if self.along == "displacement_mm":
-            return np.interp(self.points, travel, force)
-        highest = np.maximum.accumulate(force[: np.argmax(force) + 1])
-        return np.interp(self.points, highest, travel[: len(highest)])
+        return self.feature().of_curve(*curve.T)
 
     def traced(self, curve: Curve) -> Array:
-        """The same, traced by JAX."""
-        if self.along == "displacement_mm":
-            filled = curve.filled()
-            return jnp.interp(jnp.asarray(self.points), 1e3 * filled.displacement, filled.force)
-        return 1e3 * jax.vmap(lambda force: displacement_at(curve, force))(jnp.asarray(self.points))
+        """Of a curve of a run that JAX traces."""
+        filled = curve.filled()
+        return self.feature(curve.window).of_curve(1e3 * filled.displacement, filled.force)
 
 
 @dataclass(frozen=True, eq=False)

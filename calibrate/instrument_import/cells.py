@@ -43,7 +43,7 @@ def number(text: str, decimal: str) -> float:
     if not text or len(text) > _LONGEST or not any(c.isdigit() for c in text):
         return math.nan
     if _NUMBERS[decimal].fullmatch(text):
-        return _finite(_ungrouped(text, decimal))
+        return _float(text, decimal)
     clock = _CLOCK.fullmatch(text)
     if clock:
         hours, minutes, seconds = clock[1] or "0", clock[2], clock[3].replace(",", ".")
@@ -66,17 +66,12 @@ def sheet(name: str, texts: list[list[str]], decimal: str, layout: str) -> Sheet
     return Sheet(name, texts, numbers, layout)
 
 
-def _ungrouped(text: str, decimal: str) -> str:
+def _float(text: str, decimal: str) -> float:
+    """The number without what separates thousands; NaN for a sign alone, and beyond all floats."""
     group = "," if decimal == "." else "."
-    bare = text.replace(group, "")
-    for space in (" ", *_SPACES):
-        bare = bare.replace(space, "")
-    return bare.replace(decimal, ".")
-
-
-def _finite(text: str) -> float:
+    bare = text.translate(str.maketrans(decimal, ".", f"{group} {_SPACES}"))
     try:
-        value = float(text)
-    except ValueError:  # only a sign, or only a decimal sign
+        value = float(bare)
+    except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan

@@ -13,32 +13,32 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.headings import NAMED_BY_UNIT, Heading
 from calibrate.instrument_import.tables import FEWEST_ROWS, Table
-from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRAIN, STRESS, TIME
-from calibrate.instrument_import.vocabulary import (
-    CONSOLIDATION,
-    OTHER,
-    ROOT_TIME,
-    SHEAR_STRENGTH,
-    STRENGTH,
-    VOID_RATIO,
-    kind_of,
+from calibrate.instrument_import.vocabulary import Quantity, kind_of
+
+LOADS = (Quantity.FORCE, Quantity.STRESS)  # the first that a table holds is taken
+TRAVELS = (Quantity.DISPLACEMENT, Quantity.STRAIN, Quantity.VOID_RATIO, Quantity.CONSOLIDATION)
+TRAVELS_OF_STRESS = (
+    Quantity.STRAIN,
+    Quantity.DISPLACEMENT,
+    Quantity.VOID_RATIO,
+    Quantity.CONSOLIDATION,
 )
-
-LOADS = (FORCE, STRESS)  # the first that a table holds is taken
-TRAVELS = (DISPLACEMENT, STRAIN, VOID_RATIO, CONSOLIDATION)
-TRAVELS_OF_STRESS = (STRAIN, DISPLACEMENT, VOID_RATIO, CONSOLIDATION)
-TIMES = (TIME, ROOT_TIME)
+TIMES = (Quantity.TIME, Quantity.ROOT_TIME)
 BY_UNIT = 50  # rank of a column of which only the unit says what it holds
-STRENGTHS = (STRENGTH, SHEAR_STRENGTH)
+STRENGTHS = (Quantity.STRENGTH, Quantity.SHEAR_STRENGTH)
 
-_BY_UNIT_ELSE = (VOID_RATIO, ROOT_TIME, *STRENGTHS)  # "E (MPa)" is no void ratio
+_BY_UNIT_ELSE = (Quantity.VOID_RATIO, Quantity.ROOT_TIME, *STRENGTHS)  # "E (MPa)" is no void ratio
+
+# How the name of a column ends with its specimen: "Force 2"; "e M1", "e (A)".
+_NUMBER = re.compile(r"[\s_.#-]*\d+$|\([a-z0-9]\)$")
+_LABEL = re.compile(r"[\s_]*\(\w{1,12}\)$|[\s_]+[a-z]{0,3}\d+$|\d+$")
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
     """One column of a table: its kind, its rank among its kind, its heading and place."""
 
-    kind: str
+    kind: Quantity
     rank: int
     heading: Heading
     column: int
@@ -72,24 +72,24 @@ def channels_of(table: Table, fewest: int = FEWEST_ROWS) -> list[Channels]:
     """The specimens of a table; none if it holds no load (and no time) or no travel."""
     found = channels_in(table, fewest)
     loads, times = _first_of(LOADS, found), _first_of(TIMES, found)
-    by_stress = bool(loads) and loads[0].kind == STRESS
+    by_stress = bool(loads) and loads[0].kind == Quantity.STRESS
     travels = _first_of(TRAVELS_OF_STRESS if by_stress else TRAVELS, found)
     if not travels or not (loads or times):
         return []
     if not loads:
-        known = travels[0].kind != DISPLACEMENT and not _first_of(STRENGTHS, found)
+        known = travels[0].kind != Quantity.DISPLACEMENT and not _first_of(STRENGTHS, found)
         return [Channels(times[0], None, travels[0], "", tuple(travels[1:]))] if known else []
     if len(loads) > 1 and len(loads) == len(travels) and _repeats(loads, table):
         return _side_by_side(times, loads, travels)
     if len(loads) > 1 and len(travels) == 1 and _repeats(loads, table):
         return [_chosen(times, [load], travels) for load in loads]
-    several = len(travels) > 1 and travels[0].kind != DISPLACEMENT
-    if len(loads) == 1 and several and _repeats(travels, table, _without_label):
+    several = len(travels) > 1 and travels[0].kind != Quantity.DISPLACEMENT
+    if len(loads) == 1 and several and _repeats(travels, table, _LABEL):
         return [_chosen(times, loads, [travel], named_by=travel) for travel in travels]
     return [_chosen(times, loads, travels)]
 
 
-def _first_of(kinds: tuple[str, ...], channels: list[Channel]) -> list[Channel]:
+def _first_of(kinds: tuple[Quantity, ...], channels: list[Channel]) -> list[Channel]:
     """The channels of the first of these kinds that there is."""
     of_kind = ([c for c in channels if c.kind == kind] for kind in kinds)
     return next((some for some in of_kind if some), [])
@@ -106,13 +106,13 @@ def explain_missing(tables: list[Table]) -> BadValue:
             problem = f"its columns of numbers have no names that are understood ({names})"
         return BadValue(problem, "put a line such as time_s;force_N;displacement_mm above them")
     kinds = {c.kind for h in headings if (c := _channel(h, 0)) is not None}
-    wanted = ((FORCE, LOADS), (DISPLACEMENT, TRAVELS))
+    wanted = ((Quantity.FORCE, LOADS), (Quantity.DISPLACEMENT, TRAVELS))
     missing = [kind for kind, ways in wanted if not kinds.intersection(ways)] or ["curve"]
     names = ", ".join(dict.fromkeys(shown(h.words(), 30) for h in headings[:8]))
     problem = f"no column of {' or '.join(missing)} was found among {names}"
-    if FORCE in missing and DISPLACEMENT not in missing:
+    if Quantity.FORCE in missing and Quantity.DISPLACEMENT not in missing:
         problem += " (a stress serves too)"
-    if DISPLACEMENT in missing and FORCE not in missing:
+    if Quantity.DISPLACEMENT in missing and Quantity.FORCE not in missing:
         problem += " (a strain or a void ratio serves too)"
     return BadValue(problem, 'export the recorded points with columns "Force (N)", "Travel (mm)"')
 
@@ -124,7 +124,7 @@ def _channel(heading: Heading, column: int) -> Channel | None:
     if kind is None:
         kind, rank = (unit_kind if _tells(heading) else None), BY_UNIT
     elif unit_kind is not None and unit_kind != kind:
-        if kind == OTHER:
+        if kind == Quantity.OTHER:
             return None
         known = NAMED_BY_UNIT.get((kind, unit_kind))
         if known is None and kind in _BY_UNIT_ELSE:
@@ -133,29 +133,26 @@ def _channel(heading: Heading, column: int) -> Channel | None:
             problem = f"the unit of column {shown(heading.words(), 40)} is not one of {kind}"
             raise BadValue(problem, "correct the name or the unit in the heading")
         kind, rank = known, rank + 20
-    return None if kind in (None, OTHER) else Channel(kind, rank, heading, column)
+    if kind is None or kind == Quantity.OTHER:
+        return None
+    return Channel(kind, rank, heading, column)
 
 
 def _tells(heading: Heading) -> bool:
     """Whether a unit says what a column of an unknown name holds: a mass may be a specimen's, and
     a share may be of anything."""
     unit = heading.unit
-    return unit is not None and not unit.by_weight and (unit.kind != STRAIN or not heading.name)
+    return (
+        unit is not None
+        and not unit.by_weight
+        and (unit.kind != Quantity.STRAIN or not heading.name)
+    )
 
 
-def _without_number(name: str) -> str:
-    return re.sub(r"[\s_.#-]*\d+$|\([a-z0-9]\)$", "", name.strip().casefold())
-
-
-def _without_label(name: str) -> str:
-    """The name of a column of strains or void ratios without its specimen: "e M1", "e (A)"."""
-    return re.sub(r"[\s_]*\(\w{1,12}\)$|[\s_]+[a-z]{0,3}\d+$|\d+$", "", name.strip().casefold())
-
-
-def _repeats(channels: list[Channel], table: Table, bare=_without_number) -> bool:
+def _repeats(channels: list[Channel], table: Table, ending: re.Pattern = _NUMBER) -> bool:
     """Whether these columns are one quantity of several specimens, not several quantities:
     same name but for a number, same unit, and not one in multiples of another."""
-    names = {bare(c.heading.name) for c in channels}
+    names = {ending.sub("", c.heading.name.strip().casefold()) for c in channels}
     units = {(c.heading.unit, c.heading.not_understood) for c in channels}
     return len(names) == 1 and len(units) == 1 and not _proportional(channels, table)
 

@@ -10,7 +10,7 @@ from calibrate.instrument_import.loadsteps import step_specimen
 from calibrate.instrument_import.measured import Units
 from calibrate.instrument_import.recordings import Choices, Recording, recordings_in
 from calibrate.instrument_import.sizes import Size
-from calibrate.instrument_import.specimen_rows import unlike
+from calibrate.instrument_import.specimen_rows import unique_labels
 from calibrate.instrument_import.specimens import Specimen, specimen_from
 from calibrate.instrument_import.strengths import Strengths, strengths_in
 from calibrate.instrument_import.textfile import text_sheet
@@ -63,10 +63,14 @@ def read_export(
     try:
         data = _bytes(Path(path))
         sheets = _sheets(data, Path(path).stem)
-        found = _recordings_or_strengths(sheets, choices)
-        if isinstance(found, Strengths):
-            return Export(str(path), sheets[0].layout, (), (), found)
-        specimens, refused = _specimens(found, test)
+        try:
+            recordings = recordings_in(sheets, choices)
+        except BadValue:
+            strengths = strengths_in(sheets, choices)
+            if strengths is None:
+                raise
+            return Export(str(path), sheets[0].layout, (), (), strengths)
+        specimens, refused = _specimens(recordings, test)
         if not specimens:
             raise refused[0]
     except BadValue as bad:
@@ -85,7 +89,7 @@ def joined(exports: list[Export]) -> Export:
             problem = "it holds strengths and no curve, which cannot be joined with other files"
             raise InputError(one.file, "", problem, "convert it alone")
     specimens = [s for one in exports for s in one.specimens]
-    names = unlike([s.label for s in specimens])
+    names = unique_labels([s.label for s in specimens])
     return replace(
         first,
         layout="; ".join(f"{Path(one.file).name}: {one.layout}" for one in exports),
@@ -94,24 +98,15 @@ def joined(exports: list[Export]) -> Export:
     )
 
 
-def _recordings_or_strengths(sheets: list[Sheet], choices: Choices) -> list[Recording] | Strengths:
-    """The records of a file, or the strengths of one that holds no record."""
-    try:
-        return recordings_in(sheets, choices)
-    except BadValue:
-        strengths = strengths_in(sheets, choices)
-        if strengths is None:
-            raise
-        return strengths
-
-
 def _specimens(
     recordings: list[Recording], test: str | None
 ) -> tuple[list[Specimen], list[BadValue]]:
     """The clean specimens, and why others are none."""
     specimens: list[Specimen] = []
     refused: list[BadValue] = []
-    for recording, label in zip(recordings, unlike([r.label for r in recordings]), strict=True):
+    for recording, label in zip(
+        recordings, unique_labels([r.label for r in recordings]), strict=True
+    ):
         clean = step_specimen if recording.points else specimen_from
         try:
             specimens.append(clean(recording, test, label))

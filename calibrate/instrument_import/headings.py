@@ -11,37 +11,19 @@ import re
 from dataclasses import dataclass
 
 from calibrate.core.errors import BadValue, shown
-from calibrate.instrument_import.unittext import (
-    DISPLACEMENT,
-    FORCE,
-    STRAIN,
-    STRESS,
-    TIME,
-    Unit,
-    doubt,
-    unit_of,
-)
-from calibrate.instrument_import.vocabulary import (
-    CONSOLIDATION,
-    OTHER,
-    ROOT_TIME,
-    SHEAR_STRENGTH,
-    STRENGTH,
-    VOID_RATIO,
-    ends_with_a_name,
-    kind_of,
-)
+from calibrate.instrument_import.unittext import KEPT, Unit, doubt, unit_of
+from calibrate.instrument_import.vocabulary import WORDS, Quantity, ends_with_a_name, kind_of
 
 NAMED_BY_UNIT = {  # what a name may mean once its unit is known
-    (STRAIN, DISPLACEMENT): DISPLACEMENT,
-    (DISPLACEMENT, STRAIN): STRAIN,
-    (FORCE, STRESS): STRESS,
-    (STRESS, FORCE): FORCE,
-    (VOID_RATIO, STRAIN): VOID_RATIO,
-    (CONSOLIDATION, STRAIN): CONSOLIDATION,
-    (ROOT_TIME, TIME): ROOT_TIME,
-    (STRENGTH, STRESS): STRENGTH,
-    (SHEAR_STRENGTH, STRESS): SHEAR_STRENGTH,
+    (Quantity.STRAIN, Quantity.DISPLACEMENT): Quantity.DISPLACEMENT,
+    (Quantity.DISPLACEMENT, Quantity.STRAIN): Quantity.STRAIN,
+    (Quantity.FORCE, Quantity.STRESS): Quantity.STRESS,
+    (Quantity.STRESS, Quantity.FORCE): Quantity.FORCE,
+    (Quantity.VOID_RATIO, Quantity.STRAIN): Quantity.VOID_RATIO,
+    (Quantity.CONSOLIDATION, Quantity.STRAIN): Quantity.CONSOLIDATION,
+    (Quantity.ROOT_TIME, Quantity.TIME): Quantity.ROOT_TIME,
+    (Quantity.STRENGTH, Quantity.STRESS): Quantity.STRENGTH,
+    (Quantity.SHEAR_STRENGTH, Quantity.STRESS): Quantity.SHEAR_STRENGTH,
 }
 _BRACKETS = re.compile(r"[\[(（【<{]\s*([^\[\]()（）【】<>{}]{1,40})\s*[\])）】>}]")
 _PERCENT = re.compile(r"%\s*([^\W\d].*)|(.*[^\W\d])%")  # "%settlement", "strain%"
@@ -57,16 +39,10 @@ _TIMES = re.compile(r"(?:\d+[ .,/^-]\s?\d+|[x×*]\s?\d+|\d{2,})$", re.IGNORECASE
 _MOST = 4  # words of a unit: "kg per sq cm"
 _IN = ("in", "en")  # before a unit
 _ALONE = ("in", "min", "bar", "day", "std", "pa")  # words that are no units before a name
-_OTHER_UNITS = frozenset(  # none of force, stress, length, strain, time: not to be passed over
-    (
-        *("mv", "mv/v", "volt", "volts", "ma", "hz", "khz", "bit", "bits", "count", "counts"),
-        *("steps", "deg", "°", "°c", "°f", "nm", "n.m", "n*m", "n·m", "kn.m", "knm", "kn/m", "n/m"),
-        *("n/mm", "kn/mm", "lb/in", "lb/ft", "kip/ft", "g/cm3", "kg/m3", "kj", "div", "divs"),
-        *("division", "divisions"),
-    )
-)
-_LETTERS = ("V", "A")  # volts and amperes, if written so
-_LABELLED = (VOID_RATIO, CONSOLIDATION)  # kinds whose brackets hold labels: "void ratio (A)"
+_LABELLED = (
+    Quantity.VOID_RATIO,
+    Quantity.CONSOLIDATION,
+)  # kinds whose brackets hold labels: "void ratio (A)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +67,7 @@ def split_heading(text: str) -> Heading:
     if percent:
         return Heading(percent[1] or percent[2], unit_of("%"))
     brackets = list(_BRACKETS.finditer(text))
-    if kind_of(text)[0] == ROOT_TIME:
+    if kind_of(text)[0] == Quantity.ROOT_TIME:
         return Heading(text, _of_root([match[1] for match in brackets]))
     for match in brackets:
         unit, name = unit_of(match[1]), _without(text, match)
@@ -117,7 +93,7 @@ def split_heading(text: str) -> Heading:
 def _of_root(written: list[str]) -> Unit | None:
     """The unit of time in brackets of a root of time: "sqrt(min)", "root time (min^0.5)"."""
     bare = (re.sub(r"√|\^?\(?0[.,]5\)?$|½$", "", text.strip()) for text in written)
-    units = [unit for text in bare if (unit := unit_of(text)) and unit.kind == TIME]
+    units = [unit for text in bare if (unit := unit_of(text)) and unit.kind == Quantity.TIME]
     return units[-1] if units else None
 
 
@@ -134,15 +110,13 @@ def heading_of(name: str, cells: list[str], label: str) -> Heading:
     return Heading(head.name, unit, label, strange.strip("[]() "))
 
 
-def refused_unit(heading: Heading, kind: str) -> BadValue:
+def refused_unit(heading: Heading, kind: Quantity) -> BadValue:
     """Why a column whose unit is not understood cannot be used, and the option that settles it."""
     written = heading.not_understood
-    problem = f"unit {shown(written, 20)} of column {shown(heading.name, 30)} is not known"
-    why = doubt(written)
-    if why:
-        problem = f"unit {shown(written, 20)} of column {shown(heading.name, 30)} {why}"
-    option = {STRENGTH: STRESS, SHEAR_STRENGTH: STRESS, ROOT_TIME: TIME}.get(kind, kind)
-    example = {FORCE: "kN", STRESS: "kPa", DISPLACEMENT: "mm", STRAIN: "%", TIME: "min"}[option]
+    why = doubt(written) or "is not known"
+    problem = f"unit {shown(written, 20)} of column {shown(heading.name, 30)} {why}"
+    option, examples = kind.dimension, {"force": "kN", "strain": "%", "time": "min"}
+    example = examples.get(option, KEPT[option])
     return BadValue(problem, f"give --{option}-unit, such as --{option}-unit {example}")
 
 
@@ -195,7 +169,12 @@ def _unit_at_the_end(text: str, name: str, count: int) -> Unit | None:
     if count > 1 and text == "".join(text.split()) and "/" not in text and len(text) < 3:
         return None
     unit = unit_of(text)
-    if unit is not None and count > 1 and unit.kind == STRAIN and kind_of(name)[0] != STRAIN:
+    if (
+        unit is not None
+        and count > 1
+        and unit.kind == Quantity.STRAIN
+        and kind_of(name)[0] != Quantity.STRAIN
+    ):
         return None  # "Displacement in in"
     return unit if unit is not None and _may_be(unit, text, name) else None
 
@@ -206,7 +185,7 @@ def _may_be(unit: Unit, text: str, name: str) -> bool:
     if fits(name, unit):
         return True
     short = len(text.strip(".()[]")) < 2 or text.casefold() in _ALONE
-    return kind_of(name)[0] in (None, OTHER) and not short
+    return kind_of(name)[0] in (None, Quantity.OTHER) and not short
 
 
 def _at_the_beginning(text: str) -> tuple[str, Unit] | None:
@@ -230,12 +209,12 @@ def _glued(text: str) -> tuple[str, Unit] | None:
 def _strange_end(text: str) -> str:
     """The last word of a heading where it is a unit of something else: "Load mV", "Force_N/foo"."""
     words = [word for word in re.split(r"[\s_,;:]+", text) if word]
-    if len(words) < 2 or kind_of(" ".join(words[:-1]))[0] in (None, OTHER):
+    if len(words) < 2 or kind_of(" ".join(words[:-1]))[0] in (None, Quantity.OTHER):
         return ""
-    last = words[-1]
-    if last.casefold().strip(".") in _OTHER_UNITS or last in _LETTERS or doubt(last):
+    last, foreign = words[-1], WORDS.foreign_units
+    if last.casefold().strip(".") in foreign.words or last in foreign.letters or doubt(last):
         return last
-    loads = kind_of(" ".join(words[:-1]))[0] in (STRESS, FORCE)
+    loads = kind_of(" ".join(words[:-1]))[0] in (Quantity.STRESS, Quantity.FORCE)
     if loads and re.fullmatch(r"(?:[cdm]?m|in|ft)[\^]?[2²]", last.casefold()):
         return " ".join(words[-2:])
     parts = [part for part in re.split(r"[/^*]", last) if part]

@@ -12,35 +12,10 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.cells import number
 from calibrate.instrument_import.tables import Table
-from calibrate.instrument_import.vocabulary import test_named_in, words_of
+from calibrate.instrument_import.vocabulary import WORDS, holds, test_named_in, words_of
 
-_PRESSURES = (  # that confine a specimen, or stand inside it
-    *("confining", "cell pressure", "chamber pressure", "radial pressure", "radial stress"),
-    *("back pressure", "pore pressure", "pore water pressure", "lateral pressure", "sigma 3"),
-    *("sigma3", "σ3", "minor principal", "zelldruck", "seitendruck", "porenwasserdruck"),
-    *("presion de confinamiento", "presion de camara", "presion de celda", "presion de poros"),
-    *("pression de confinement", "pression cellulaire", "pression interstitielle"),
-    *("confp", "conf p", "conf stress", "pconf", "p conf", "cellp", "sigma conf"),
-    *("pressione di cella", "pressione di confinamento", "围压", "孔压", "孔隙水压", "反压"),
-)
-_COLUMNS = (  # whatever they hold
-    *("deviator", "shear stress", "shear force", "shear load", "horizontal displacement"),
-    *("shear displacement", "horizontal force", "horizontal load", "schubspannung", "scherweg"),
-    *("scherkraft", "scherspannung", "contrainte de cisaillement", "esfuerzo cortante"),
-    *("偏应力", "剪应力", "剪切位移", "torque", "drehmoment"),
-)
-_NAMES = (  # of tests, in the lines above a table, of a sheet, of a specimen
-    *("triax", "dreiax", "三轴", "direct shear", "shear box", "shearbox", "rahmenscher"),
-    *("ring shear", "simple shear", "corte directo", "cisaillement direct", "taglio diretto"),
-    *("直剪", "california bearing", "承载比", "proctor", "tensile", "tension test", "zugversuch"),
-    *("ensayo de traccion", "essai de traction", "prova di trazione", "拉伸", "brazilian"),
-    *("split tension", "splitting", "flexur", "bending", "biege", "vane", "flugelsonde"),
-    *("viga", "tenacidad", "toughness", "14651", "ctod", "cmod", "hydrostatic", "isotropic"),
-    *("penetrometer", "resilient modulus", "permeability", "atterberg", "durchlassigkeit"),
-)
-_WORDS = re.compile(r"(?<!\w)(?:cbr|uu test|cu test|cd test|ciu|cid|cau|spt|cpt)(?!\w)")
+SIGNS = WORDS.other_tests
 _INVARIANTS = frozenset(("q", "p", "p'", "peff", "p'eff"))  # of stress, if both stand there
-_NOT = re.compile(r"\b(?:no|not|non|without|kein|keine|ohne|sin|sans|senza|un)\b")
 
 
 def signs_of_other_tests(table: Table, rows: np.ndarray, label: str, is_steps: bool) -> list[str]:
@@ -78,9 +53,9 @@ def _columns(table: Table, rows: np.ndarray) -> list[str]:
         name = words_of(heading.name)
         values = table.numbers[rows, column] if column < table.numbers.shape[1] else rows[:0]
         largest = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
-        if _holds(name, _COLUMNS):
+        if holds(name, SIGNS.columns):
             found.append(f"it has a column {shown(heading.words(), 40)}")
-        elif _holds(name, _PRESSURES) and largest > 0:
+        elif holds(name, SIGNS.pressures) and largest > 0:
             found.append(f"column {shown(heading.words(), 40)} reads up to {largest:.4g}")
     return found
 
@@ -88,7 +63,7 @@ def _columns(table: Table, rows: np.ndarray) -> list[str]:
 def _pressure(line: str) -> str:
     """A pressure above zero that a line states."""
     words = words_of(line)
-    if len(line) > 120 or not _holds(words, _PRESSURES):
+    if len(line) > 120 or not holds(words, SIGNS.pressures):
         return ""
     values = [number(text.replace(",", "."), ".") for text in re.findall(r"\d+[.,]?\d*", line)]
     return f"{shown(line.strip(), 50)} stands above the table" if any(v > 0 for v in values) else ""
@@ -96,10 +71,5 @@ def _pressure(line: str) -> str:
 
 def _names_another(words: str) -> bool:
     """Whether words name a test that is not simulated, and none that is."""
-    named = _holds(words, _NAMES) or bool(_WORDS.search(words))
-    return named and not _NOT.search(words) and test_named_in(words) is None
-
-
-def _holds(words: str, parts: tuple[str, ...]) -> bool:
-    glued = (part.replace(" ", "") for part in parts if " " in part)
-    return any(part in words for part in parts) or any(part in words for part in glued)
+    negated = not set(WORDS.names.negations).isdisjoint(re.findall(r"\w+", words))
+    return holds(words, SIGNS.names) and not negated and test_named_in(words) is None

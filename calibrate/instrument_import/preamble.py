@@ -5,49 +5,26 @@ follows; a length may lack its unit, which is then taken as mm, and said so; a v
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 
 from calibrate.core.errors import BadValue
 from calibrate.core.units import AREA, DENSITY, LENGTH, SPEED, VOID_RATIO, Kind, unit_factor
 from calibrate.instrument_import.cells import number
-from calibrate.instrument_import.vocabulary import plain, test_named_in
+from calibrate.instrument_import.vocabulary import WORDS, Above, plain, test_named_in
 
 MASS = Kind("mass", "kg", "360 g")
 
-_QUANTITIES: dict[str, tuple[Kind, tuple[str, ...]]] = {
-    "diameter": (LENGTH, ("diameter", "durchmesser", "diametro", "diametre", "直径")),
-    "height": (
-        LENGTH,
-        ("height", "hohe", "probenlange", "altura", "hauteur", "altezza", "高度", "gauge length"),
-    ),
-    "mass": (MASS, ("mass", "weight", "masse", "masa", "peso", "poids", "质量")),
-    "density": (DENSITY, ("density", "dichte", "densidad", "densite", "密度")),
-    "speed": (
-        SPEED,
-        ("speed", "geschwindigkeit", "velocidad", "vitesse", "velocita", "rate", "速度"),
-    ),
-    "area": (
-        AREA,
-        ("area", "querschnitt", "probenflache", "seccion", "section", "superficie", "面积"),
-    ),
-    "void_ratio": (
-        VOID_RATIO,
-        (
-            *("initial void ratio", "anfangsporenzahl", "indice de vacios inicial"),
-            *("indice des vides initial", "初始孔隙比", "e0", "e_0"),
-        ),
-    ),
+_QUANTITIES: dict[Above, tuple[Kind, float, float]] = {  # and what a bench-top test can have, SI
+    "diameter": (LENGTH, 5e-3, 1.0),
+    "height": (LENGTH, 5e-3, 2.0),
+    "mass": (MASS, 1e-3, 1e3),
+    "density": (DENSITY, 300.0, 4000.0),
+    "speed": (SPEED, 1e-8, 1.0),
+    "area": (AREA, 1e-5, 1.0),
+    "void_ratio": (VOID_RATIO, 0.05, 20.0),
 }
-_PLAUSIBLE = {  # SI; what a bench-top soil test can have
-    "diameter": (5e-3, 1.0),
-    "height": (5e-3, 2.0),
-    "mass": (1e-3, 1e3),
-    "density": (300.0, 4000.0),
-    "speed": (1e-8, 1.0),
-    "area": (1e-5, 1.0),
-    "void_ratio": (0.05, 20.0),
-}
-_SPECIMEN = ("specimen", "sample", "probe", "probeta", "muestra", "试样", "试件", "eprouvette")
 _NUMBER = re.compile(r"(?<![\w.,])[-+]?\d+(?:[.,]\d+)?")
 _LABEL = re.compile(
     r"\S+?(?:\s*(?:id|name|label|no|nr|nummer|number|code|编号))?\.?\s*[:：#=\s]\s*(.+)",
@@ -82,9 +59,8 @@ def read_preamble(rows: list[list[str]]) -> Stated:
         line = " ".join(cells)[:_LONGEST]
         test = test_named_in(line) or test
         label = _label(cells) or label
-        for name, (kind, words) in _QUANTITIES.items():
-            value, note = _quantity(line, kind, words)
-            low, high = _PLAUSIBLE[name]
+        for name, (kind, low, high) in _QUANTITIES.items():
+            value, note = _quantity(line, kind, name)
             if value is not None and low <= value <= high:
                 quantities[name] = value
                 assumed += [note] if note else []
@@ -93,10 +69,10 @@ def read_preamble(rows: list[list[str]]) -> Stated:
     return Stated(quantities, test, label, tuple(dict.fromkeys(assumed)), impossible)
 
 
-def _quantity(line: str, kind: Kind, words: tuple[str, ...]) -> tuple[float | None, str]:
+def _quantity(line: str, kind: Kind, name: Above) -> tuple[float | None, str]:
     """A quantity (SI) that the line states, and what was assumed about its unit."""
     lower = plain(line)
-    places = [end for word in words if (end := _end_of(word, lower)) is not None]
+    places = [end for word in _words(name) if (end := _end_of(word, lower)) is not None]
     if not places:
         return None, ""
     rest = lower[min(places) :]
@@ -115,6 +91,11 @@ def _quantity(line: str, kind: Kind, words: tuple[str, ...]) -> tuple[float | No
     if kind is not LENGTH or after:
         return None, ""  # "speed 2 of the programme"
     return value * unit_factor("mm", kind), f"{line.strip()!r} is in mm"
+
+
+def _words(name: Above) -> Iterator[str]:
+    """What a quantity is called, in all languages."""
+    return chain.from_iterable(WORDS.above[name].values())
 
 
 def _end_of(word: str, line: str) -> int | None:
@@ -137,10 +118,10 @@ def _factor(unit: str, kind: Kind) -> float | None:
 
 def _label(cells: list[str]) -> str:
     """The specimen's name in a line such as "Specimen: A-12" or "Probe Nr.;3"."""
-    if not cells or not any(plain(cells[0]).startswith(word) for word in _SPECIMEN):
+    if not cells or not plain(cells[0]).startswith((*_words("specimen"),)):
         return ""
     line = " ".join(cells)
     found = _LABEL.match(line)
     label = found[1].strip() if found else ""
-    shape = any(word in plain(line) for _, words in _QUANTITIES.values() for word in words)
+    shape = any(word in plain(line) for name in _QUANTITIES for word in _words(name))
     return "" if shape or not label else label[:60]

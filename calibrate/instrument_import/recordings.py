@@ -28,12 +28,11 @@ from calibrate.instrument_import.specimen_rows import (
     Rows,
     are_only_numbered,
     by_specimen,
-    clock_starts_again,
+    clock_restarts,
 )
 from calibrate.instrument_import.steps import are_steps
 from calibrate.instrument_import.tables import FEWEST_ROWS, FEWEST_STEPS, Table, tables_in
-from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE
-from calibrate.instrument_import.vocabulary import CONSOLIDATION, VOID_RATIO, test_named_in
+from calibrate.instrument_import.vocabulary import Quantity, test_named_in
 
 MINOR = 0.1  # tables with fewer rows than this share of the longest are no recordings
 MOST_SPECIMENS = 60
@@ -69,18 +68,24 @@ class Recording:
     displacement_mm: np.ndarray
     force_n: np.ndarray
     stated: Stated
-    units_assumed: frozenset[str]
+    units_assumed: frozenset[Quantity]
     assumed: tuple[str, ...]
     warnings: tuple[str, ...]
-    load: str
-    travel: str
+    load: Quantity
+    travel: Quantity
     points: bool
     size: Converted
+
+    def of(self, rows: np.ndarray | slice) -> "Recording":
+        """These rows of it."""
+        time = None if self.time_s is None else self.time_s[rows]
+        force, travel = self.force_n[rows], self.displacement_mm[rows]
+        return replace(self, time_s=time, force_n=force, displacement_mm=travel)
 
     @property
     def is_converted(self) -> bool:
         """Whether anything but force and displacement was recorded."""
-        return (self.load, self.travel) != (FORCE, DISPLACEMENT)
+        return (self.load, self.travel) != (Quantity.FORCE, Quantity.DISPLACEMENT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +108,12 @@ def recordings_in(sheets: list[Sheet], choices: Choices) -> list[Recording]:
     few = [table for page in sheets for table in tables_in(page, FEWEST_STEPS, 1)]
     sources = _sources(few, FEWEST_STEPS, choices)
     if not sources:
-        raise explain_missing(tables) if tables else _nothing()
+        if tables:
+            raise explain_missing(tables)
+        raise BadValue(
+            f"it holds no table of at least {FEWEST_ROWS} recorded points, only text or results",
+            "export the recorded points (time, force, extension) as .csv, .txt or .xlsx",
+        )
     found = [r for r in _recordings(sources, choices, len(sheets) > 1) if r.points]
     if not found:
         problem = f"it holds fewer than {FEWEST_ROWS} rows of load and travel"
@@ -121,18 +131,21 @@ def _sources(tables: list[Table], fewest: int, choices: Choices) -> list[Source]
         if len(table.numbers) >= MINOR * longest
         for source in _sources_of(table, several, choices)
     ]
-    _check_number(len(sources))
+    if len(sources) > MOST_SPECIMENS:
+        problem = f"{len(sources)} specimens were found in it"
+        raise BadValue(problem, f"export at most {MOST_SPECIMENS} in one file")
+    notes = []
     unused = [t for t in tables if t not in [table for table, _ in with_channels]]
-    if unused and sources:
+    if unused:
         names = dict.fromkeys(f"{t.sheet.name} from line {t.line}" for t in unused)
         text = f"{len(unused)} table(s) without load and travel were passed over"
-        text += f" ({', '.join(shown(name, 30) for name in [*names][:4])})"
-        sources[0] = replace(sources[0], notes=(*sources[0].notes, text))
+        notes.append(f"{text} ({', '.join(shown(name, 30) for name in [*names][:4])})")
     minor = [t for t, _ in with_channels if len(t.numbers) < MINOR * longest]
-    if minor and sources:
+    if minor:
         rows = ", ".join(f"{len(t.numbers)} rows from line {t.line}" for t in minor[:4])
-        text = f"{len(minor)} short table(s) beside the record were left out ({rows})"
-        sources[0] = replace(sources[0], notes=(*sources[0].notes, text))
+        notes.append(f"{len(minor)} short table(s) beside the record were left out ({rows})")
+    if sources:
+        sources[0] = replace(sources[0], notes=(*sources[0].notes, *notes))
     return sources
 
 
@@ -143,7 +156,7 @@ def _sources_of(table: Table, several: list[Channels], choices: Choices) -> Iter
     for channels in several:
         parts = [table.numbers[rows, channels.travel.column] for _, rows in groups]
         if channels.load is None and is_degree(channels.travel, parts):
-            degrees = replace(channels.travel, kind=CONSOLIDATION)
+            degrees = replace(channels.travel, kind=Quantity.CONSOLIDATION)
             channels = replace(channels, travel=degrees)
         named = groups
         if len(groups) > 1 and are_only_numbered(table) and _is_one(table, channels, groups):
@@ -165,7 +178,7 @@ def _rows_of(table: Table, channels: Channels, rows: np.ndarray) -> tuple[np.nda
     if time is not None:
         time = time[held] if np.isfinite(time[held]).all() else None
     blocks = [int(np.searchsorted(held, block)) for block in table.blocks]
-    sign = -1.0 if channels.travel.kind == VOID_RATIO else 1.0
+    sign = -1.0 if channels.travel.kind == Quantity.VOID_RATIO else 1.0
     inside = tuple(block for block in blocks if 0 < block < len(held))
     return held, Rows.of(time, load[held], sign * travel[held], inside)
 
@@ -204,23 +217,9 @@ def _parts(source: Source, choices: Choices) -> Iterator[Source]:
         yield replace(source, rows=own, label=label, notes=(*source.notes, text))
 
 
-def _check_number(specimens: int) -> None:
-    if specimens > MOST_SPECIMENS:
-        problem = f"{specimens} specimens were found in it"
-        raise BadValue(problem, f"export at most {MOST_SPECIMENS} in one file")
-
-
 def _recordings(sources: list[Source], choices: Choices, many_sheets: bool) -> list[Recording]:
-    _check_number(len(sources))
     check_counts(choices.size, len(sources))
     return [_recording(source, choices, place, many_sheets) for place, source in enumerate(sources)]
-
-
-def _nothing() -> BadValue:
-    return BadValue(
-        f"it holds no table of at least {FEWEST_ROWS} recorded points, only text or results",
-        "export the recorded points (time, force, extension) as .csv, .txt or .xlsx",
-    )
 
 
 def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) -> Recording:
@@ -237,7 +236,7 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
     time, time_note = time_in_seconds(table, channels.time, choices.units)
     time = None if time is None else time[own]
     clock_note = ""
-    if time is not None and clock_starts_again(time[np.isfinite(time)]):
+    if time is not None and clock_restarts(time[np.isfinite(time)]):
         clock_note = "the clock starts again within the record: times are left out"
         time = None
     rows = np.isfinite(load.values) & np.isfinite(travel.values)
@@ -271,7 +270,7 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
         points=points,
         size=size,
     )
-    return _pressed(recording) if points else _compressive(recording)
+    return _turned(recording)
 
 
 def _columns_in_words(channels: Channels) -> str:
@@ -310,34 +309,23 @@ def _by_unit(channels: Channels) -> tuple[str, ...]:
     return (f"{text} {', '.join(told)}",) if told else ()
 
 
-def _compressive(recording: Recording) -> Recording:
-    """Force and displacement turned so that compression is positive."""
+def _turned(recording: Recording) -> Recording:
+    """Force and displacement turned so that compression is positive; of load steps a void ratio
+    has its sign."""
     force, travel, notes = recording.force_n, recording.displacement_mm, []
-    if len(force) < FEWEST_ROWS:
+    if len(force) < (1 if recording.points else FEWEST_ROWS):
         return recording
     top = int(np.argmax(np.abs(force - force[0])))
-    if force[top] < force[0]:
-        force, top = -force, int(np.argmin(force))
-        notes.append("compressive force is negative in the file: its sign was turned")
-    if travel[top] < travel[0]:
-        travel = -travel
-        notes.append("displacement falls while the force rises: its sign was turned")
-    return replace(
-        recording,
-        force_n=force,
-        displacement_mm=travel,
-        assumed=recording.assumed + tuple(notes),
-    )
-
-
-def _pressed(recording: Recording) -> Recording:
-    """Load steps turned so that compression is positive; a void ratio has its sign."""
-    force, travel, notes = recording.force_n, recording.displacement_mm, []
-    if np.median(force) < 0:
+    if (np.median(force) < 0) if recording.points else (force[top] < force[0]):
         force = -force
-        notes.append("compressive load is negative in the file: its sign was turned")
-    if recording.travel != VOID_RATIO and travel[int(np.argmax(force))] < travel[0]:
+        what = "load" if recording.points else "force"
+        notes.append(f"compressive {what} is negative in the file: its sign was turned")
+    top = int(np.argmax(force)) if recording.points else top
+    has_sign = recording.points and recording.travel == Quantity.VOID_RATIO
+    if travel[top] < travel[0] and not has_sign:
         travel = -travel
-        notes.append("travel falls while the load rises: its sign was turned")
+        steps, curve = "travel falls while the load", "displacement falls while the force"
+        moves = steps if recording.points else curve
+        notes.append(f"{moves} rises: its sign was turned")
     assumed = recording.assumed + tuple(notes)
     return replace(recording, force_n=force, displacement_mm=travel, assumed=assumed)

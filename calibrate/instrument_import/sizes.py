@@ -13,11 +13,7 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.core.units import LENGTH, STRAIN, VOID_RATIO, number_or_quantity, quantity
 from calibrate.instrument_import.preamble import Stated
-from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE
-from calibrate.instrument_import.unittext import STRAIN as STRAINS
-from calibrate.instrument_import.unittext import STRESS as STRESSES
-from calibrate.instrument_import.vocabulary import CONSOLIDATION
-from calibrate.instrument_import.vocabulary import VOID_RATIO as VOID_RATIOS
+from calibrate.instrument_import.vocabulary import Quantity
 
 FIRST = "first"  # e0 is the void ratio of a specimen's first load step
 DRAINAGE = "its course in time is drainage of pore water, which the model does not have"
@@ -47,20 +43,19 @@ class Size:
     def over(self, stated: Stated) -> tuple[Stated, tuple[str, ...]]:
         """What the file states with the user's sizes in place, and where the two differ."""
         given = {"diameter": self.diameter, "height": self.height}
-        known = {name: value for name, value in given.items() if value is not None}
+        given = {name: value for name, value in given.items() if value is not None}
         notes = tuple(
             f"{name} {1e3 * value:.5g} mm as given, not {1e3 * stated.quantities[name]:.5g} mm "
             "as the file states"
-            for name, value in known.items()
+            for name, value in given.items()
             if name in stated.quantities and abs(stated.quantities[name] / value - 1) > 1e-3
         )
-        quantities = {**stated.quantities, **known}
-        if self.diameter is not None:
-            quantities.pop("area", None)
-        impossible = {n: line for n, line in stated.impossible.items() if n not in known}
-        if self.diameter is not None:
-            impossible.pop("area", None)
-        return Stated(quantities, stated.test, stated.label, stated.assumed, impossible), notes
+        replaced = {*given, *(["area"] if "diameter" in given else [])}
+        quantities, impossible = (
+            {name: each for name, each in known.items() if name not in replaced}
+            for known in (stated.quantities, stated.impossible)
+        )
+        return replace(stated, quantities=quantities | given, impossible=impossible), notes
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ class Column:
     """One column as recorded: its kind, how a sentence names it, values (points,) in kPa or N, in
     mm, or as a fraction."""
 
-    kind: str
+    kind: Quantity
     words: str
     values: np.ndarray
 
@@ -96,11 +91,11 @@ def converted(load: Column, travel: Column, stated: Stated, size: Size, place: i
     Raises `BadValue` for a size that is missing, impossible or contradictory, and for values
     that no specimen can have.
     """
-    if (load.kind, travel.kind) == (FORCE, DISPLACEMENT):
+    if (load.kind, travel.kind) == (Quantity.FORCE, Quantity.DISPLACEMENT):
         known = stated.quantities
         sizes = (known.get("diameter"), known.get("height"), None)
         return Converted(load.values, travel.values, *sizes, ())
-    if travel.kind == CONSOLIDATION and size.settlements is None:
+    if travel.kind == Quantity.CONSOLIDATION and size.settlements is None:
         raise _only_drainage(travel)
     if not len(load.values):
         problem = f"{load.words} and {travel.words} hold no point in common"
@@ -132,14 +127,13 @@ def _diameter(stated: Stated) -> float | None:
 
 def _initial_void_ratio(travel: Column, stated: Stated, size: Size, place: int) -> float | None:
     """e0 of this specimen, None where it is not known or no void ratio was recorded."""
-    if travel.kind != VOID_RATIOS:
+    if travel.kind != Quantity.VOID_RATIO:
         return None
-    given = size.void_ratios
-    if given is None:
+    if size.void_ratios is None:
         return stated.quantities.get("void_ratio")
-    if isinstance(given, str):
+    if isinstance(size.void_ratios, str):
         return float(travel.values[0])
-    return _of_specimen(given, place)
+    return _of_specimen(size.void_ratios, place)
 
 
 def _of_specimen(values: tuple, place: int):
@@ -150,9 +144,13 @@ def _of_specimen(values: tuple, place: int):
 def _check_sizes(load: Column, travel: Column, stated: Stated, *known: float | None) -> None:
     """Refuses a conversion without its sizes (diameter, height, e0): which column, what to give."""
     uses = (
-        ("diameter", load, load.kind == STRESSES),
-        ("height", travel, travel.kind in (STRAINS, VOID_RATIOS, CONSOLIDATION)),
-        ("void_ratio", travel, travel.kind == VOID_RATIOS),
+        ("diameter", load, load.kind == Quantity.STRESS),
+        (
+            "height",
+            travel,
+            travel.kind in (Quantity.STRAIN, Quantity.VOID_RATIO, Quantity.CONSOLIDATION),
+        ),
+        ("void_ratio", travel, travel.kind == Quantity.VOID_RATIO),
     )
     missing = {
         name: column
@@ -167,19 +165,15 @@ def _check_sizes(load: Column, travel: Column, stated: Stated, *known: float | N
                 raise BadValue(problem, f"correct it, or give {_OPTIONS[name]}")
     if missing:
         give = ", ".join(_OPTIONS[name] for name in missing)
-        raise BadValue(_lacks(missing), f"give {give}, or state it above the table")
-
-
-def _lacks(missing: dict[str, Column]) -> str:
-    """Which column of which kind lacks its size, in words."""
-    if list(missing) == ["void_ratio"]:
-        return f"void ratio without the initial one (e0), in {missing['void_ratio'].words}"
-    texts = (f"{c.kind} without a size, in {c.words}" for c in missing.values())
-    return ", ".join(dict.fromkeys(texts))
+        texts = (f"{c.kind} without a size, in {c.words}" for c in missing.values())
+        problem = ", ".join(dict.fromkeys(texts))
+        if list(missing) == ["void_ratio"]:
+            problem = f"void ratio without the initial one (e0), in {travel.words}"
+        raise BadValue(problem, f"give {give}, or state it above the table")
 
 
 def _force(load: Column, diameter: float | None) -> tuple[np.ndarray, str]:
-    if load.kind == FORCE or diameter is None:
+    if load.kind == Quantity.FORCE or diameter is None:
         return load.values, ""
     area = np.pi / 4 * diameter**2
     text = f"force is the stress of {load.words} times the initial area, {1e4 * area:.5g} cm2"
@@ -189,11 +183,13 @@ def _force(load: Column, diameter: float | None) -> tuple[np.ndarray, str]:
 def _displacement(
     travel: Column, height: float | None, void_ratio: float | None, size: Size, place: int
 ) -> tuple[np.ndarray, str]:
-    if travel.kind == DISPLACEMENT or height is None:
+    if travel.kind == Quantity.DISPLACEMENT or height is None:
         return travel.values, ""
     tall = f"the initial height, {1e3 * height:.5g} mm"
-    if travel.kind == CONSOLIDATION:
-        whole = _settlement(travel, height, size, place)
+    if travel.kind == Quantity.CONSOLIDATION:
+        if size.settlements is None:
+            raise _only_drainage(travel)
+        whole = settlement(_of_specimen(size.settlements, place), height)
         text = f"displacement is {travel.words} times the step's settlement, {1e3 * whole:.4g} mm"
         return 1e3 * whole * travel.values, f"{text}; a fit compares its end alone: {DRAINAGE}"
     if void_ratio is None:
@@ -220,13 +216,6 @@ def _check_strain(travel: Column, strain: np.ndarray) -> None:
     if len(finite) and finite.max() >= 1:
         problem = f"{travel.words} means a strain of {100 * finite.max():.4g} %, above 100 %"
         raise BadValue(problem, 'correct its unit, the height, or give --strain-unit "%"')
-
-
-def _settlement(travel: Column, height: float, size: Size, place: int) -> float:
-    """The settlement (m) at the end of the step, given as a length or in per cent of height."""
-    if size.settlements is None:
-        raise _only_drainage(travel)
-    return settlement(_of_specimen(size.settlements, place), height)
 
 
 def _only_drainage(travel: Column) -> BadValue:

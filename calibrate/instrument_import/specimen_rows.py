@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.instrument_import.tables import FEWEST_STEPS, Table
-from calibrate.instrument_import.vocabulary import NAMED, names_specimens, words_of
+from calibrate.instrument_import.vocabulary import WORDS, names_specimens, words_of
 
 _LONGEST = 60  # characters of a name
 _BACK = 0.5  # of the travel so far; to fall back by more in one row is another specimen
@@ -41,7 +41,7 @@ class Rows:
 
     def starts(self, are_steps: bool) -> list[int]:
         """The rows at which another specimen begins, the first row left out."""
-        clock = _backwards(self.time)
+        clock = clock_restarts(self.time)
         back = _jumps_back(self.travel, 0.8 if are_steps else _BACK)
         possible = back if are_steps else sorted({*back, *clock, *self.blocks})
         begun, found = 0, []
@@ -100,7 +100,9 @@ def by_specimen(table: Table) -> list[tuple[str, np.ndarray]]:
 def are_only_numbered(table: Table) -> bool:
     """Whether no column names specimens, but one numbers something: runs, tests, repeats."""
     named = [h.name for h in table.headings if names_specimens(h.name)]
-    return bool(named) and not any(words_of(name).startswith(NAMED) for name in named)
+    return bool(named) and not any(
+        words_of(name).startswith(WORDS.names.specimen) for name in named
+    )
 
 
 def names_of_rows(table: Table, filled: bool = False) -> list[str]:
@@ -114,18 +116,13 @@ def names_of_rows(table: Table, filled: bool = False) -> list[str]:
     )
 
 
-def unlike(names: list[str]) -> list[str]:
-    """One name a specimen, unlike all others; "specimen 2" for one without."""
+def unique_labels(names: list[str]) -> list[str]:
+    """One name for each specimen, no two alike; "specimen 2" for one without."""
     labels: list[str] = []
     for number, name in enumerate(names, start=1):
         label = " ".join(name.split())[:_LONGEST] or f"specimen {number}"
         labels.append(f"{label} ({number})" if label in labels else label)
     return labels
-
-
-def clock_starts_again(time: np.ndarray | None) -> bool:
-    """Whether times fall back to an earlier beginning."""
-    return bool(_backwards(time))
 
 
 def _column(table: Table, column: int, filled: bool) -> list[str]:
@@ -137,7 +134,7 @@ def _column(table: Table, column: int, filled: bool) -> list[str]:
     return names
 
 
-def _backwards(time: np.ndarray | None) -> list[int]:
+def clock_restarts(time: np.ndarray | None) -> list[int]:
     """Rows where the clock jumps back by more than half of what it had reached."""
     return [] if time is None else _jumps_back(time, _BACK)
 

@@ -6,7 +6,7 @@ A curve that stiffens keeps its unloading; one that softens ends where the plate
 Displacement counts from contact, force from its reading before contact.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,12 +14,15 @@ from calibrate.core.errors import BadValue
 from calibrate.instrument_import import signals
 from calibrate.instrument_import.recordings import Recording
 from calibrate.instrument_import.tables import FEWEST_ROWS
-from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRESS
-from calibrate.instrument_import.vocabulary import LOAD_STEPS, SOFTENS, STIFFENS
+from calibrate.instrument_import.vocabulary import LOAD_STEPS, SOFTENS, STIFFENS, Quantity
 
 DIAMETER, HEIGHT = 0.05, 0.10  # m; assumed where the file does not say
 LEAD_SHARE = 0.1  # of the travel from contact to the peak; kept before contact
-CHECKED = {FORCE: "kN", STRESS: "MPa", DISPLACEMENT: "m"}  # columns whose size is looked at
+CHECKED = {
+    Quantity.FORCE: "kN",
+    Quantity.STRESS: "MPa",
+    Quantity.DISPLACEMENT: "m",
+}  # columns whose size is looked at
 COARSE = 20  # points on loading below which a curve is called coarse
 
 
@@ -30,6 +33,30 @@ class Finding:
     kind: str
     text: str
     fault: bool = False
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is noticed of one specimen on the way, and refusals that name it."""
+
+    label: str
+    found: list[Finding]
+
+    @staticmethod
+    def of(recording: Recording, label: str) -> "Findings":
+        """What was noticed while it was read."""
+        found = [Finding("assumed", text) for text in recording.assumed]
+        found += [Finding("missing values", text, True) for text in recording.warnings]
+        return Findings(label, found)
+
+    def note(self, kind: str, text: str) -> None:
+        self.found.append(Finding(kind, text))
+
+    def warn(self, kind: str, text: str) -> None:
+        self.found.append(Finding(kind, text, True))
+
+    def refusal(self, problem: str, repair: str) -> BadValue:
+        return BadValue(f"specimen '{self.label}': {problem}", repair)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +75,40 @@ class Specimen:
     time_s: np.ndarray | None
     displacement_mm: np.ndarray
     force_n: np.ndarray
-    rate: float | None
-    diameter: float | None
-    height: float | None
-    density: float | None
     unloading_mm: float | None
-    clipped: bool
-    contact_mm: float  # of the recorded displacement
-    zero_n: float  # of the recorded force
     begins_n: float  # the recorded force at the first row
-    approach: bool  # whether the record shows the platen before contact
-    place: str
     findings: tuple[Finding, ...]
     raw: Recording = field(repr=False)
-    points: bool = False
+    rate: float | None = None
+    clipped: bool = False
+    contact_mm: float = 0.0  # of the recorded displacement
+    zero_n: float = 0.0  # of the recorded force
+    approach: bool = False  # whether the record shows the platen before contact
+
+    @property
+    def points(self) -> bool:
+        return self.raw.points
+
+    @property
+    def place(self) -> str:
+        return self.raw.place
+
+    @property
+    def diameter(self) -> float | None:
+        return self.raw.size.diameter
+
+    @property
+    def height(self) -> float | None:
+        return self.raw.size.height
+
+    @property
+    def density(self) -> float | None:
+        """Bulk density (kg/m^3) as stated, or from mass, diameter and height."""
+        stated = self.raw.stated.quantities
+        if "density" in stated or not {"mass", "diameter", "height"} <= stated.keys():
+            return stated.get("density")
+        density = stated["mass"] / (np.pi / 4 * stated["diameter"] ** 2 * stated["height"])
+        return float(density) if 300 < density < 4000 else None
 
 
 def specimen_from(recording: Recording, test: str | None, label: str) -> Specimen:
@@ -69,20 +116,20 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
 
     Raises `BadValue` where the record is no compression test or its kind cannot be told.
     """
-    findings = [Finding("assumed", text) for text in recording.assumed]
-    findings += [Finding("missing values", text, True) for text in recording.warnings]
+    findings = Findings.of(recording, label)
     recording = _in_order(recording, findings)
-    _check_curve(recording, label)
-    _check_sizes(recording, findings, label)
+    _check_curve(recording, findings)
+    _check_sizes(recording, findings)
     top = signals.clipped_run(recording.displacement_mm, recording.force_n)
     start = signals.start_of_contact(recording.force_n, recording.displacement_mm)
     if recording.force_n.max() <= _threshold(recording, start):
-        problem = f"specimen '{label}': its force does not rise above its noise"
-        raise BadValue(problem, "check which columns were exported")
+        problem = "its force does not rise above its noise"
+        raise findings.refusal(problem, "check which columns were exported")
+    contact = float(recording.displacement_mm[start.row])
     _tell_start(recording, start, findings)
-    kind = _test(recording, test, start.row, findings, label)
-    kept = _counted(recording, start, top, kind, findings)
-    travel, force, time = _cleaned(recording, start, kept, kind, findings, label)
+    kind = _test(recording, test, start.row, findings)
+    rows = _counted(recording, start, top, kind, findings)
+    travel, force, time = _cleaned(recording.of(rows), start, contact, kind, findings)
     _tell_gaps(time, travel, force, findings)
     turn = signals.turning_row(travel)
     return Specimen(
@@ -92,122 +139,94 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
         displacement_mm=travel,
         force_n=force,
         rate=_rate(time, travel, force, recording),
-        diameter=recording.size.diameter,
-        height=recording.size.height,
-        density=density_of(recording),
         unloading_mm=None if turn is None else float(travel[turn]),
         clipped=top is not None,
-        contact_mm=float(recording.displacement_mm[start.row]),
+        contact_mm=contact,
         zero_n=start.zero,
         begins_n=begins_at(recording),
         approach=start.approach,
-        place=recording.place,
-        findings=tuple(findings),
+        findings=tuple(findings.found),
         raw=recording,
     )
 
 
-def _in_order(recording: Recording, findings: list[Finding]) -> Recording:
+def _in_order(recording: Recording, findings: Findings) -> Recording:
     """The record sorted by time where the clock ran backwards."""
-    if recording.time_s is None:
+    time = recording.time_s
+    back = 0 if time is None else len(signals.backward_rows(time))
+    if time is None or not back:
         return recording
-    back = signals.backward_rows(recording.time_s)
-    if not len(back):
-        return recording
-    order = np.argsort(recording.time_s, kind="stable")
-    text = f"{len(back)} rows lie before the row above them in time: sorted by time"
-    findings.append(Finding("time order", text, True))
-    return replace(
-        recording,
-        time_s=recording.time_s[order],
-        displacement_mm=recording.displacement_mm[order],
-        force_n=recording.force_n[order],
-    )
+    text = f"{back} rows lie before the row above them in time: sorted by time"
+    findings.warn("time order", text)
+    return recording.of(np.argsort(time, kind="stable"))
 
 
-def _check_sizes(recording: Recording, findings: list[Finding], label: str) -> None:
+def _check_sizes(recording: Recording, findings: Findings) -> None:
     """A warning where pressure or strain cannot be; refused where that rests on a unit which
     nobody wrote.  What the file writes is never overruled."""
     size = recording.size
     diameter, height = size.diameter or DIAMETER, size.height or HEIGHT
-    force, travel = (
-        float(np.ptp(recording.force_n)),
-        1e-3 * float(np.ptp(recording.displacement_mm)),
-    )
+    force = float(np.ptp(recording.force_n))
+    travel = 1e-3 * float(np.ptp(recording.displacement_mm))
     pressure, strain = force / (np.pi / 4 * diameter**2), travel / height
-    low, high = signals.PRESSURE
-    if recording.load in CHECKED and not low <= pressure <= high:
-        possible = np.sqrt(4 * force / np.pi / (high if pressure > high else low))
-        words = f"a pressure of {pressure / 1e3:.3g} kPa"
-        _tell_size(recording, recording.load, words, "diameter", possible, findings, label)
-    low, high = signals.STRAIN
-    if recording.travel in CHECKED and not low <= strain <= high:
-        words = f"a strain of {strain:.2g}"
-        possible = travel / (high if strain > high else low)
-        _tell_size(recording, recording.travel, words, "height", possible, findings, label)
+    for kind, value, (low, high), words, name, used, possible in (
+        (recording.load, pressure, signals.PRESSURE, f"a pressure of {pressure / 1e3:.3g} kPa",
+         "diameter", diameter, lambda pressure: np.sqrt(4 * force / np.pi / pressure)),
+        (recording.travel, strain, signals.STRAIN, f"a strain of {strain:.2g}",
+         "height", height, lambda strain: travel / strain),
+    ):  # fmt: skip
+        if kind not in CHECKED or low <= value <= high:
+            continue
+        means = f"{kind} as written means {words} on a {name} of {1e3 * used:.4g} mm"
+        if kind in recording.units_assumed:
+            problem = f"{recording.place}: {kind} has no unit, and {means}"
+            raise BadValue(problem, f"give --{kind}-unit, such as --{kind}-unit {CHECKED[kind]}")
+        assumed = "" if getattr(size, name) is not None else ", which is ASSUMED"
+        text = (
+            f"{means}{assumed}: possible with {1e3 * possible(high if value > high else low):.3g} "
+            f"mm (--{name}), or in another unit (--{kind}-unit)"
+        )
+        findings.warn("size of the numbers", text)
 
 
-def _tell_size(
-    recording: Recording,
-    kind: str,
-    words: str,
-    name: str,
-    possible: float,
-    findings: list[Finding],
-    label: str,
-) -> None:
-    """Says that a column means what cannot be, and which size or unit would make it possible."""
-    given = getattr(recording.size, name)
-    usual = {"diameter": DIAMETER, "height": HEIGHT}[name]
-    means = f"{kind} as written means {words} on a {name} of {1e3 * (given or usual):.4g} mm"
-    if kind in recording.units_assumed:
-        problem = f"{recording.place}: {kind} has no unit, and {means}"
-        raise BadValue(problem, f"give --{kind}-unit, such as --{kind}-unit {CHECKED[kind]}")
-    assumed = "" if given is not None else ", which is ASSUMED"
-    text = (
-        f"{means}{assumed}: possible with {1e3 * possible:.3g} mm (--{name}), or in another unit "
-        f"(--{kind}-unit)"
-    )
-    findings.append(Finding("size of the numbers", text, True))
-
-
-def _check_curve(recording: Recording, label: str) -> None:
+def _check_curve(recording: Recording, findings: Findings) -> None:
     """Refuses a record in which nothing is compressed."""
     force, travel = recording.force_n, recording.displacement_mm
-    name = f"specimen '{label}': "
     if len(force) < FEWEST_ROWS:
-        raise BadValue(f"{name}only {len(force)} complete points", "export the whole record")
-    if not (np.ptp(force) > 0 and np.ptp(travel) > 0):
-        still = "force" if np.ptp(force) == 0 else "displacement"
-        raise BadValue(f"{name}its {still} never changes", "check which columns were exported")
+        raise findings.refusal(f"only {len(force)} complete points", "export the whole record")
+    for still, values in (("force", force), ("displacement", travel)):
+        if not np.ptp(values) > 0:
+            problem = f"its {still} never changes"
+            raise findings.refusal(problem, "check which columns were exported")
     peak = int(np.argmax(force))
     if np.ptp(travel[: peak + 1]) < 0.02 * np.ptp(travel) or peak < 3:
-        problem = f"{name}the largest force stands at its very start"
-        raise BadValue(problem, "export the record from before contact on")
+        problem = "the largest force stands at its very start"
+        raise findings.refusal(problem, "export the record from before contact on")
 
 
-def _tell_start(recording: Recording, start: signals.Start, findings: list[Finding]) -> None:
+def _tell_start(recording: Recording, start: signals.Start, findings: Findings) -> None:
     """Where the record begins, and what was found about contact and the zero of force."""
     peak = float(recording.force_n.max())
     travel, first = recording.displacement_mm, begins_at(recording)
     ran = travel[start.row] - travel[0]
-    if not start.approach and ran > 0:
-        text = f"contact {ran:.3g} mm after the start of the record, by few readings: displacement "
-        text += "counts from there, the zero of the force is as the file writes it"
-        findings.append(Finding("start of contact", text))
-    elif not start.approach:
-        begins = "at contact" if abs(first) < 2e-3 * peak else f"under {first:.3g} N"
-        text = f"the record begins {begins} and holds no reading before contact: the zero of the "
-        text += "force is as the file writes it, travel counts from its first row"
-        if first > 0.02 * peak:
-            text += "; the first contact is missing"
-        findings.append(Finding("start of contact", text, first > 0.02 * peak))
+    kind, ran_in = "start of contact", f"contact {ran:.3g} mm after the start of the record"
+    as_written = "the zero of the force is as the file writes it"
+    if start.approach:
+        findings.note(kind, f"{ran_in}: displacement counts from there")
+    elif ran > 0:
+        counts = "displacement counts from there"
+        findings.note(kind, f"{ran_in}, by few readings: {counts}, {as_written}")
     else:
-        text = f"contact {ran:.3g} mm after the start of the record: displacement counts from there"
-        findings.append(Finding("start of contact", text))
+        begins = "at contact" if abs(first) < 2e-3 * peak else f"under {first:.3g} N"
+        text = f"the record begins {begins} and holds no reading before contact: {as_written}, "
+        text += "travel counts from its first row"
+        if first > 0.02 * peak:
+            findings.warn(kind, f"{text}; the first contact is missing")
+        else:
+            findings.note(kind, text)
     if start.zero != 0:
         text = f"the force reads {start.zero:.3g} N before contact: subtracted"
-        findings.append(Finding("zero of force", text))
+        findings.note("zero of force", text)
 
 
 def begins_at(recording: Recording) -> float:
@@ -215,30 +234,26 @@ def begins_at(recording: Recording) -> float:
     return float(min(np.median(recording.force_n[:5]), recording.force_n[0]))
 
 
-def _test(
-    recording: Recording, given: str | None, row: int, findings: list[Finding], label: str
-) -> str:
+def _test(recording: Recording, given: str | None, row: int, findings: Findings) -> str:
     """Which test this is: as given, as the file says, or as the shape of the curve says."""
-    travel, force = recording.displacement_mm[row:], recording.force_n[row:]
-    softens = signals.has_softening(travel, force)
-    shape = SOFTENS if softens else None
-    if shape is None and signals.is_stiffening(travel, force):
-        shape = STIFFENS
-    said = recording.stated.test
-    if said == LOAD_STEPS and not recording.is_converted:
-        said = STIFFENS  # an oedometer that a machine loads at a speed
     if given is not None:
         return given
-    if said is not None:
-        if shape is not None and (shape == SOFTENS) != (said == SOFTENS):
-            text = f"the file says {said}, but the curve looks {shape}: taken as {said}"
-            findings.append(Finding("kind of test", text, True))
-        return said
+    curve = recording.displacement_mm[row:], recording.force_n[row:]
+    softens = signals.has_softening(*curve)
+    shape = SOFTENS if softens else STIFFENS if signals.is_stiffening(*curve) else None
+    named = recording.stated.test
+    if named == LOAD_STEPS and not recording.is_converted:
+        named = STIFFENS  # an oedometer that a machine loads at a speed
+    if named is not None:
+        if shape is not None and (shape == SOFTENS) != (named == SOFTENS):
+            text = f"the file says {named}, but the curve looks {shape}: taken as {named}"
+            findings.warn("kind of test", text)
+        return named
     if shape is None:
-        problem = f"specimen '{label}': neither the file nor the curve tells which test it is"
-        raise BadValue(problem, f"give --test {STIFFENS}, {SOFTENS} or {LOAD_STEPS}")
+        problem = "neither the file nor the curve tells which test it is"
+        raise findings.refusal(problem, f"give --test {STIFFENS}, {SOFTENS} or {LOAD_STEPS}")
     why = "softens after a peak" if softens else "stiffens up to its peak"
-    findings.append(Finding("assumed", f"{shape} test, because the curve {why}"))
+    findings.note("assumed", f"{shape} test, because the curve {why}")
     return shape
 
 
@@ -247,7 +262,7 @@ def _counted(
     start: signals.Start,
     top: tuple[int, int] | None,
     kind: str,
-    findings: list[Finding],
+    findings: Findings,
 ) -> slice:
     """The rows that count: from just before contact to where the test ends."""
     travel, force = recording.displacement_mm, recording.force_n
@@ -261,11 +276,11 @@ def _counted(
         if kind == SOFTENS:
             turn = turns[0]
             text += f", of which the first loading counts, {turn + 1} of {len(force)} rows"
-        findings.append(Finding("cycles", text, True))
+        findings.warn("cycles", text)
     if turn is not None:
-        text = f"unloading from {travel[turn] - travel[start.row]:.4g} mm on"
-        kept = "left out" if kind == SOFTENS else "kept"
-        findings.append(Finding("unloading", f"{text}: {kept}"))
+        then = "left out" if kind == SOFTENS else "kept"
+        begins = travel[turn] - travel[start.row]
+        findings.note("unloading", f"unloading from {begins:.4g} mm on: {then}")
         loaded = np.flatnonzero(force > _threshold(recording, start))
         last = turn + 1 if kind == SOFTENS else min(int(loaded[-1]) + 2, len(force))
     if top is not None and top[0] - first >= FEWEST_ROWS:
@@ -274,7 +289,7 @@ def _counted(
             f"the force stays at {limit:.4g} N while the platen moves on: the load cell's limit; "
             "only the rise up to it is kept, and the true peak is unknown"
         )
-        findings.append(Finding("saturation", text, True))
+        findings.warn("saturation", text)
         last = min(last, top[0] + 1)
     return slice(first, last)
 
@@ -286,38 +301,30 @@ def _threshold(recording: Recording, start: signals.Start) -> float:
 
 
 def _cleaned(
-    recording: Recording,
-    start: signals.Start,
-    rows: slice,
-    kind: str,
-    findings: list[Finding],
-    label: str,
+    recording: Recording, start: signals.Start, contact: float, kind: str, findings: Findings
 ):
-    """Displacement from contact, force from its zero, time, of the rows that count."""
-    travel = recording.displacement_mm[rows] - recording.displacement_mm[start.row]
-    force = recording.force_n[rows] - start.zero
-    time = None if recording.time_s is None else recording.time_s[rows]
+    """Displacement from contact (mm), force from its zero, time, without standstills."""
+    travel, force = recording.displacement_mm - contact, recording.force_n - start.zero
+    time = recording.time_s
     if kind == SOFTENS:
-        further = np.concatenate([[True], travel[1:] > np.maximum.accumulate(travel)[:-1]])
+        further = np.diff(np.maximum.accumulate(travel), prepend=-np.inf) > 0
         travel, force = travel[further], force[further]
         time = None if time is None else time[further]
         lost = int((~further).sum())
         if lost > 0.02 * len(further):
             text = f"{lost} rows in which the platen does not advance were left out"
-            findings.append(Finding("standstill", text))
+            findings.note("standstill", text)
     if len(force) < FEWEST_ROWS:
-        problem = (
-            f"specimen '{label}': only {len(force)} points from contact to the end of the test"
-        )
-        raise BadValue(problem, "export the record with more points")
+        problem = f"only {len(force)} points from contact to the end of the test"
+        raise findings.refusal(problem, "export the record with more points")
     loading = int(np.argmax(force))
     if loading < COARSE:
         text = f"only {loading} points up to the largest force: a coarse curve"
-        findings.append(Finding("sampling", text, True))
+        findings.warn("sampling", text)
     return travel, force, time
 
 
-def _tell_gaps(time, travel, force, findings: list[Finding]) -> None:
+def _tell_gaps(time, travel, force, findings: Findings) -> None:
     rows = signals.gaps(time, travel, force)
     if not rows:
         return
@@ -325,7 +332,7 @@ def _tell_gaps(time, travel, force, findings: list[Finding]) -> None:
     ends = f"{travel[widest]:.3g} to {travel[widest + 1]:.3g} mm"
     held = f", {time[widest + 1] - time[widest]:.3g} s" if time is not None else ""
     text = f"{len(rows)} gap(s) in the sampling, the widest from {ends}{held}"
-    findings.append(Finding("sampling gap", text, True))
+    findings.warn("sampling gap", text)
 
 
 def _rate(time, travel, force, recording: Recording) -> float | None:
@@ -340,15 +347,3 @@ def _rate(time, travel, force, recording: Recording) -> float | None:
     if middle.sum() < 3 or np.ptp(time[up][middle]) <= 0:
         return stated
     return float(1e-3 * np.polyfit(time[up][middle], travel[up][middle], 1)[0])
-
-
-def density_of(recording: Recording) -> float | None:
-    """Bulk density (kg/m^3) as stated, or from mass, diameter and height."""
-    stated = recording.stated.quantities
-    if "density" in stated:
-        return stated["density"]
-    if {"mass", "diameter", "height"} <= stated.keys():
-        volume = np.pi / 4 * stated["diameter"] ** 2 * stated["height"]
-        density = stated["mass"] / volume
-        return float(density) if 300 < density < 4000 else None
-    return None

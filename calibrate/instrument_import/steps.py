@@ -5,10 +5,8 @@
 
 import numpy as np
 
-from calibrate.core.errors import BadValue
 from calibrate.instrument_import.sizes import Column
-from calibrate.instrument_import.unittext import STRESS
-from calibrate.instrument_import.vocabulary import CONSOLIDATION, LOAD_STEPS, VOID_RATIO
+from calibrate.instrument_import.vocabulary import LOAD_STEPS, Quantity
 
 MOST_STEPS = 40  # rows; more are a curve unless the load stands still in most of them
 _EQUAL = 5e-3  # of the largest load; what a load keeps to while it stands still
@@ -19,13 +17,15 @@ def are_steps(load: Column, travel: Column, test: str | None, given: bool | None
     """Whether the rows are load steps: as the user says, or few rows of an oedometer test."""
     if given is not None:
         return given
-    if travel.kind == CONSOLIDATION:
+    if travel.kind == Quantity.CONSOLIDATION:
         return True
     if len(load.values) > MOST_STEPS and not _stands_still(load.values):
         return False
     if test is not None:
         return test == LOAD_STEPS
-    return travel.kind == VOID_RATIO or (load.kind == STRESS and _comes_back(load.values))
+    return travel.kind == Quantity.VOID_RATIO or (
+        load.kind == Quantity.STRESS and _comes_back(load.values)
+    )
 
 
 def ends_of_steps(load: np.ndarray) -> np.ndarray:
@@ -43,24 +43,6 @@ def turning_rows(load: np.ndarray) -> list[int]:
             rows.append(row - 1)
             direction = -direction
     return [*rows, len(load) - 1]
-
-
-def against_the_load(load: np.ndarray, travel: np.ndarray, height: float) -> list[int]:
-    """Rows whose load is the largest so far and whose travel falls by 0.2 % of the height."""
-    highest = np.maximum.accumulate(load)
-    rises = (np.diff(load) > 0) & (load[1:] >= highest[1:])
-    return [int(row) + 1 for row in np.flatnonzero(rises & (np.diff(travel) < -2e-3 * height))]
-
-
-def check_steps(load: np.ndarray, travel: np.ndarray, fewest: int, label: str) -> None:
-    """Refuses what cannot be load steps: too few rows, or load or travel that never change."""
-    name = f"specimen '{label}': "
-    if len(load) < fewest:
-        raise BadValue(f"{name}only {len(load)} load steps", f"give at least {fewest}")
-    if not np.ptp(load) > 0:
-        raise BadValue(f"{name}its load never changes", "check which columns were exported")
-    if not np.ptp(travel) > 0:
-        raise BadValue(f"{name}its travel never changes", "check which columns were exported")
 
 
 def _stands_still(load: np.ndarray) -> bool:

@@ -15,10 +15,9 @@ from calibrate.instrument_import.measured import measured
 from calibrate.instrument_import.preamble import read_preamble
 from calibrate.instrument_import.recordings import MOST_SPECIMENS, Choices
 from calibrate.instrument_import.sizes import Column, converted
-from calibrate.instrument_import.specimen_rows import names_of_rows, unlike
+from calibrate.instrument_import.specimen_rows import names_of_rows, unique_labels
 from calibrate.instrument_import.tables import FEWEST_STEPS, Table, tables_in
-from calibrate.instrument_import.unittext import DISPLACEMENT, STRESS
-from calibrate.instrument_import.vocabulary import SHEAR_STRENGTH, SOFTENS
+from calibrate.instrument_import.vocabulary import SOFTENS, Quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +58,12 @@ def strengths_in(sheets: list[Sheet], choices: Choices) -> Strengths | None:
 def _strengths(table: Table, channel: Channel, choices: Choices) -> Strengths:
     stated, size_notes = choices.size.over(read_preamble([*table.preamble]))
     column, unit_note = measured(table, channel, choices.units)
-    is_shear = channel.kind == SHEAR_STRENGTH
+    is_shear = channel.kind == Quantity.SHEAR_STRENGTH
     rows = np.isfinite(column.values)
     stress = (2.0 if is_shear else 1.0) * column.values[rows]
     _check(column, stress)
-    load = Column(STRESS, column.words, stress)
-    nothing = Column(DISPLACEMENT, "", np.zeros(len(stress)))
+    load = Column(Quantity.STRESS, column.words, stress)
+    nothing = Column(Quantity.DISPLACEMENT, "", np.zeros(len(stress)))
     size = converted(load, nothing, stated, choices.size, 0)
     assert size.diameter is not None  # `converted` refuses a stress without it
     if (choices.test or SOFTENS) != SOFTENS:
@@ -75,7 +74,7 @@ def _strengths(table: Table, channel: Channel, choices: Choices) -> Strengths:
     notes = (unit_note, shear if is_shear else "", *size_notes, *stated.assumed, *size.sentences)
     return Strengths(
         test=SOFTENS,
-        labels=tuple(unlike(names)),
+        labels=tuple(unique_labels(names)),
         stress_kpa=stress,
         force_n=size.force_n,
         diameter=size.diameter,

@@ -96,7 +96,7 @@ def _continues(
 ) -> bool:
     """Whether a run of rows belongs to the table before it."""
     if not used:
-        if not _same_columns(table.numbers, numbers):
+        if not np.array_equal(_used(table.numbers), _used(numbers)):
             return False
         return len(numbers) >= fewest or _goes_on(table.numbers, numbers)
     same = [h.words() for h in headings] == [h.words() for h in table.headings]
@@ -141,13 +141,12 @@ def _is_of_units(cells: Row) -> bool:
     """Whether a row holds units rather than names: "m" and "h" among names are names."""
     filled = [cell for cell in cells if cell]
     units = _count_units(filled)
-    named = sum(1 for cell in filled if _is_channel(cell) and not _is_long_unit(cell))
-    others = sum(1 for cell in filled if not unit_of(cell) and not _is_channel(cell))
+    named = sum(
+        _is_channel(cell) and (unit_of(cell) is None or len(cell.strip("[]() ")) < 2)
+        for cell in filled
+    )
+    others = sum(not unit_of(cell) and not _is_channel(cell) for cell in filled)
     return units > 0 and units > named + others
-
-
-def _is_long_unit(cell: str) -> bool:
-    return unit_of(cell) is not None and len(cell.strip("[]() ")) > 1
 
 
 def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
@@ -203,10 +202,6 @@ def _filled_forward(row: Row) -> Row:
         last = cell or last
         filled.append(last)
     return filled
-
-
-def _same_columns(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.array_equal(_used(one), _used(other)))
 
 
 def _used(numbers: np.ndarray) -> np.ndarray:

@@ -1,112 +1,57 @@
 """The words of testing machines: what a column is called, and of which test.
 
-Names are compared without accents and case, as words however they were joined (snake_case,
-camelCase); they are English, German, Spanish, French, Italian, Portuguese and Chinese.
-
-`TESTS` lists the types of tests (`calibrate.labtests`) that a file can be of.
+They stand in `vocabulary.toml`, by what they mean and by language, and are checked when it is
+read.  Names are compared without accents and case, as words however they were joined (snake_case,
+camelCase).
 """
 
 import re
 import unicodedata
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, Literal
 
-from calibrate.instrument_import.unittext import DISPLACEMENT, FORCE, STRAIN, STRESS, TIME
+import pint
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+from calibrate.core.errors import BadValue, shown, suggestion
+from calibrate.core.units import UNITS
+from calibrate.io.labfile import explained, read_toml
 from calibrate.labtests.composite import TYPES
 
-OTHER = "other"
-VOID_RATIO, CONSOLIDATION = "void ratio", "degree of consolidation"
-ROOT_TIME = "root of time"
-STRENGTH, SHEAR_STRENGTH = "compressive strength", "undrained shear strength"
-
-# Searched in this order: "compressive stress" is a stress, "extension rate" none of these.
-# In each entry the preferred channel of a machine that records several comes first.
-_PARTS: dict[str, tuple[str, ...]] = {
-    OTHER: (
-        *("rate", "speed", "geschwindigkeit", "velocidad", "vitesse", "速度", "速率"),
-        *("temperat", "energ", "arbeit", "work", "modul", "cycle", "zyklus", "温度"),
-        *("setpoint", "set point", "command", "demand", "sollwert", "consigna", "consigne"),
-        *("max", "peak", "bruch", "break", "mean", "mittel", "average", "最大", "平均"),
-        *("pore pressure", "pore water", "porenwasser", "poros", "interstit", "back pressure"),
-        *("cell pressure", "zelldruck", "confining", "confinamiento", "confinement", "radial"),
-        *("chamber pressure", "camara", "lateral", "horizontal", "sigma 3", "σ3", "sigma3"),
-        *("shear stress", "schubspannung", "scherspannung", "shear force", "scherkraft"),
-        *("shear load", "shear displacement", "shear strain", "volumetric", "volume", "围压"),
-        *(
-            "孔压",
-            "孔隙水压",
-            "反压",
-            "diameter",
-            "durchmesser",
-            "diametr",
-            "cortante",
-            "cisaillement",
-            "moment",
-            "torque",
-            "dilat",
-        ),
-    ),
-    SHEAR_STRENGTH: (
-        *("undrained shear strength", "undrained strength", "scherfestigkeit"),
-        *("resistencia al corte no drenad", "cohesion no drenada", "cohesion non drainee"),
-    ),
-    STRENGTH: (
-        *("compressive strength", "druckfestigkeit", "resistencia a compresion"),
-        *("resistencia a la compresion", "resistance a la compression"),
-    ),
-    VOID_RATIO: (
-        *("void ratio", "voids ratio", "porenzahl", "indice de vacios", "relacion de vacios"),
-        *("indice des vides", "indice dei vuoti", "indice de vazios", "孔隙比"),
-    ),
-    CONSOLIDATION: (
-        *("degree of consolidation", "settlement ratio", "verfestigungsgrad"),
-        *("konsolidationsgrad", "grado de consolidacion", "degre de consolidation", "固结度"),
-    ),
-    ROOT_TIME: ("sqrt(t", "sqrt t", "sqrt(min", "√", "root time", "root of time", "wurzel"),
-    STRESS: (
-        *("axial stress", "vertical stress", "effective stress", "normal stress", "stress"),
-        *("sigma", "σ", "spannung", "pressure", "esfuerzo", "tension vertical"),
-        *("tension efectiva", "tension normal", "contrainte", "应力", "压强", "强度"),
-    ),
-    STRAIN: (
-        *("axial strain", "vertical strain", "strain", "deformacion unitaria"),
-        *("deformation relative", "deformation unitaire", "epsilon", "ε", "应变"),
-    ),
-    FORCE: (
-        *("standardkraft", "kraft", "force", "load", "fuerza", "carga", "charge", "forza"),
-        *("carico", "forca", "试验力", "力", "荷", "载"),
-    ),
-    TIME: ("time", "zeit", "tiempo", "temps", "tempo", "时间", "sekunde", "seconds"),
-    DISPLACEMENT: (
-        *("standardweg", "extension", "displacement", "desplazamiento", "deplacement"),
-        *("spostamento", "deslocamento", "位移", "weg", "verschiebung", "travel", "stroke"),
-        *("recorrido", "carrera", "course", "corsa", "curso", "行程", "deflection", "setzung"),
-        *("settlement", "compression", "stauchung", "allongement", "dehnung"),
-        *("deforma", "verformung", "变形", "crosshead", "traverse", "position", "posicion"),
-    ),
-}
-_WHOLE: dict[str, tuple[str, ...]] = {  # names that are too short to be searched for
-    FORCE: ("f", "fn", "fz", "last", "p"),
-    TIME: ("t", "tid"),
-    DISPLACEMENT: ("s", "x", "z", "u", "dl", "l", "d", "dz", "uz", "disp", "ext", "pos"),
-    SHEAR_STRENGTH: ("su", "s u", "cu", "c u"),
-    STRENGTH: ("ucs", "qu", "q u"),
-}
+FILE = Path(__file__).with_name("vocabulary.toml")
+_SHORTEST = 3  # letters of a word that is searched for inside names
+_SYMBOLS = "symbols"
+_SYMBOL_RANK = 15  # after all words
 _VOID_RATIO = re.compile(r"e|e[\s_]*\(\w{1,12}\)|e[\s_]+[a-z]{0,4}\d{1,3}|e[1-9]\d?")
-_STEP = ("step", "stage", "load step", "load stage", "stufe", "laststufe", "escalon", "palier")
-NAMED = (  # what a specimen is called; a column of these names holds names
-    *("sample", "specimen", "probe", "proben", "probekorper", "muestra", "probeta", "core"),
-    *("echantillon", "eprouvette", "campione", "provino", "amostra", "cylinder", "prufkorper"),
-    *("试样", "试件"),
-)
-_NUMBERED = (  # what is done with specimens; a column of these names may number anything
-    *("replicate", "rep", "repeat", "repetition", "replica", "repeticion", "wiederholung"),
-    *("run", "test", "trial", "versuch", "ensayo", "essai", "prova", "ensaio"),
-)
-_SPECIMENS = frozenset(
-    name
-    for word in (*NAMED, *_NUMBERED)
-    for name in (word, *(f"{word} {end}" for end in ("id", "no", "nr", "number", "name", "#")))
-) | {"probennummer", "编号", "试样编号", "试件编号", "id", "samples", "specimens"}
-_STATISTICS = frozenset(("min", "max", "avg", "sd", "std", "mean", "average", "peak"))
+
+Lists = Mapping[str, tuple[str, ...]]  # words by language
+
+
+class Quantity(StrEnum):
+    """What a column of numbers holds."""
+
+    OTHER = "other"
+    SHEAR_STRENGTH = "undrained shear strength"
+    STRENGTH = "compressive strength"
+    VOID_RATIO = "void ratio"
+    CONSOLIDATION = "degree of consolidation"
+    ROOT_TIME = "root of time"
+    STRESS = "stress"
+    STRAIN = "strain"
+    FORCE = "force"
+    TIME = "time"
+    DISPLACEMENT = "displacement"
+
+    @property
+    def dimension(self) -> "Quantity":
+        """The quantity whose units it is written in."""
+        if self in (Quantity.STRENGTH, Quantity.SHEAR_STRENGTH):
+            return Quantity.STRESS
+        return Quantity.TIME if self is Quantity.ROOT_TIME else self
 
 
 def plain(text: str) -> str:
@@ -121,38 +66,197 @@ def words_of(name: str) -> str:
     return plain(re.sub(r"[_.\\-]+", " ", spaced))
 
 
-def kind_of(name: str) -> tuple[str | None, int]:
+# ------------------------------------------------------------------ the file, checked
+
+
+def _plain_word(word: str) -> str:
+    if not plain(word):
+        raise BadValue("the word is empty", "write a word, or leave it out")
+    return plain(word)
+
+
+def _searchable(lists: Lists) -> Lists:
+    for language, words in lists.items():
+        for word in words if language != _SYMBOLS else ():
+            if word.isascii() and len(word) < _SHORTEST:
+                problem = f"{shown(word)} is too short to be searched for inside names"
+                raise BadValue(problem, f"write it under `{_SYMBOLS}`", language)
+    return lists
+
+
+def _one_meaning(meanings: Mapping[str, Mapping[str, Iterable[str]]]):
+    found: dict[str, str] = {}
+    for name, lists in meanings.items():
+        for word in chain.from_iterable(lists.values()):
+            if found.setdefault(word, name) != name:
+                problem = f"{shown(word)} stands under {found[word]} too"
+                raise BadValue(problem, "leave it under one of both", name)
+    return meanings
+
+
+def _known_tests(tests: dict[str, Lists]):
+    for name in tests:
+        if name not in TYPES:
+            raise BadValue("no such test", suggestion(name, TYPES), name)
+    return tests
+
+
+def _known_units(units: dict[str, tuple[str, ...]]):
+    _one_meaning({name: {"": map(str.casefold, words)} for name, words in units.items()})
+    for name in units:
+        number, _, unit = name.rpartition(" ")
+        try:
+            UNITS.Quantity(float(number or 1), unit)
+        except (pint.PintError, ValueError):
+            repair = 'write a unit that pint knows, such as "kPa" or "1000 lbf/ft^2"'
+            raise BadValue("no such unit", repair, name) from None
+    return units
+
+
+Words = tuple[Annotated[str, AfterValidator(_plain_word)], ...]
+ByLanguage = Annotated[dict[str, Words], AfterValidator(_searchable)]
+Above = Literal["specimen", "diameter", "height", "mass", "density", "speed", "area", "void_ratio"]
+
+
+class Section(BaseModel):
+    """A section of the file, without unknown entries."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Names(Section):
+    """Whole names of columns."""
+
+    specimen: Words
+    numbered: Words
+    ending: Words
+    whole: Words
+    load_steps: Words
+    negations: Words
+    statistics: Words
+
+    @cached_property
+    def of_specimens(self) -> set[str]:
+        """All names of a column that says to which specimen a row belongs."""
+        words = (*self.specimen, *self.numbered)
+        ended = (f"{word} {end}" for word in words for end in self.ending)
+        return {*words, *ended, *self.whole}
+
+
+class OtherTests(Section):
+    """Signs of tests that are not simulated."""
+
+    pressures: ByLanguage
+    columns: ByLanguage
+    names: ByLanguage
+
+
+class DoubtfulUnit(Section):
+    """Words of several sizes."""
+
+    words: tuple[str, ...]
+    why: str
+
+
+class ForeignUnits(Section):
+    """Units of something else than a curve of a test."""
+
+    words: tuple[str, ...]
+    letters: tuple[str, ...]
+
+
+class PintUnits(Section):
+    """Names of units in pint that laboratories use."""
+
+    with_prefix: tuple[str, ...]
+    prefixes: tuple[str, ...]
+    alone: tuple[str, ...]
+
+
+class Vocabulary(Section):
+    """The whole file; `columns` and `tests` are searched in its order."""
+
+    columns: Annotated[dict[Quantity, ByLanguage], AfterValidator(_one_meaning)]
+    names: Names
+    above: dict[Above, ByLanguage]
+    tests: Annotated[dict[str, ByLanguage], AfterValidator(_known_tests)]
+    other_tests: OtherTests
+    units: Annotated[dict[str, tuple[str, ...]], AfterValidator(_known_units)]
+    doubtful_units: tuple[DoubtfulUnit, ...]
+    foreign_units: ForeignUnits
+    pint: PintUnits
+
+
+def load(path: Path) -> Vocabulary:
+    """The words of a file; `InputError` with the entry and the repair for the first slip in it."""
+    try:
+        return Vocabulary.model_validate(read_toml(path))
+    except ValidationError as error:
+        raise explained(error).at(str(path), "") from None
+
+
+WORDS = load(FILE)
+
+# ------------------------------------------------------------------ names of columns
+
+
+def kind_of(name: str) -> tuple[Quantity | None, int]:
     """What a column of this name holds, and its rank among columns of that kind (0 is best)."""
     words = words_of(name)
-    if words in _STEP:
+    if words in WORDS.names.load_steps:
         return None, 0
     if _VOID_RATIO.fullmatch(plain(name)):
-        return VOID_RATIO, len(_PARTS[VOID_RATIO])
-    if _STATISTICS.intersection(words.split()):
-        return OTHER, 0
-    for kind, parts in _PARTS.items():
-        for rank, part in enumerate(parts):
-            if part in words or (" " in part and part.replace(" ", "") in words):
-                return kind, rank
-    for kind, names in _WHOLE.items():
-        if words.rstrip("0123456789 #") in names:
-            return kind, len(_PARTS[kind])
+        return Quantity.VOID_RATIO, _SYMBOL_RANK
+    if not set(words.split()).isdisjoint(WORDS.names.statistics):
+        return Quantity.OTHER, 0
+    for kind, lists in WORDS.columns.items():
+        ranks = [
+            rank
+            for language, parts in lists.items()
+            if language != _SYMBOLS
+            for rank, part in enumerate(parts)
+            if is_in(words, part)
+        ]
+        if ranks:
+            return kind, min(ranks)
+    bare = words.rstrip("0123456789 #")
+    for kind, lists in WORDS.columns.items():
+        if bare in lists.get(_SYMBOLS, ()):
+            return kind, _SYMBOL_RANK
     return None, 0
+
+
+def holds(text: str, lists: Lists) -> bool:
+    """Whether a text (as `words_of` or `plain` give it) holds one of these words, even if that was
+    written as one word, or one of the symbols by itself."""
+    alone = " ".join(["", *re.findall(r"\w+", text), ""])
+    symbols = lists.get(_SYMBOLS, ())
+    return any(is_in(text, w) for w in searched(lists)) or any(f" {s} " in alone for s in symbols)
+
+
+def is_in(text: str, word: str) -> bool:
+    return word in text or (" " in word and word.replace(" ", "") in text)
+
+
+def searched(lists: Lists) -> Iterable[str]:
+    """The words of all languages that are searched for inside names."""
+    return (word for language, words in lists.items() if language != _SYMBOLS for word in words)
 
 
 def ends_with_a_name(text: str) -> bool:
     """Whether the text ends with a whole word for what a column holds: "axialLoad"."""
     words = words_of(text)
-    return any(words.endswith(part) for parts in _PARTS.values() for part in parts)
+    return any(words.endswith(part) for lists in WORDS.columns.values() for part in searched(lists))
 
 
 def names_specimens(name: str) -> bool:
     """Whether a column of this name says to which specimen a row belongs."""
-    return words_of(name).strip(" :#") in _SPECIMENS
+    return words_of(name).strip(" :#") in WORDS.names.of_specimens
 
 
-# Test type -> words that name it; later types first, since their words hold those of earlier ones.
-TESTS = {name: kind.words for name, kind in reversed(tuple(TYPES.items())) if kind.words}
+# ------------------------------------------------------------------ names of tests
+
+TESTS = tuple(WORDS.tests)  # types of tests (`calibrate.labtests`) that a file can be of
 
 
 def _of_shape(shape: str) -> str:
@@ -167,4 +271,4 @@ SOFTENS, STIFFENS, LOAD_STEPS = (_of_shape(shape) for shape in ("softens", "stif
 def test_named_in(text: str) -> str | None:
     """The test of `TESTS` that the text names, in any of the languages, or None."""
     words = plain(text)
-    return next((test for test, names in TESTS.items() if any(n in words for n in names)), None)
+    return next((test for test, lists in WORDS.tests.items() if holds(words, lists)), None)

@@ -2,6 +2,7 @@
 
 A workbook is a zip archive of XML.  What it would unpack to is bounded before it is opened,
 formulas are never computed (their stored values are read), macros are never touched.
+(pandas.read_excel reads through openpyxl too, in the same way; bounds and texts would remain.)
 """
 
 import datetime
@@ -44,7 +45,7 @@ def _sheets(data: bytes) -> Iterator[Sheet]:
             for row in page.iter_rows(max_row=MOST_ROWS, values_only=True)
         ]
         if any(any(row) for row in rows):
-            yield sheet(page.title, _with_point(rows), ".", "Excel workbook")
+            yield sheet(page.title, rows, ".", "Excel workbook")
 
 
 def _check_size(data: bytes) -> None:
@@ -70,15 +71,11 @@ def _text(value: object) -> str:
         return repr(value.total_seconds())
     if isinstance(value, datetime.datetime | datetime.date | datetime.time):
         return value.isoformat().replace("T", " ")
-    return repr(value) if isinstance(value, int | float) else str(value)
+    return repr(value) if isinstance(value, int | float) else _with_point(str(value))
 
 
-def _with_point(rows: list[list[str]]) -> list[list[str]]:
-    """The rows; numbers stored as text with a decimal comma get a point."""
-    return [[_unlocalised(cell) for cell in row] for row in rows]
-
-
-def _unlocalised(cell: str) -> str:
+def _with_point(cell: str) -> str:
+    """A text; a number stored as text with a decimal comma gets a point."""
     whole, comma, rest = cell.partition(",")
     looks_numeric = comma and whole.strip(" -+").isdigit() and rest.strip().isdigit()
     return f"{whole.strip()}.{rest.strip()}" if looks_numeric else cell

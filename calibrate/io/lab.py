@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
-from calibrate.core.units import FRACTION, STRESS, Kind, positive_quantity, unit_factor
+from calibrate.core.units import positive_quantity, unit_factor
 from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
 from calibrate.io.labfile import check_parameter, checked_tables, read_toml
@@ -255,7 +255,7 @@ def _targets(
 
 
 def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
-    """A target in mm or N."""
+    """A target in the unit of its observable."""
     table, file = target.table, str(path)
     if table.file is None:
         mean, scatter = (
@@ -278,7 +278,7 @@ def _amount(written: Any, target: StatedTarget, cylinder: Cylinder, field: str, 
     try:
         return positive_quantity(written, target.observable.kind)
     except BadValue as bad:
-        other, factor = _by_size(target, cylinder)
+        other, factor = target.observable.by_size(cylinder)
         try:
             return factor * positive_quantity(written, other)
         except BadValue:
@@ -291,18 +291,11 @@ def _factor(target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> 
     try:
         return unit_factor(unit, target.observable.kind)
     except BadValue as bad:
-        other, factor = _by_size(target, cylinder)
+        other, factor = target.observable.by_size(cylinder)
         try:
             return factor * unit_factor(unit, other)
         except BadValue:
             raise bad.at(file, field) from None
-
-
-def _by_size(target: StatedTarget, cylinder: Cylinder) -> tuple[Kind, float]:
-    """The kind of quantity that becomes the observable by the specimen's size, and its factor."""
-    if target.observable.unit == "N":
-        return STRESS, 1e3 * cylinder.area
-    return FRACTION, 1e3 * cylinder.height
 
 
 def _curves(

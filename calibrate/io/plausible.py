@@ -44,6 +44,7 @@ UNITS = {  # of each kind, the likeliest first
     "s": ("s", "min", "h", "ms", "day"),
     "1/s": ("%/min", "%/s", "%/h", "1/s"),
     "": ("%",),
+    "J": ("J", "mJ", "kJ"),
     "J/m^2": ("J/m^2", "mJ/m^2"),
 }
 BY_SIZE = {STRESS: FORCE, STRAIN: LENGTH}  # what counts by the specimen's size
@@ -73,7 +74,7 @@ class Plausibility:
         given = found if isinstance(found, dict) else {}
         for name, kind in PLAIN.items():
             self._test(kind, raw.get(name), name, size)
-            for observable in kind.observables:
+            for observable in kind.every():
                 where = f"targets.{observable.short}"
                 self._target(observable, given.get(observable.short), where, size)
         for field, table in _listed(raw.get("tests"), "tests"):
@@ -158,7 +159,7 @@ class Plausibility:
             self._table(StepTable, step, place, size)
         targets = raw.get("targets")
         for name, table in targets.items() if isinstance(targets, dict) else ():
-            for observable in kind.observables:
+            for observable in kind.every():
                 if name in (observable.name, observable.short):
                     self._target(observable, table, f"{field}.targets.{name}", size)
         return size

@@ -67,10 +67,10 @@ def _plain_tests(tables: AbstractLabTables, file: str) -> StatedTests:
     tests = [getattr(tables, name) or kind() for name, kind in PLAIN.items()]
     targets = [target for k, test in enumerate(tests) for target in _targets(test, k, test.called)]
     for k, test in enumerate(tests):
-        for observable in test.observables:
-            table = getattr(targets_of(tables), observable.short)
-            if table is not None:
-                targets.append(StatedTarget(f"targets.{observable.short}", k, observable, table))
+        tables_of = {o: getattr(targets_of(tables), o.short) for o in test.every()}
+        given = {o: table for o, table in tables_of.items() if table is not None}
+        targets += [StatedTarget(f"targets.{o.short}", k, o, table) for o, table in given.items()]
+        tests[k] = test.asked_of({o.name: table for o, table in given.items()})
     curves = [curve for k, test in enumerate(tests) for curve in _curves(test, k, test.called)]
     for number, table in enumerate(tables.curves):
         field = f"curves[{number}]"

@@ -80,7 +80,7 @@ class AbstractLabTables(AbstractTable):
 TargetsTable = create_model(
     "TargetsTable",
     __base__=AbstractTable,
-    **{o.short: (TargetTable | None, None) for kind in PLAIN.values() for o in kind.observables},  # pyright: ignore[reportArgumentType, reportCallIssue]
+    **{o.short: (TargetTable | None, None) for kind in PLAIN.values() for o in kind.every()},  # pyright: ignore[reportArgumentType, reportCallIssue]
 )
 
 LabTables = create_model(

@@ -8,17 +8,34 @@ Forces are N, displacements mm where a laboratory reads them, everything else SI
 
 import abc
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.tables import AbstractTable, Text
-from calibrate.core.units import FORCE, MILLIMETRES, STRAIN, STRESS, Kind, Range
-from calibrate.labtests.features import AbstractFeature, cyclic_course, path_features
+from calibrate.core.units import (
+    ENERGY,
+    FORCE,
+    FRACTION,
+    LENGTH,
+    MILLIMETRES,
+    PERCENT,
+    STRAIN,
+    STRESS,
+    Kind,
+    Range,
+)
+from calibrate.labtests.features import (
+    AbstractCurveFeature,
+    AbstractFeature,
+    FeatureGauge,
+    cyclic_course,
+    path_features,
+)
 from calibrate.labtests.measured import Curve, CurveTable, Cylinder, SpecimenTable, TargetTable
 from calibrate.labtests.protocol import (
     MOVING,
@@ -27,16 +44,36 @@ from calibrate.labtests.protocol import (
     program,
     written_course,
 )
-from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.base import AbstractApparatus, Gauged
 from jdem.apparatus.protocol import Protocol
 from jdem.observables import AbstractGauge
 
 STROKE = 0.35  # largest compression that is simulated, as a share of the height
 LONGEST_NAME = 60
 _STRANGE = re.compile(r"[^\w .+-]")
-UNITS = {"mm": MILLIMETRES, "N": FORCE}
-# Where what is measured usually lies: of the specimen's height, and on its area.
-USUAL = {"mm": Range(STRAIN, "0.01 %", "90 %"), "N": Range(STRESS, "0.05 kPa", "20 MPa")}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of observables: the kind of quantity that a target is given in, and where it usually
+    lies; the `other` kind that a target may be given in instead, if there is one, and what one of
+    that is in this unit on a specimen."""
+
+    kind: Kind
+    usual: Range
+    other: Kind | None = None
+    on: Callable[[Cylinder], float] = lambda size: 1.0
+
+
+UNITS = {
+    "mm": Unit(
+        MILLIMETRES, Range(STRAIN, "0.01 %", "90 %"), FRACTION, lambda size: 1e3 * size.height
+    ),
+    "N": Unit(FORCE, Range(STRESS, "0.05 kPa", "20 MPa"), STRESS, lambda size: 1e3 * size.area),
+    "%": Unit(PERCENT, Range(STRAIN, "0.01 %", "90 %"), LENGTH, lambda size: 100 / size.height),
+    "kPa": Unit(STRESS, Range(STRESS, "10 kPa", "10 GPa")),
+    "J": Unit(ENERGY, Range(ENERGY, "0.01 mJ", "10 kJ")),
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +82,8 @@ class Observable:
 
     `name` in results ends in its unit; `source` is its name in the apparatus and `scale` takes it
     from SI; an audit passes slopes `within` this share of the reference; `drawn`: a figure of the
-    curve shows it as a force; `symbol` stands for it in narrow tables.
+    curve shows it as a force; `symbol` stands for it in narrow tables.  `feature`: what reads it
+    off a specimen's curve, in `unit`, where the apparatus does not give it.
     """
 
     name: str
@@ -57,11 +95,12 @@ class Observable:
     drawn: bool = False
     symbol: str = ""
     usually: Range | None = None
+    feature: Callable[[Cylinder], AbstractCurveFeature] | None = None
 
     @property
     def usual(self) -> Range:
         """Where its values usually lie."""
-        return self.usually or USUAL[self.unit]
+        return self.usually or UNITS[self.unit].usual
 
     @property
     def short(self) -> str:
@@ -71,7 +110,17 @@ class Observable:
     @property
     def kind(self) -> Kind:
         """The kind of quantity that a target is given in."""
-        return UNITS[self.unit]
+        return UNITS[self.unit].kind
+
+    def by_size(self, cylinder: Cylinder) -> tuple[Kind, float]:
+        """The other kind of quantity that a target may be given in, else its own; its factor."""
+        unit = UNITS[self.unit]
+        return unit.other or unit.kind, unit.on(cylinder)
+
+    def gauge(self, cylinder: Cylinder) -> AbstractGauge:
+        """What reads the observable's `feature` in a run."""
+        assert self.feature is not None
+        return FeatureGauge(feature=self.feature(cylinder), scale=self.scale, name=self.source)
 
 
 @dataclass(frozen=True)
@@ -102,17 +151,17 @@ class AbstractLabTest(AbstractTable):
 
     `name` is unique among the tests of a lab, by default the type; `specimen` is a specimen of its
     own, without which the test goes on with that of the test before; `protocol` replaces the
-    usual one.  type_name: what `type` says; title: of figures; observables: what it gives; plain:
-    its table may stand alone, called like the type, in a lab file without [[tests]]; words: what
-    machines call the test, in lower case without accents; shape: of a curve that says so itself;
-    with_soil: without it, the test takes no specimen, and no fit compares it.
+    usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
+    further: what is read off its curve as well where a target asks for it; plain: its table may
+    stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
+    says so itself; with_soil: without it, the test takes no specimen, and no fit compares it.
     """
 
     type_name: ClassVar[str]
     title: ClassVar[str]
     observables: ClassVar[tuple[Observable, ...]]
+    further: ClassVar[tuple[Observable, ...]] = ()
     plain: ClassVar[bool] = False
-    words: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True
 
@@ -137,10 +186,10 @@ class AbstractLabTest(AbstractTable):
 
     def observable(self, given: str) -> Observable:
         """The observable that a target is called after, with or without its unit."""
-        for observable in self.observables:
+        for observable in self.every():
             if given in (observable.name, observable.short):
                 return observable
-        known = [observable.name for observable in self.observables]
+        known = [observable.name for observable in self.every()]
         raise BadValue("unknown name", suggestion(given, known), f"targets.{given}")
 
     @property
@@ -149,6 +198,27 @@ class AbstractLabTest(AbstractTable):
         height = self.specimen.height if self.specimen else 0.1
         moving = [step for step in self.protocol if step.step in MOVING]
         return moving[0].speed(height) if moving else None
+
+    @classmethod
+    def every(cls) -> tuple[Observable, ...]:
+        """All observables that may be asked for."""
+        return (*cls.observables, *cls.further)
+
+    @property
+    def given(self) -> tuple[Observable, ...]:
+        """The observables that results hold: those of the test, and further ones with a target."""
+        asked = [o for o in self.further if {o.name, o.short} & set(self.targets)]
+        return (*self.observables, *asked)
+
+    def asked_of(self, targets: Mapping[str, TargetTable]) -> Self:
+        """The same test with further targets, by observable."""
+        return self.model_copy(update={"targets": {**self.targets, **targets}})
+
+    def machine(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        """The virtual test with a gauge for each observable that is read off its curve."""
+        gauges = [o.gauge(cylinder) for o in self.given if o.feature]
+        test = self.apparatus(cylinder, pace)
+        return Gauged.of(test, tuple(gauges)) if gauges else test
 
     @abc.abstractmethod
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:

@@ -21,7 +21,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
-OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.observables}  # by source
+OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.every()}  # by source
 BY_NAME = {o.name: o for o in OBSERVABLES.values()}
 
 
@@ -43,7 +43,7 @@ def names(given: Iterable[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, 
 
 def names_of(tests: Iterable[AbstractLabTest]) -> dict[tuple[str, str], tuple[str, float]]:
     """The same for the tests of a lab."""
-    return names((test.called, o.source) for test in tests for o in test.observables)
+    return names((test.called, o.source) for test in tests for o in test.given)
 
 
 def described(name: str) -> Observable:

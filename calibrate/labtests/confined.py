@@ -20,6 +20,7 @@ from calibrate.labtests.features import (
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, LOW_LOAD, PLATEN
+from calibrate.labtests.reading import Zero
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.observables import DepressionDepth
@@ -50,10 +51,6 @@ class ConfinedTest(AbstractLabTest):
     observables = (DEPTH,)
     plain = True
     shape = "stiffens"
-    words = (
-        *("confined", "behinderte seitendehnung", "confinad", "confine", "侧限"),
-        "mould compression",
-    )
 
     rate: Annotated[Speed, PLATEN] = 8e-3
     pressed_at: Annotated[Speed | None, PLATEN] = None
@@ -93,14 +90,14 @@ class ConfinedTest(AbstractLabTest):
         zero, top = zero_of(curves), min(float(curve.force_n.max()) for curve in curves)
         places = [min(share * self.force_high, top) for share in LOADING]
         found: list[AbstractFeature] = [
-            DisplacementOnLoading(*self._read_at(force, "loading"), zero)
+            DisplacementOnLoading(*self._read_at(force, "loading"), Zero(zero))
             for force in places
             if force > zero
         ]
         if all(curve.force_n[-1] < UNLOADING[-1] * self.force_high for curve in curves):
             found += [
-                DisplacementOnUnloading(*self._read_at(share * self.force_high, "unloading"), zero)
-                for share in UNLOADING
+                DisplacementOnUnloading(*self._read_at(load, "unloading"), Zero(zero))
+                for load in (share * self.force_high for share in UNLOADING)
             ]
         return found
 

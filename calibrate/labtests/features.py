@@ -1,24 +1,41 @@
 """Numbers that are read off measured and simulated curves alike, and that a fit compares.
 
-Displacements (mm) are read at forces, forces (N) at displacements.  Both count from a force that
-every measured record holds: the seating force, or the preload at which the latest of them begins.
-A protocol with several loads and unloads is walked along: a waypoint is the next place on the
-curve where its force is reached.
+A feature is declared once, with the zero from which its displacement counts, and reads any curve
+with the functions of `calibrate.labtests.reading`.  A fit counts from a force that every measured
+record holds: the seating force, or the preload at which the latest of them begins.  A protocol with
+several loads and unloads is walked along: a waypoint is the next place on the curve where its force
+is reached.
 """
 
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import equinox as eqx
 import numpy as np
+from jax import Array
 
 from calibrate.labtests.measured import Curve
+from calibrate.labtests.reading import (
+    Zero,
+    displacement_on_rise,
+    force_near,
+    loading,
+    passing,
+    peak_displacement,
+    unloading,
+)
+from jdem.observables import AbstractGauge
+from jdem.observables import Curve as RunCurve
 
 SEATING = 2.0  # N; force at which displacement starts to count, where every record holds it
+SEATED = Zero(SEATING)
+SEATED_ROW = Zero(SEATING, on_row=True)
 REVERSAL = 0.05  # share of the largest force; smaller ups and downs are noise
 A_BRANCH = (0.25, 0.5, 0.75, 1.0)  # where a continuous record is read, shares of a branch's forces
+NARROWEST = 0.05  # mm to either side, over which a force is averaged
 SHORT_OF = 0.02  # share of a force or a way by which a machine may stop before it
 
 
@@ -52,60 +69,116 @@ class AbstractCurveFeature(AbstractFeature):
     """A number read off the curve of one test."""
 
     def of(self, observables: Mapping[str, float], curves: Mapping[str, np.ndarray]) -> float:
-        return self.of_curve(*curves[self.test].T)
+        return float(self.of_curve(*curves[self.test].T))
 
     @abc.abstractmethod
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        """This feature of one curve."""
+    def of_curve(self, displacement_mm, force_n) -> Any:
+        """This feature of one curve, of numpy or JAX, whose arrays have shape (points,)."""
 
 
 @dataclass(frozen=True)
 class DisplacementOnLoading(AbstractCurveFeature):
-    """Displacement (mm) beyond that at `zero` (N) at which the rising force reaches `force` (N)."""
+    """Displacement (mm) beyond `zero` at which the rising force reaches `force` (N, or an array of
+    several); JAX takes its derivative over `window` as in `jdem.observables.Curve`."""
 
-    force: float
-    zero: float = SEATING
+    force: float | np.ndarray
+    zero: Zero = SEATED
+    window: float = 0.0
 
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        turn = int(np.argmax(force_n)) + 1
-        return displacement_up(displacement_mm[:turn], force_n[:turn], self.force, self.zero)
+    def of_curve(self, displacement_mm, force_n):
+        rise = loading(displacement_mm, force_n)
+        return displacement_on_rise(*rise, self.force, self.window) - self.zero.of(*rise)
 
 
 @dataclass(frozen=True)
 class DisplacementOnUnloading(AbstractCurveFeature):
-    """Displacement (mm) beyond that at `zero` (N) on loading, at `force` (N) after the largest."""
+    """Displacement (mm) beyond `zero` on loading, at `force` (N) after the largest."""
 
     force: float
-    zero: float = SEATING
+    zero: Zero = SEATED
 
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        turn = int(np.argmax(force_n))
-        highest = np.maximum.accumulate(force_n[: turn + 1])
-        zero = np.interp(self.zero, highest, displacement_mm[: turn + 1])
-        lowest = np.minimum.accumulate(force_n[turn:])
-        return float(np.interp(self.force, lowest[::-1], displacement_mm[turn:][::-1]) - zero)
+    def of_curve(self, displacement_mm, force_n):
+        zero = self.zero.of(*loading(displacement_mm, force_n))
+        return displacement_on_rise(*unloading(displacement_mm, force_n), self.force) - zero
 
 
 @dataclass(frozen=True)
 class ForceAtDisplacement(AbstractCurveFeature):
-    """Force (N) at `displacement` (mm) beyond that at `zero` (N), averaged over a tenth of it."""
+    """Force (N) at `displacement` (mm, or an array of several where the half-width is 0) beyond
+    `zero`, a mean over `half_width` (mm) to either side; None: over a twentieth of the
+    displacement, at least `NARROWEST`."""
 
-    displacement: float
-    zero: float = SEATING
+    displacement: float | np.ndarray
+    zero: Zero = SEATED_ROW
+    half_width: float | None = None
 
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        seated = displacement_mm - seat(displacement_mm, force_n, self.zero)
-        near = np.abs(seated - self.displacement) <= max(0.05 * self.displacement, 0.05)
-        interpolated = np.interp(self.displacement, seated, force_n)
-        return float(force_n[near].mean()) if near.sum() > 2 else float(interpolated)
+    def of_curve(self, displacement_mm, force_n):
+        seated = displacement_mm - self.zero.of(displacement_mm, force_n)
+        near = self.half_width
+        if near is None:
+            near = max(0.05 * float(self.displacement), NARROWEST)
+        return force_near(seated, force_n, self.displacement, near)
 
 
 @dataclass(frozen=True)
 class ForceAtEnd(AbstractCurveFeature):
     """Force (N) at the end of the curve."""
 
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
-        return float(force_n[-1])
+    def of_curve(self, displacement_mm, force_n):
+        return force_n[-1]
+
+
+@dataclass(frozen=True)
+class StrainAtPeak(AbstractCurveFeature):
+    """Strain (%) at the largest force: the displacement beyond `zero` over the specimen's `height`
+    (mm); the force is averaged over `half_width` (mm) to either side."""
+
+    height: float
+    half_width: float
+    zero: Zero = SEATED
+
+    def of_curve(self, displacement_mm, force_n):
+        zero = self.zero.of(*loading(displacement_mm, force_n))
+        peak = peak_displacement(displacement_mm, force_n, self.half_width)
+        return 100 * (peak - zero) / self.height
+
+
+@dataclass(frozen=True)
+class SecantModulus(AbstractCurveFeature):
+    """Secant modulus (kPa): stress at a `share` of the largest force on a specimen of this `area`
+    (mm2), over the strain there, which counts from `zero` on this `height` (mm)."""
+
+    share: float
+    area: float
+    height: float
+    zero: Zero = SEATED
+
+    def of_curve(self, displacement_mm, force_n):
+        rise = loading(displacement_mm, force_n)
+        force = self.share * force_n.max()
+        way = displacement_on_rise(*rise, force) - self.zero.of(*rise)
+        return 1e3 * (force / self.area) / (way / self.height)
+
+
+@dataclass(frozen=True)
+class WorkToPeak(AbstractCurveFeature):
+    """Work (J) of the force up to its largest value."""
+
+    def of_curve(self, displacement_mm, force_n):
+        way, force = loading(displacement_mm, force_n)
+        return 1e-3 * ((force[1:] + force[:-1]) * (way[1:] - way[:-1])).sum() / 2
+
+
+class FeatureGauge(AbstractGauge):
+    """A feature as a number of a run, SI: `scale` takes it from there to the feature's unit."""
+
+    feature: AbstractCurveFeature = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def of(self, curve: RunCurve, movement: Array) -> Array:
+        whole = curve.filled()
+        return self.feature.of_curve(1e3 * whole.displacement, whole.force) / self.scale
 
 
 @dataclass(frozen=True)
@@ -118,15 +191,16 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class DisplacementOnPath(AbstractCurveFeature):
-    """Displacement (mm) at the last waypoint of a path, beyond that at its first; NaN where a
-    curve does not come that way."""
+    """Displacement (mm) at the last waypoint of a path, beyond that at its first, which is the
+    zero; NaN where a curve does not come that way."""
 
     path: tuple[Waypoint, ...]
 
-    def of_curve(self, displacement_mm: np.ndarray, force_n: np.ndarray) -> float:
+    def of_curve(self, displacement_mm, force_n):
         places, row = [], 0
-        for waypoint in self.path:
-            row, place = _next(displacement_mm, force_n, row, waypoint)
+        for point in self.path:
+            short = SHORT_OF * abs(point.force) + SEATING
+            row, place = passing(displacement_mm, force_n, row, point.force, point.rising, short)
             places.append(place)
         return places[-1] - places[0]
 
@@ -135,20 +209,6 @@ def zero_of(curves: Sequence[Curve]) -> float:
     """Force (N) that all records hold on loading: what lies below the first row of one of them is
     not known there, so that neither it nor a simulation may be counted from it."""
     return max(SEATING, *(float(curve.force_n[0]) for curve in curves))
-
-
-def seat(displacement: np.ndarray, force: np.ndarray, zero: float) -> float:
-    """Displacement (mm) at the first row that carries `zero` (N), at the largest force if none."""
-    reached = force >= zero
-    return float(displacement[int(np.argmax(reached if reached.any() else force))])
-
-
-def displacement_up(
-    displacement: np.ndarray, force: np.ndarray, wanted: float, zero: float = SEATING
-) -> float:
-    """Displacement (mm) beyond that at `zero` (N) at which the rising force is `wanted` (N)."""
-    highest = np.maximum.accumulate(force)
-    return float(np.interp(wanted, highest, displacement) - np.interp(zero, highest, displacement))
 
 
 def path_features(test: str, curves: Sequence[Curve]) -> list[AbstractFeature]:
@@ -221,22 +281,3 @@ def _branches(force: np.ndarray) -> list[Waypoint]:
 def _turns(path: Sequence[Waypoint]) -> int:
     """How often the path turns."""
     return sum(a.rising != b.rising for a, b in pairwise(path))
-
-
-def _next(
-    displacement: np.ndarray, force: np.ndarray, row: int, waypoint: Waypoint
-) -> tuple[int, float]:
-    """Row and displacement at which the curve passes a waypoint, from `row` on."""
-    sign = 1.0 if waypoint.rising else -1.0
-    rest, wanted = sign * force[row:], sign * waypoint.force
-    reached = rest >= wanted
-    if not reached.any():
-        nearest = int(np.argmax(rest))
-        close = abs(rest[nearest] - wanted) <= SHORT_OF * abs(wanted) + SEATING
-        return row + nearest, float(displacement[row + nearest]) if close else np.nan
-    at = row + int(np.argmax(reached))
-    before = max(at - 1, row)
-    change = force[at] - force[before]
-    share = (waypoint.force - force[before]) / change if change else 1.0
-    way = displacement[at] - displacement[before]
-    return at, float(displacement[before] + np.clip(share, 0.0, 1.0) * way)

@@ -42,7 +42,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Target:
-    """A measured observable: mean of `repeats` tests and standard deviation of one [mm or N], and
+    """A measured observable in its unit: mean of `repeats` tests, standard deviation of one, and
     the relative error that those who published it found for their own simulation, if known."""
 
     mean: float
@@ -85,8 +85,9 @@ class TargetTable(AbstractTable):
     """A measured observable: mean and standard deviation of one repeat, as quantities, and their
     number; or a file with one repeat a row, its column and unit, each repeat `times` a factor.
 
-    A length may be given as a strain, a force as a stress of the specimen's area.  published_error
-    is the relative error of a published simulation, for comparison.
+    A length may be given as a strain and a strain as a length, a force as a stress of the
+    specimen's area.  published_error is the relative error of a published simulation, for
+    comparison.
     """
 
     mean: Any = None

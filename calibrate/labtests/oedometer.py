@@ -24,7 +24,6 @@ class OedometerTest(AbstractLabTest):
     title = "oedometer test"
     observables = (SETTLEMENT,)
     shape = "steps"
-    words = ("oedomet", "odomet", "edomet", "固结")
 
     @model_validator(mode="after")
     def _check_steps(self) -> "OedometerTest":

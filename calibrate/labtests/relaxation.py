@@ -17,6 +17,7 @@ from calibrate.labtests.features import (
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, PLATEN, WAIT, StepTable
+from calibrate.labtests.reading import Zero
 from jdem.apparatus.base import AbstractApparatus
 from jdem.observables import ForceLeft
 
@@ -32,7 +33,6 @@ class RelaxationTest(AbstractLabTest):
     type_name = "relaxation"
     title = "relaxation test"
     observables = (FORCE_LEFT,)
-    words = ("relaxation", "relajacion", "rilassamento", "松弛")
 
     rate: Annotated[Speed, PLATEN] = 8e-3
     force: Annotated[Force, LOAD] = 400.0
@@ -54,7 +54,7 @@ class RelaxationTest(AbstractLabTest):
         found: list[AbstractFeature] = [
             DisplacementOnLoading(
                 f"displacement at {share * self.force:g} N, {self.called}",
-                "mm", self.called, share * self.force, zero,
+                "mm", self.called, share * self.force, Zero(zero),
             )
             for share in LOADING
             if share * self.force > zero

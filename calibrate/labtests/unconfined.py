@@ -1,6 +1,7 @@
 """Unconfined compression: the mould is taken away, the specimen rests, and is crushed.
 
-The crushing force F is the largest force, averaged over a short travel of the platen.
+The crushing force F is the largest force, averaged over a short travel of the platen.  The failure
+strain is the displacement there, from 2 N on, over the specimen's height.
 """
 
 from collections.abc import Sequence
@@ -9,16 +10,20 @@ from typing import Annotated
 import numpy as np
 
 from calibrate.core.tables import Duration, Speed
+from calibrate.core.units import STRAIN, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
 from calibrate.labtests.features import (
     SHORT_OF,
     AbstractFeature,
     ForceAtDisplacement,
-    seat,
+    SecantModulus,
+    StrainAtPeak,
+    WorkToPeak,
     zero_of,
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, PLATEN, WAIT
+from calibrate.labtests.reading import Zero
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.observables import CrushingForce
@@ -34,10 +39,45 @@ FORCE = Observable(
     symbol="F",
     usually=LOAD,
 )
+FAILURE_STRAIN = Observable(
+    "failure_strain_percent",
+    "failure strain",
+    "%",
+    "failure_strain",
+    100.0,
+    within=0.25,
+    symbol="ε",
+    usually=Range(STRAIN, "0.1 %", "50 %"),
+    feature=lambda size: StrainAtPeak(
+        "failure strain", "%", "unconfined", 1e3 * size.height, 0.5e3 * PEAK_WINDOW
+    ),
+)
+SECANT_MODULUS = Observable(
+    "secant_modulus_kpa",
+    "secant modulus E50",
+    "kPa",
+    "secant_modulus",
+    1e-3,
+    within=0.25,
+    symbol="E50",
+    feature=lambda size: SecantModulus(
+        "secant modulus", "kPa", "unconfined", 0.5, 1e6 * size.area, 1e3 * size.height
+    ),
+)
+WORK = Observable(
+    "work_to_failure_j",
+    "work to failure",
+    "J",
+    "work_to_failure",
+    1.0,
+    within=0.25,
+    symbol="W",
+    feature=lambda size: WorkToPeak("work to failure", "J", "unconfined"),
+)
 CRUSHING = (0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.10)  # of height, force read on crushing
 END = 0.1  # share of the travel over which a force at the end is averaged
 RISES = 0.01  # share of the force by which it is higher there than just before
-STRAIN = 0.15  # to which a specimen is crushed
+CRUSHED_TO = 0.15  # strain
 PEAK_WINDOW = 2.5e-4  # m; travel over which the crushing force is averaged
 
 
@@ -58,12 +98,9 @@ class UnconfinedTest(AbstractLabTest):
     type_name = "unconfined"
     title = "unconfined compression"
     observables = (FORCE,)
+    further = (FAILURE_STRAIN, SECANT_MODULUS, WORK)
     plain = True
     shape = "softens"
-    words = (
-        *("unconfined", "uniaxial compressive strength", "ucs", "einaxial", "unbehindert"),
-        *("no confinad", "inconfinad", "compresion simple", "non confine", "无侧限", "crush"),
-    )
 
     rate: Annotated[Speed, PLATEN] = 1e-5
     rest: Annotated[Duration, WAIT] = 1.0
@@ -78,27 +115,27 @@ class UnconfinedTest(AbstractLabTest):
             simulated_rate=pace.free,
             nominal_rate=self.rate,
             nominal_rest=self.rest,
-            stroke=STRAIN * cylinder.height,
+            stroke=CRUSHED_TO * cylinder.height,
             peak_rows=rows,
             name=self.called,
         )
 
     def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        if observable is not FORCE or not still_rises(*curve.T):
+        if not still_rises(*curve.T):
             return ""
         travel = float(np.ptp(curve[:, 0]))
         return (
-            f"the force still rises at the end of the travel, {travel:.3g} mm: there is no crushing"
-            " force, the number is where the curve stops; a slender specimen (twice as high as "
-            "wide) breaks, a flat one is only compressed"
+            f"the force still rises at the end of the travel, {travel:.3g} mm: there is no "
+            f"{observable.label}, the number is where the curve stops; a slender specimen "
+            "(twice as high as wide) breaks, a flat one is only compressed"
         )
 
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
-        zero = zero_of(curves)
+        zero = Zero(zero_of(curves), on_row=True)
         reach = min(
-            curve.displacement_mm.max() - seat(curve.displacement_mm, curve.force_n, zero)
+            curve.displacement_mm.max() - zero.of(curve.displacement_mm, curve.force_n)
             for curve in curves
         )
         places = [share * 1e3 * cylinder.height for share in CRUSHING]

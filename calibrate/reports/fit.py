@@ -143,7 +143,9 @@ def _features(found: FitRecord) -> Table | None:
         ]
         for name, f in found.features.items()
     ]
-    return Table(["number (mm or N)", "measured", "simulated", "difference in s.d."], rows)
+    of_observables = (described(name).unit for name in found.features if name in found.observables)
+    units = " or ".join(dict.fromkeys(["mm", "N", *of_observables]))
+    return Table([f"number ({units})", "measured", "simulated", "difference in s.d."], rows)
 
 
 def _column(found: FitRecord, name: str) -> str:

@@ -72,7 +72,7 @@ def virtual_lab(
     filled = _filled(lab, tested.cylinder, preset)
     numerics = numerics_for(filled, dtype=preset.dtype) if numerics is None else numerics
     pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
-    apparatus = tuple(test.apparatus(tested.cylinder, pace) for test in tested.tests)
+    apparatus = tuple(test.machine(tested.cylinder, pace) for test in tested.tests)
     return VirtualLab.of(filled, TestSequence(apparatus), numerics)
 
 

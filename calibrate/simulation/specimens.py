@@ -107,7 +107,7 @@ def doubts(lab: Lab, runs: Sequence[Run]) -> dict[str, str]:
     called, sound = names_of(lab.tests), [run for run in runs if not run.failure]
     found = {}
     for test in lab.tests:
-        for observable in test.observables:
+        for observable in test.given:
             curves = [run.curves[test.called] for run in sound if test.called in run.curves]
             said = [doubt for curve in curves if (doubt := test.doubt(observable, curve))]
             if len(said) > len(curves) / 2:
@@ -203,7 +203,7 @@ def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
     """What readers have to know of a test: its type, its title, what its figures mark (N)."""
     own = "" if test.called == test.type_name else f", {test.called}"
     called = names_of(lab.tests)
-    drawn = [called[test.called, o.source][0] for o in test.observables if o.drawn]
+    drawn = [called[test.called, o.source][0] for o in test.given if o.drawn]
     return {
         "type": test.type_name,
         "title": f"{test.title}{own}",

@@ -68,7 +68,7 @@ class FitResult(AbstractFiguresResult):
 
     @property
     def observables(self) -> dict[str, float]:
-        """Means over the packings of the fit, in the unit that the name ends with (mm or N)."""
+        """Means over the packings of the fit, in the unit that the name ends with (mm, N or %)."""
         return self.content["observables"]
 
     @property

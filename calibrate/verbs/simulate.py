@@ -45,7 +45,7 @@ class SimulationResult(AbstractFiguresResult):
 
     @property
     def observables(self) -> dict[str, float]:
-        """Means over packings by name, in the unit that the name ends with (mm or N)."""
+        """Means over packings by name, in the unit that the name ends with (mm, N or %)."""
         return self.content["observables"]
 
     @property

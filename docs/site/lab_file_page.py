@@ -192,7 +192,7 @@ def _table(path: str, model: type[BaseModel]) -> str:
 
 def _observables(model: type[BaseModel]) -> str:
     """What a type of test gives, under the names that its targets have."""
-    given = [o.name for o in getattr(model, "observables", ())]
+    given = [o.name for o in getattr(model, "every", tuple)()]
     return f" Observables: {', '.join(f'`{name}`' for name in given)}." if given else ""
 
 

@@ -6,6 +6,7 @@ goes on with the specimen as the one before left it.
 """
 
 import abc
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from jax import Array
 
 from jdem.core.quantity import Real, quantity
 from jdem.engine.segment import Segment
-from jdem.observables import Curve
+from jdem.observables import AbstractGauge, Curve
 
 RESPONSE = 5e-4  # s, of the drive to its servo: some 13 time steps at quick, 50 at fine
 
@@ -112,6 +113,50 @@ class AbstractApparatus(eqx.Module):
     def sampled(self, ratio: float) -> "AbstractApparatus":
         """The same test where samples are `ratio` times as dense."""
         return self
+
+
+class Gauged(AbstractApparatus):
+    """A test whose whole curve is read by further gauges; their numbers stand beside its own."""
+
+    name: str = eqx.field(static=True)
+    simulated_rate: Real
+    nominal_rate: Real
+    stroke: Real
+    test: AbstractApparatus
+    gauges: tuple[AbstractGauge, ...]
+
+    @staticmethod
+    def of(test: AbstractApparatus, gauges: tuple[AbstractGauge, ...]) -> "Gauged":
+        rates = (test.simulated_rate, test.nominal_rate)
+        return Gauged(test.name, *rates, test.stroke, test, gauges)
+
+    def movements(self) -> list[Movement]:
+        return self.test.movements()
+
+    def read(self, readings: Readings, movement: Array) -> Reading:
+        found = self.test.read(readings, movement)
+        more = {gauge.name: gauge.of(found.curve, movement) for gauge in self.gauges}
+        return replace(found, observables={**found.observables, **more})
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        return (*self.test.observables, *(gauge.name for gauge in self.gauges))
+
+    @property
+    def required_force(self) -> Real | None:
+        return self.test.required_force
+
+    @property
+    def reference_force(self) -> Real | None:
+        return self.test.reference_force
+
+    def at_rate(self, factor: float) -> "Gauged":
+        gauges = tuple(gauge.sampled(1 / factor) for gauge in self.gauges)
+        return Gauged.of(self.test.at_rate(factor), gauges)
+
+    def sampled(self, ratio: float) -> "Gauged":
+        gauges = tuple(gauge.sampled(ratio) for gauge in self.gauges)
+        return Gauged.of(self.test.sampled(ratio), gauges)
 
 
 def curve_of(readings: Readings, chosen: Array) -> Curve:

@@ -41,6 +41,7 @@ from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, Preset
 from calibrate.simulation.run import Run
 from calibrate.simulation.specimens import campaign, soil_json
+from jdem.observables import displacement_on_rise
 from jdem.packing.specimen import Packing
 from studies import reporting
 from studies.liggghts import both_tests, one_contact
@@ -113,8 +114,8 @@ def of_ours(run: Run) -> dict[str, float]:
 
 def _pressed(way: np.ndarray, force: np.ndarray) -> dict[str, float]:
     """Toe and H (mm) of a loading curve in m and N."""
-    highest = np.maximum.accumulate(force)
-    seat, toe, low, high = np.interp((SEATING, LOW, 200.0, 400.0), highest, 1e3 * way)
+    forces = (SEATING, LOW, 200.0, 400.0)
+    seat, toe, low, high = displacement_on_rise(1e3 * way, force, forces)
     return {"toe_mm": float(toe - seat), "depression_depth_mm": float(high - low)}
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.noise import best_shape
 from calibrate.labtests.diagnosis.base import Curves, Feature
-from calibrate.labtests.diagnosis.branches import rising
 from calibrate.labtests.diagnosis.curves import feature_values, recorded_feature_values
+from calibrate.labtests.reading import rising
 
 REPEATS = 100
 REACHED = 0.01  # share of a load by which a curve may end before it

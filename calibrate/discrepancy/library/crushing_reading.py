@@ -76,7 +76,7 @@ class CrushingReading:
     @property
     def _seating(self) -> float:
         """The force (N) from which displacement counts."""
-        return self.features[self.rows[0]].force
+        return self.features[self.rows[0]].zero.force or 0.0
 
     def _curve(self, levels: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and force (n, k + 3) of the curve's points."""

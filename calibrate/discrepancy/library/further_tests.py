@@ -36,6 +36,7 @@ from calibrate.labtests.diagnosis.curves import (
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.measured import Curve
 from calibrate.labtests.measured import Cylinder as LabCylinder
+from calibrate.labtests.reading import displacement_on_rise, loading
 from calibrate.labtests.relaxation import RelaxationTest
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS
@@ -257,9 +258,8 @@ def _of_machine(test: MachineTest, curve: Curve) -> np.ndarray:
     at_rest = before if np.isfinite(before) else float(curve.force_n[0])
     after = force_before_contact(curve.force_n[::-1])  # in the air again
     off = np.nan if test.reads is None or test.weight is None else test.reads - test.weight
-    top = int(np.argmax(curve.force_n)) + 1
-    way, up = curve.displacement_mm[:top], np.maximum.accumulate(curve.force_n[:top] - at_rest)
-    places = np.interp(force * np.array([FROM, *SHARES]), up, way)
+    rise = loading(curve.displacement_mm, curve.force_n - at_rest)
+    places = displacement_on_rise(*rise, force * np.array([FROM, *SHARES]))
     return np.array([at_rest, after - before, off, *(places[1:] - places[0])])
 
 

@@ -19,7 +19,6 @@ from calibrate.discrepancy.comparison.repeats import (
 )
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature
-from calibrate.labtests.diagnosis.branches import rising_displacement_at
 from calibrate.labtests.diagnosis.confined import FIRST
 from calibrate.labtests.diagnosis.contact import (
     begins_before_contact,
@@ -28,11 +27,13 @@ from calibrate.labtests.diagnosis.contact import (
 )
 from calibrate.labtests.diagnosis.curves import (
     TARGETS,
+    TEST_FEATURES,
     TESTS,
     declare_targets,
     recorded_feature_values,
 )
 from calibrate.labtests.measured import Target
+from calibrate.labtests.reading import displacement_on_rise, rising
 
 DISPLACEMENT_SD = 3e-3  # mm; resolution of a crosshead
 LEAST_FORCE_SD = 0.1  # N
@@ -171,7 +172,7 @@ def _from_seating(
     begins beyond it: as far before the record as the curves `like` it say."""
     found = dict(curves)
     for test in (test for test in curves if test in begun and like is not None):
-        force = max((f.force for f in features if f.test == test), default=0.0)
+        force = 0.0 if TEST_FEATURES[test].read_at_forces else _seating(features, test)
         displacement, recorded = curves[test]
         first = float(np.median(recorded[:FIRST]))
         if like is not None and 0 < force < first:
@@ -181,6 +182,11 @@ def _from_seating(
                 np.concatenate([[force], recorded]),
             )
     return found
+
+
+def _seating(features: Sequence[Feature], test: str) -> float:
+    """Force (N) from which the displacements of a test count; 0 without features."""
+    return max((f.zero.force or 0.0 for f in features if f.test == test), default=0.0)
 
 
 def way_between(
@@ -201,8 +207,8 @@ def way_between(
 
 def _rise_at(displacement: np.ndarray, force: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """Displacements (mm) at forces (N) on a curve's rise to its peak."""
-    top = int(np.argmax(force))
-    return np.array([rising_displacement_at(displacement, force, top, x) for x in levels])
+    top = int(np.argmax(force)) + 1
+    return displacement_on_rise(*rising(displacement[:top], force[:top], averaged=False), levels)
 
 
 def _before(specimens: Sequence[Curves], begun: Collection[str] = ()) -> np.ndarray:
@@ -227,6 +233,9 @@ def _before(specimens: Sequence[Curves], begun: Collection[str] = ()) -> np.ndar
 
 def _targets(lab: Lab, every: Sequence[Feature]) -> Measurements:
     names = [name for name in TARGETS if name in lab.targets]
+    if not names:
+        problem = f"there is no curve, and a diagnosis knows no target {', '.join(lab.targets)}"
+        raise InputError(lab.file, "targets", problem, f"add curves, or {' or '.join(TARGETS)}")
     features = declare_targets(names)
     given = [lab.targets[name] for name in names]
     values = {n: (t.mean, t.scatter, t.repeats) for n, t in zip(names, given, strict=True)}

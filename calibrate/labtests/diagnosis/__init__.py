@@ -1,2 +1,2 @@
 """Curves as numbers: `base` says what a feature is, one file a type of test declares and reads its
-own, `branches` and `contact` read noisy curves, `curves` joins the tests."""
+own, `contact` tells where a record begins, `curves` joins the tests."""

@@ -13,6 +13,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from calibrate.labtests.reading import AS_RECORDED, Zero, rising
+
 BEFORE = "before contact"  # kind and segment of the force that a machine shows at rest
 TARGET = "target"  # kind and segment of a scalar that is known without a curve
 TOE = "toe"  # segment of first touch, which a record that begins later does not hold
@@ -29,8 +31,7 @@ class Feature:
 
     kind is one of its test's kinds, "before contact" or "target"; abscissa is the force (N) or
     displacement (mm) at which it is read.  `scale` is what all abscissae of its test are shares
-    of; `force` is the force (N) from which displacement counts, where the test has one;
-    `position` runs from 0 to 1 along the test.
+    of; `zero` says where displacement begins to count; `position` runs from 0 to 1 along the test.
     """
 
     name: str
@@ -41,7 +42,7 @@ class Feature:
     unit: str
     position: float
     scale: float = 1.0
-    force: float = 0.0
+    zero: Zero = AS_RECORDED
 
 
 @dataclass(frozen=True)
@@ -143,8 +144,13 @@ class AbstractTestFeatures(abc.ABC):
         return self.segments.get(segment, f"{segment} of the {self.label}")
 
     @abc.abstractmethod
+    def last_of_rise(self, displacement: np.ndarray, force: np.ndarray) -> int:
+        """The row at which a curve's rise ends."""
+
     def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
         """Displacement (mm) on a curve from which its features count; `feature`: any of them."""
+        end = self.last_of_rise(displacement, force) + 1
+        return float(feature.zero.of(*rising(displacement[:end], force[:end], averaged=False)))
 
     @abc.abstractmethod
     def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:

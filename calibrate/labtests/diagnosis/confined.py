@@ -18,12 +18,7 @@ from calibrate.labtests.diagnosis.base import (
     Values,
     Variation,
 )
-from calibrate.labtests.diagnosis.branches import (
-    displacement_at,
-    falling,
-    rising,
-    rising_displacement_at,
-)
+from calibrate.labtests.reading import Zero, displacement_on_rise, falling, rising
 
 NAME = "confined"
 UPPER = "upper half"  # named by its forces, which are those of the lab file
@@ -94,25 +89,25 @@ class ConfinedFeatures(AbstractTestFeatures):
     def read(
         self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
     ) -> Values:
-        scale, turn = features[0].scale, int(np.argmax(displacement))
+        scale, turn = features[0].scale, self.last_of_rise(displacement, force)
         goes_on = force.max() > GOES_ON * scale
         returns = turn < len(displacement) - 1 and not goes_on
         rise = rising(displacement[: turn + 1], force[: turn + 1])
+        fall = falling(displacement[turn:], force[turn:])
         starts_late = rise[1][0] > LATE_START * scale or turn < FEW
-        zero = displacement_at(rise, REFERENCE * scale)
-        near_top = displacement_at(rise, NEAR_TOP * scale)
+        zero = features[0].zero.of(*rise)
+        top = displacement[turn] - displacement_on_rise(*rise, NEAR_TOP * scale)
         values = {
             ("largest force", 0.0): float(rise[1][-1]) if returns else np.nan,
-            ("travel at the top", 0.0): float(displacement[turn] - near_top) if returns else np.nan,
+            ("travel at the top", 0.0): float(top) if returns else np.nan,
         }
-        fall = falling(displacement[turn:], force[turn:])
-        branch = {"loading": (rise, starts_late), "unloading": (fall, True)}
-        for feature in features:
-            if feature.kind in branch:
-                curve, strict = branch[feature.kind]
-                value = displacement_at(curve, feature.abscissa, strict=bool(strict)) - zero
-                beside = goes_on and feature.kind == "unloading"
-                values[feature.kind, feature.abscissa] = np.nan if beside else value
+        branches = (("loading", rise, starts_late, False), ("unloading", fall, True, goes_on))
+        for kind, branch, ends, lacks in branches:
+            forces = np.array([f.abscissa for f in features if f.kind == kind])
+            read = displacement_on_rise(*branch, forces) - zero
+            missing = lacks | (ends & (forces < branch[1][0]))
+            for force_n, value in zip(forces, np.where(missing, np.nan, read), strict=True):
+                values[kind, float(force_n)] = float(value)
         return values
 
     def beyond(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
@@ -134,9 +129,8 @@ class ConfinedFeatures(AbstractTestFeatures):
             return SEGMENTS[segment]
         return f"upper half of loading, {segment}, in the confined test"
 
-    def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
-        top = int(np.argmax(displacement))
-        return rising_displacement_at(displacement, force, top, REFERENCE * feature.scale)
+    def last_of_rise(self, displacement: np.ndarray, force: np.ndarray) -> int:
+        return int(np.argmax(displacement))
 
     def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:
         return f"displacement at {NEAR_TOP * usual.force_high:g} N, loading", ""
@@ -150,8 +144,13 @@ def upper_half(high: float) -> str:
 def _at(segment: str, kind: str, share: float, high: float, position: float) -> Feature:
     segment = upper_half(high) if segment == UPPER else segment
     name = f"displacement at {share * high:g} N, {kind}"
-    return Feature(name, NAME, segment, kind, share * high, "mm", position, high)
+    return Feature(name, NAME, segment, kind, share * high, "mm", position, high, _zero(high))
 
 
 def _of_the_turn(kind: str, unit: str, high: float, position: float) -> Feature:
-    return Feature(f"{kind}, {NAME}", NAME, "reversal", kind, 0.0, unit, position, high)
+    name, zero = f"{kind}, {NAME}", _zero(high)
+    return Feature(name, NAME, "reversal", kind, 0.0, unit, position, high, zero)
+
+
+def _zero(high: float) -> Zero:
+    return Zero(REFERENCE * high)

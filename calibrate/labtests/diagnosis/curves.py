@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from calibrate.labtests.composite import BY_NAME
 from calibrate.labtests.diagnosis.base import (
     BEFORE,
     TARGET,
@@ -38,7 +39,7 @@ def declare_targets(names: Sequence[str] = TARGETS) -> tuple[Feature, ...]:
     """Features of a soil of which only scalar targets are known (of `TARGETS`)."""
     test_of = {test.target: test.name for test in TEST_FEATURES.values()}
     return tuple(
-        Feature(name, test_of[name], TARGET, TARGET, 0.0, _unit_of(name), 0.5) for name in names
+        Feature(name, test_of[name], TARGET, TARGET, 0.0, BY_NAME[name].unit, 0.5) for name in names
     )
 
 
@@ -115,10 +116,6 @@ def _read(features: Sequence[Feature], name: str, curve: tuple[np.ndarray, np.nd
     test = TEST_FEATURES[name]
     mine = test.mine(features)
     return test.read(mine, *curve) if mine else {}
-
-
-def _unit_of(target: str) -> str:
-    return "mm" if target.endswith("_mm") else "N"
 
 
 def _value(feature: Feature, read: Mapping[str, Values], targets: Mapping[str, float]) -> float:

@@ -17,12 +17,7 @@ from calibrate.labtests.diagnosis.base import (
     Values,
     Variation,
 )
-from calibrate.labtests.diagnosis.branches import (
-    averaged,
-    displacement_at,
-    rising,
-    rising_displacement_at,
-)
+from calibrate.labtests.reading import Zero, averaged, mean_of, rising
 
 NAME = "unconfined"
 # Shares of the displacement at the peak at which force is read, by segment.
@@ -67,7 +62,7 @@ class UnconfinedFeatures(AbstractTestFeatures):
         return {"load_cell_drift": 1 / faster}  # newtons an hour
 
     def declare(self, usual: UsualSizes) -> tuple[Feature, ...]:
-        seat = SEATING * usual.peak_n
+        seat = Zero(SEATING * usual.peak_n)
         forces = [
             _at(segment, share, usual.peak_mm, seat)
             for segment, shares in ON_CRUSHING.items()
@@ -82,16 +77,15 @@ class UnconfinedFeatures(AbstractTestFeatures):
     def read(
         self, features: Sequence[Feature], displacement: np.ndarray, force: np.ndarray
     ) -> Values:
-        peak_mm, seat = features[0].scale, features[0].force
-        top = int(np.argmax(force))
-        rise = rising(displacement[: top + 1], force[: top + 1])
-        travel = displacement - displacement_at(rise, seat)
+        peak_mm, end = features[0].scale, self.last_of_rise(displacement, force) + 1
+        rise = rising(displacement[:end], force[:end])
+        travel = displacement - features[0].zero.of(*rise)
         reach = travel.max() * (1 + 1e-9)
         dense = np.linspace(0.0, min(2.0 * peak_mm, reach), 101)
         smooth = averaged(travel, force, dense, WINDOW * peak_mm)
         values = {
             ("peak force", 0.0): float(smooth.max()),
-            ("peak displacement", 0.0): float(dense[smooth >= NEAR_PEAK * smooth.max()].mean()),
+            ("peak displacement", 0.0): float(mean_of(dense, smooth >= NEAR_PEAK * smooth.max())),
         }
         locations = np.array([f.abscissa for f in features if f.kind == "crushing"])
         forces = averaged(travel, force, locations, WINDOW * peak_mm)
@@ -105,19 +99,18 @@ class UnconfinedFeatures(AbstractTestFeatures):
     def before_start(self, features: Sequence[Feature], force: np.ndarray) -> np.ndarray:
         return np.array([f.test == NAME and f.segment == TOE for f in features])
 
-    def zero(self, feature: Feature, displacement: np.ndarray, force: np.ndarray) -> float:
-        top = int(np.argmax(force))
-        return rising_displacement_at(displacement, force, top, feature.force)
+    def last_of_rise(self, displacement: np.ndarray, force: np.ndarray) -> int:
+        return int(np.argmax(force))
 
     def stretched_by(self, usual: UsualSizes) -> tuple[str, str]:
         return f"peak displacement, {NAME}", f"peak force, {NAME}"
 
 
-def _at(segment: str, share: float, peak_mm: float, seat: float) -> Feature:
+def _at(segment: str, share: float, peak_mm: float, seat: Zero) -> Feature:
     at = share * peak_mm
     name = f"force at {at:.3g} mm, crushing"
     return Feature(name, NAME, segment, "crushing", at, "N", share / 2, peak_mm, seat)
 
 
-def _of_the_peak(kind: str, unit: str, peak_mm: float, seat: float) -> Feature:
+def _of_the_peak(kind: str, unit: str, peak_mm: float, seat: Zero) -> Feature:
     return Feature(f"{kind}, {NAME}", NAME, "peak", kind, 0.0, unit, 0.5, peak_mm, seat)

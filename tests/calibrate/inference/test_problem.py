@@ -7,6 +7,8 @@ parameters there and back, and linear toy problems for `assess` and `choose_free
 from collections import Counter
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,20 +16,36 @@ from hypothesis import strategies as some
 from scipy import stats
 
 from calibrate.core.errors import InputError
+from calibrate.inference.curve_points import CurveReading
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
 from calibrate.inference.parameters import RANGES, Space, space
 from calibrate.inference.problem import Problem, begun_late, pose, shrunk_covariance
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
+from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.labtests.diagnosis.curves import declare, feature_values
 from calibrate.labtests.features import (
     SEATING,
     DisplacementOnLoading,
+    DisplacementOnPath,
     DisplacementOnUnloading,
     ForceAtDisplacement,
+    ForceAtEnd,
     ScalarTarget,
+    Waypoint,
 )
 from calibrate.labtests.measured import Curve
+from calibrate.labtests.reading import (
+    AS_RECORDED,
+    Zero,
+    averaged,
+    displacement_on_rise,
+    falling,
+    rising,
+)
 from jdem.materials.soil import SoilParameters
+from jdem.observables import Curve as RunCurve
+from jdem.observables import displacement_at
 from tests.support.formulas import two_tests
 
 LAB = load_lab(bundled_lab())
@@ -92,6 +110,84 @@ def test_a_dip_on_the_way_up_does_not_confuse_the_reading():
     dipped = np.where((force > 250) & (displacement < TOE + 2.6), 245.0, force)
     feature = DisplacementOnLoading("up", "mm", "confined", 200.0)
     assert feature.of_curve(displacement, dipped) == feature.of_curve(displacement, force)
+
+
+def smooth_curve(points=60, last=1.02):
+    """Force rises with the square of displacement and falls back along a line."""
+    way = np.linspace(0.0, 4.0 * np.sqrt(last), points)
+    back = way[-1] - np.linspace(0.0, 1.0, 20)[1:]
+    top = 25.0 * way[-1] ** 2
+    return np.append(way, back), np.append(25.0 * way**2, np.linspace(top, 10.0, 20)[1:])
+
+
+@pytest.mark.parametrize("force", [110.0, 260.0, 380.0])
+def test_fit_audit_diagnosis_and_run_read_one_number_where_zero_and_force_are_the_same(force):
+    """Each has a zero of its own by default; from one zero, half of 400 N, they are equal."""
+    zero, (way, load) = Zero(200.0), smooth_curve()
+    fitted = DisplacementOnLoading("", "mm", "confined", force, zero).of_curve(way, load)
+    audited = CurveReading("confined", "force_n", np.array([force, 200.0]))
+    from_there = replace(audited.feature(), zero=zero).of_curve(way, load)[0]
+    features = declare(UsualSizes(force / 0.275, 6.0, 200.0))
+    named = [f.name for f in features].index(f"displacement at {force:g} N, loading")
+    diagnosed = replace(features[named], zero=zero)
+    curves = {"confined": (way, load)}
+    of_run = RunCurve(*map(jnp.asarray, (1e-3 * way, load, np.ones_like(way))))
+    run = 1e3 * float(displacement_at(of_run, force) - displacement_at(of_run, 200.0))
+    assert fitted == from_there == feature_values([diagnosed], curves)[0]
+    assert fitted == pytest.approx(-np.subtract(*audited.read(np.stack([way, load], 1))[::-1]))
+    assert fitted == pytest.approx(run, rel=1e-12)
+    assert fitted == pytest.approx(np.sqrt(force / 25) - np.sqrt(8), rel=2e-3)
+
+
+def test_every_reader_states_its_zero():
+    """Fit: the seating force; audit: as recorded; diagnosis: half load, and seating of a peak."""
+    lab = lab_with(Curve("confined", *smooth_curve(), "c.csv"), targets={})
+    assert {f.zero for f in pose(lab).features} == {Zero(SEATING)}
+    assert CurveReading("confined", "force_n", np.ones(2)).feature().zero == AS_RECORDED
+    zeros = {f.test: f.zero for f in declare(UsualSizes(400.0, 6.0, 200.0))}
+    assert zeros == {"confined": Zero(200.0), "unconfined": Zero(4.0)}
+
+
+def read_by_jax():
+    """What is read off the curve below; every row but those at the ends matters to one of them."""
+    up, down = Waypoint(90.0, True), Waypoint(60.0, False)
+    path = (Waypoint(30.0, True), up, down)
+    of_mould = {
+        "on loading": DisplacementOnLoading("", "mm", "", 111.0),
+        "on unloading": DisplacementOnUnloading("", "mm", "", 111.0),
+        "of a path": DisplacementOnPath("", "mm", "", path),
+        "at a displacement": ForceAtDisplacement("", "N", "", 1.3, half_width=0.0),
+        "near a displacement": ForceAtDisplacement("", "N", "", 1.3, half_width=0.4),
+        "at the end": ForceAtEnd("", "N", ""),
+    }
+    lines = {
+        "rise": lambda x, f: displacement_on_rise(*rising(x[:15], f[:15]), 95.0),
+        "rise by rows": lambda x, f: displacement_on_rise(*rising(x[:15], f[:15], False), 95.0),
+        "fall": lambda x, f: displacement_on_rise(*falling(x[14:], f[14:]), 70.0),
+        "line": lambda x, f: averaged(x, f, np.array([1.4]), 0.45)[0],
+    }
+    return {**{name: feature.of_curve for name, feature in of_mould.items()}, **lines}
+
+
+@pytest.mark.parametrize("what", read_by_jax())
+def test_jax_differentiates_what_is_read(what):
+    """Along a random direction, against a difference; the value is that which numpy reads."""
+    rng = np.random.default_rng(1)
+    way = np.concatenate([np.linspace(0, 2, 15), np.linspace(1.95, 1.6, 9)])
+    load = np.concatenate([40 * np.linspace(0, 2, 15) ** 2, np.linspace(150, 5, 9)])
+    load[8:10] = load[9], load[8]  # a dip, so that two rows make a block
+    read, curve = read_by_jax()[what], (way, load)
+    apart = (0.1 * rng.standard_normal(24), 3.0 * rng.standard_normal(24))
+
+    def moved(by: float):
+        return read(*(part + by * change for part, change in zip(curve, apart, strict=True)))
+
+    differentiated = jax.jit(jax.value_and_grad(read, argnums=(0, 1)))
+    value, slopes = differentiated(*map(jnp.asarray, curve))
+    along = sum(float(slope @ change) for slope, change in zip(slopes, apart, strict=True))
+    assert float(value) == pytest.approx(float(moved(0.0)), rel=1e-12)
+    assert along == pytest.approx(float(moved(1e-6) - moved(-1e-6)) / 2e-6, rel=1e-6)
+    assert along != 0
 
 
 def run_of(depth=3.0, force=200.0, failure=""):
@@ -197,7 +293,7 @@ def test_a_record_from_a_preload_on_differs_in_nothing_from_the_specimen_it_is_o
     whole = {"confined": np.stack(confined, 1), "unconfined": np.stack(crushing, 1)}
     read = [feature.of({}, whole) for feature in problem.features]
     np.testing.assert_allclose(read, problem.measured, rtol=1e-6, atol=1e-9)
-    assert all(f.zero >= max(2.0, preload) for f in problem.features)
+    assert all(f.zero.force >= max(2.0, preload) for f in problem.features)
 
 
 def test_the_latest_beginning_of_several_records_counts_for_all():

@@ -343,6 +343,16 @@ def test_a_cyclic_record_says_so_and_keeps_its_first_loading(tmp_path):
     assert any(f.fault and "cyclic" in f.text for f in specimen.findings)
 
 
+def test_a_platen_that_turns_before_contact_is_refused_in_one_line(tmp_path):
+    """The first loading of a cyclic record ends before there is any force."""
+    search = np.concatenate([np.linspace(0, 4, 40), np.linspace(4, 1, 30), np.linspace(1, 6, 50)])
+    travel = np.concatenate([search, 6 + TRAVEL])
+    path = curve_file(
+        tmp_path, ("Displacement (mm)", "Load (N)"), travel, np.concatenate([0 * search, LOAD])
+    )
+    assert "only 0 points from contact" in refusal(path, test="unconfined")
+
+
 def test_a_confined_record_of_several_cycles_gets_its_protocol(calibrate, tmp_path):
     up = np.linspace(0, 6, 60)
     load = 400 * (up / 6) ** 2

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibrate.core.errors import InputError
 from calibrate.inference.problem import pose
+from calibrate.instrument_import import vocabulary
 from calibrate.instrument_import.cells import number
 from calibrate.instrument_import.convert import read_export
 from calibrate.instrument_import.headings import split_heading
@@ -239,6 +241,54 @@ def test_preamble_states_sizes_speed_and_name():
     assert stated.quantities == pytest.approx(
         {"diameter": 0.05, "height": 0.1, "mass": 0.3524, "speed": 1e-5}
     )
+
+
+# ------------------------------------------------------------------ words
+
+
+def vocabulary_with(folder, old, new):
+    """A copy of the shipped file, one line changed."""
+    text = vocabulary.FILE.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    (folder / "words.toml").write_text(text.replace(old, new), encoding="utf-8")
+    return folder / "words.toml"
+
+
+def test_a_word_added_to_the_file_makes_a_heading_readable(tmp_path, monkeypatch):
+    """Dutch, which the shipped file does not know."""
+    text = text_of(columns(), ("Tijd (s)", "Verplaatsing", "Load (N)"))
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match="no column of displacement"):
+        read_export(path)
+    more = vocabulary_with(
+        tmp_path,
+        'spanish = ["desplazamiento",',
+        'dutch = ["Verplaatsing"]\nspanish = ["desplazamiento",',
+    )
+    monkeypatch.setattr(vocabulary, "WORDS", vocabulary.load(more))
+    specimen = only(path)
+    assert specimen.displacement_mm.max() == pytest.approx(6.2, abs=0.5)
+    assert "'Verplaatsing'" in specimen.place
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('spanish = ["tiempo"]', 'spanish = ["ti"]', ("columns.time.spanish", "too short")),
+        ('spanish = ["tiempo"]', 'spanish = ["carga"]', ("columns.time", "stands under force")),
+        ('spanish = ["tiempo"]', "spanish = [3]", ("columns.time.spanish[0]", "string")),
+        ('spanish = ["tiempo"]', 'spanish = ["tiempo"', ("not valid TOML", "line")),
+        ("[columns.time]", "[columns.weight]", ("columns.weight", "'force'")),
+        ("[tests.confined]", "[tests.triaxial]", ("tests.triaxial", "no such test")),
+        ('["psi", "lbf-in2"', '["Pa", "lbf-in2"', ("units.psi", "stands under Pa")),
+        ("ksi = [", "ksj = [", ("units.ksj", "pint")),
+    ],
+)
+def test_a_slip_in_the_words_is_one_line_with_its_entry(tmp_path, old, new, words):
+    with pytest.raises(InputError) as refused:
+        vocabulary.load(vocabulary_with(tmp_path, old, new))
+    assert len(str(refused.value).splitlines()) == 1 and "words.toml" in str(refused.value)
+    assert all(word in str(refused.value) for word in words)
 
 
 # ------------------------------------------------------------------ several specimens

@@ -71,6 +71,61 @@ def test_targets_are_keyed_by_observable_in_mm_and_newtons(folder):
     np.testing.assert_allclose([force.mean, force.scatter, force.repeats], [206, 15, 4])
 
 
+STRAIN = '[targets.failure_strain]\nmean = "{mean}"\nscatter = "{scatter}"\nrepeats = 3\n'
+
+
+@pytest.mark.parametrize(
+    ("mean", "scatter"), [("6 %", "0.5 %"), ("6 mm", "0.5 mm"), ("0.6 cm", "5000 ppm")]
+)
+def test_a_failure_strain_is_a_target_in_per_cent(tmp_path, mean, scatter):
+    """Of a specimen 10 cm high, a length is the displacement at failure."""
+    path = tmp_path / "lab.toml"
+    path.write_text(HEAD + STRAIN.format(mean=mean, scatter=scatter))
+    lab = load_lab(path)
+    target = lab.targets["failure_strain_percent"]
+    assert (target.mean, target.scatter, target.repeats) == pytest.approx((6.0, 0.5, 3))
+    assert [o.name for o in lab.called("unconfined").given][1:] == ["failure_strain_percent"]
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "value"),
+    [("secant_modulus", "4.5 MPa", 4500.0), ("work_to_failure", "800 mJ", 0.8)],
+)
+def test_modulus_and_work_are_targets_in_any_unit_of_theirs(tmp_path, name, mean, value):
+    path = tmp_path / "lab.toml"
+    table = f'[targets.{name}]\nmean = "{mean}"\nscatter = "{mean}"\nrepeats = 3\n'
+    path.write_text(HEAD + table)
+    (target,) = load_lab(path).targets.values()
+    assert (target.mean, target.scatter) == pytest.approx((value, value))
+    path.write_text(HEAD + table.replace(mean, "3 mm"))
+    assert "'mm' is not a unit of" in refusal(path)
+
+
+def test_repeats_of_failure_strain_are_a_column(tmp_path):
+    (tmp_path / "r.csv").write_text("eps\n5\n6\n7\n")
+    (tmp_path / "lab.toml").write_text(
+        HEAD + '[targets.failure_strain]\nfile = "r.csv"\ncolumn = "eps"\nunit = "%"\n'
+    )
+    target = load_lab(tmp_path / "lab.toml").targets["failure_strain_percent"]
+    assert (target.mean, target.scatter, target.repeats) == pytest.approx((6.0, 1.0, 3))
+
+
+@pytest.mark.parametrize(
+    ("mean", "said"),
+    [
+        ("206 N", "'N' is not a unit of strain"),
+        ("0.06", "has no unit"),
+        ("90 %", "outside 0.1 % to 50 %"),
+        ("6 m", "60 times the specimen's height"),
+    ],
+)
+def test_a_failure_strain_in_a_wrong_unit_is_refused_in_one_sentence(tmp_path, mean, said):
+    path = tmp_path / "lab.toml"
+    path.write_text(HEAD + STRAIN.format(mean=mean, scatter="0.5 %"))
+    message = refusal(path)
+    assert said in message and "targets.failure_strain.mean" in message
+
+
 def test_parameters_particles_and_named_sets(folder):
     lab = load_lab(folder / "lab.toml")
     assert lab.parameters == {

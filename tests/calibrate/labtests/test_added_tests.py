@@ -1,6 +1,6 @@
 """Two types of test beyond the pair: the oedometer by load steps, whose published data are read as
 they are and answered by a simulation, and a hold at 400 N: what force is left, with and without a
-soil that feels the rate."""
+soil that feels the rate.  And a number beyond those of the pair: the strain at failure."""
 
 import csv
 from dataclasses import replace
@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from calibrate.core.progress import Silent
+from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.problem import pose
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
+from calibrate.labtests.unconfined import FAILURE_STRAIN
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
-from calibrate.simulation.specimens import campaign
+from calibrate.simulation.specimens import campaign, simulate
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -68,6 +70,28 @@ def test_a_simulation_settles_while_loading_and_springs_back(tmp_path):
     assert run.observables["settlement_mm"] > loading[-1] > unloading[0]
     top = np.pi / 4 * 0.05**2 * 1200e3  # N
     assert run.curves["oedometer"][:, 1].max() == pytest.approx(top, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_a_simulation_gives_the_failure_strain_that_a_lab_file_asks_for(tmp_path):
+    """It is read in the run as it is off the curve of the run, and a fit, an audit and a study
+    compare it like the other numbers; those are as without it."""
+    plain = load_lab(bundled_lab())
+    text = Path(plain.file).read_text(encoding="utf-8")
+    wanted = '\n[targets.failure_strain]\nmean = "5 %"\nscatter = "0.5 %"\nrepeats = 4\n'
+    (tmp_path / "lab.toml").write_text(text + wanted, encoding="utf-8")
+    asking, found = load_lab(tmp_path / "lab.toml"), []
+    for lab in (plain, asking):
+        work = campaign(lab, TINY, tmp_path, Silent())
+        found.append(simulate(lab, TINY, {}, 0, work)[0]["observables"])
+    known, strain = found[1], found[1]["failure_strain_percent"]
+    assert {name: known[name] for name in found[0]} == found[0]
+    assert set(known) - set(found[0]) == {"failure_strain_percent"}
+    (run,) = work.runs([base_soil(asking)], [0], "again")[0]
+    read = FAILURE_STRAIN.feature(asking.specimen).of_curve(*run.curves["unconfined"].T)
+    assert strain == pytest.approx(read, rel=1e-6) and 0 < strain < 16
+    assert CurvePoints.of(work).observables == tuple(known)
+    assert pose(asking).simulated([run])[0][-1] == strain
 
 
 # ---------------------------------------------------------------- a hold

@@ -1,8 +1,11 @@
 """Curves as features: what a laboratory is free to choose must not move them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.recording import (
     Channel,
     recording,
@@ -15,7 +18,8 @@ from calibrate.discrepancy.comparison.repeats import (
     from_vectors,
     measured_features,
 )
-from calibrate.discrepancy.library.measurements import _from_seating
+from calibrate.discrepancy.library.measurements import _from_seating, read_measurements
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.diagnosis.base import BEFORE, TOE, UsualSizes
 from calibrate.labtests.diagnosis.confined import NAME as CONFINED
 from calibrate.labtests.diagnosis.contact import (
@@ -34,6 +38,7 @@ from calibrate.labtests.diagnosis.curves import (
     tared_rows,
 )
 from calibrate.labtests.diagnosis.unconfined import NAME as UNCONFINED
+from calibrate.labtests.measured import Target
 
 FEATURES = declare(UsualSizes(400.0, 6.0, 200.0))
 PEAK = [f.kind for f in FEATURES].index("peak force")
@@ -147,6 +152,14 @@ def test_targets_alone_are_a_sample_too():
     assert sample.mean.tolist() == [3.36, 206.0]
     assert sample.scatter[UNCONFINED].freedom == 3
     assert sample.scatter[UNCONFINED].products[0, 0] == pytest.approx(3 * 20.0**2)
+
+
+def test_a_target_that_no_library_holds_is_refused_by_name():
+    """A soil of which the failure strain alone is known."""
+    lab = load_lab(bundled_lab())
+    alone = replace(lab, targets={"failure_strain_percent": Target(5.0, 0.5, 3)})
+    with pytest.raises(InputError, match="knows no target failure_strain_percent"):
+        read_measurements(alone, declare_targets())
 
 
 def test_recording_adds_nothing_where_the_typical_specimen_ends():

@@ -6,21 +6,27 @@ Numbers are small enough to be done by hand; whatever is wrong is one line that 
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibrate.core.errors import InputError
+from calibrate.figures.style import pretty
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.labtests.base import Pace
+from calibrate.labtests.composite import label
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.features import cyclic_course, path_features, turning_rows
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import StepTable, program
-from calibrate.labtests.unconfined import UnconfinedTest
+from calibrate.labtests.reading import Zero
+from calibrate.labtests.unconfined import FAILURE_STRAIN, SECANT_MODULUS, WORK, UnconfinedTest
 from calibrate.simulation.resolution import PRESETS, virtual_lab
 from calibrate.simulation.specimens import doubts
+from jdem.observables import Curve as RunCurve
 from tests.support.formulas import two_tests
 
 AREA = np.pi / 4 * 0.05**2  # m2, of the specimen below
@@ -343,6 +349,63 @@ def test_a_force_that_rises_to_the_end_is_no_crushing_force(name):
     (force,) = test.observables
     assert bool(test.doubt(force, crushing(shape))) == rises
     assert not ConfinedTest().doubt(ConfinedTest().observables[0], crushing(shape))
+
+
+@pytest.mark.parametrize(("points", "noise"), [(60, 0.0), (400, 0.0), (400, 3.0), (3000, 3.0)])
+def test_failure_strain_of_a_parabola(points, noise):
+    """F = 200 N (1 - (u/6 mm - 1)^2), with its peak at 6 mm, on a specimen of 80 mm: displacement
+    counts from 2 N.  Noise of 3 N on the flat top moves the strain by less than 0.05 %."""
+    way = np.linspace(0.0, 12.0, points)
+    load = 200 * (1 - (way / 6 - 1) ** 2)
+    load += noise * np.random.default_rng(0).standard_normal(points)
+    feature = FAILURE_STRAIN.feature(Cylinder(0.05, 0.08))
+    exact = 100 * 6 * np.sqrt(1 - 2 / 200) / 80
+    assert feature.zero == Zero(2.0)
+    assert feature.of_curve(way, load) == pytest.approx(exact, abs=5e-2 if noise else 1e-3)
+    gauge, curve = FAILURE_STRAIN.gauge(Cylinder(0.05, 0.08)), (1e-3 * way, load, np.ones(points))
+    in_run = gauge.of(RunCurve(*map(jnp.asarray, curve)), jnp.zeros(points))
+    assert 100 * float(in_run) == pytest.approx(feature.of_curve(way, load), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("observable", "exact"),
+    [
+        # half of 200 N on 1963 mm2, over the way from 2 N to 100 N on 80 mm
+        (SECANT_MODULUS, 1e-3 * 100 / AREA * 80 / (6 * (np.sqrt(0.99) - np.sqrt(0.5)))),
+        (WORK, 1e-3 * 200 * 6 * 2 / 3),
+    ],
+    ids=lambda given: getattr(given, "name", ""),
+)
+def test_modulus_and_work_of_a_parabola(observable, exact):
+    """The same curve: two thirds of 200 N over 6 mm, and the chord to half of 200 N."""
+    way = np.linspace(0.0, 12.0, 2001)
+    load = 200 * (1 - (way / 6 - 1) ** 2)
+    feature, size = observable.feature(Cylinder(0.05, 0.08)), Cylinder(0.05, 0.08)
+    assert feature.of_curve(way, load) == pytest.approx(exact, rel=1e-5)
+    in_run = observable.gauge(size).of(
+        RunCurve(*map(jnp.asarray, (1e-3 * way, load, np.ones_like(way)))), jnp.zeros(2001)
+    )
+    assert observable.scale * float(in_run) == pytest.approx(exact, rel=1e-5)
+    assert observable.name.endswith(f"_{observable.unit.lower()}")
+
+
+def test_failure_strain_is_given_where_a_target_asks_for_it():
+    size, pace = Cylinder(0.05, 0.1), Pace(0.05, 0.05, 1e-3)
+    target = {"mean": "6 %", "scatter": "0.5 %", "repeats": 3}
+    asking = UnconfinedTest.model_validate({"targets": {"failure_strain": target}})
+    assert UnconfinedTest().machine(size, pace).observables == ("crushing_force",)
+    machine = asking.machine(size, pace)
+    assert machine.observables == ("crushing_force", "failure_strain")
+    assert machine.at_rate(2.0).observables == machine.sampled(3).observables == machine.observables
+    assert [o.name for o in asking.given] == ["crushing_force_n", "failure_strain_percent"]
+    assert label("failure_strain_percent") == "failure strain (%)"
+    assert pretty("failure_strain_percent") == "failure strain"
+
+
+def test_a_specimen_that_does_not_fail_has_no_failure_strain():
+    rising = np.stack([np.linspace(0, 10, 200), np.linspace(0, 100, 200)], axis=1)
+    said = UnconfinedTest().doubt(FAILURE_STRAIN, rising)
+    assert "there is no failure strain" in said and "\n" not in said
 
 
 def test_a_doubt_is_said_with_what_to_do(tmp_path):

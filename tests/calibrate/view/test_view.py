@@ -181,7 +181,7 @@ def test_the_verb_writes_into_its_folder_and_nowhere_else(seen, calibrate, tmp_p
     """The soil is named like a path; the simulation is the one that the other tests look at."""
     packing, _, states, _ = seen
     monkeypatch.setattr("calibrate.simulation.Campaign.packings", lambda self, seeds: [packing])
-    monkeypatch.setattr("calibrate.view.frames.frames", lambda *given: states[-3:])
+    monkeypatch.setattr("calibrate.verbs.view.states", lambda *given: states[-3:])
     name = "../../evil \\\\ $(touch evil)"
     (tmp_path / "lab.toml").write_text(
         f'[soil]\nname = "{name}"\n[specimen]\ndiameter = "50 mm"\nheight = "60 mm"\n'
