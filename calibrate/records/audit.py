@@ -1,15 +1,26 @@
 """The result of `calibrate audit` as a record."""
 
-from typing import Literal
+from typing import Annotated
 
+from pydantic import AfterValidator
 from pydantic import model_validator as check
 
+from calibrate.core.errors import shown
+from calibrate.inference.audit import STRATEGIES
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record, Test
 
-Strategy = Literal[
-    "fit", "ensemble", "regression", "pathwise", "blend", "overdamped", "overdamped_blend",
-    "virtual_power", "virtual_power_blend",
-]  # fmt: skip
+
+def _known_strategy(name: str) -> str:
+    if name not in STRATEGIES:
+        raise ValueError(f"{shown(name)} is no strategy")
+    return name
+
+
+def _of_a_slope(name: str) -> str:
+    return name if name == "reference" else _known_strategy(name)
+
+
+StrategyName = Annotated[str, AfterValidator(_known_strategy)]
 
 
 class Slope(Record):
@@ -69,7 +80,7 @@ class SlopesOfCurve(Record):
     displacement (mm) at forces (N) while loading, or of the force (N) at displacements (mm)."""
 
     mean: list[Number]
-    slopes: dict[Parameter, dict[Literal["reference"] | Strategy, CurveSlope]]
+    slopes: dict[Parameter, dict[Annotated[str, AfterValidator(_of_a_slope)], CurveSlope]]
     force_n: list[Number] | None = None
     displacement_mm: list[Number] | None = None
 
@@ -99,11 +110,11 @@ class AuditSlopes(Record):
     `judged_from` standard errors are not judged.
     """
 
-    strategy: Strategy
+    strategy: StrategyName
     packings: int
     within: dict[Observable, Number]
     judged_from: Number
-    strategies: dict[Strategy, StrategyRecord]
+    strategies: dict[StrategyName, StrategyRecord]
     curves: dict[Test, SlopesOfCurve]
 
     @property
