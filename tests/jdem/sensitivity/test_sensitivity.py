@@ -23,7 +23,7 @@ from calibrate.inference.audit import STRATEGIES, Audit, verdict
 from calibrate.inference.curve_points import POINTS, CurvePoints, CurveReading
 from calibrate.inference.evaluation import Evaluation
 from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
-from calibrate.inference.fit import secant
+from calibrate.inference.slopes import secant
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import names
 from calibrate.records.audit import StrategyName
