@@ -190,7 +190,7 @@ class Calibration:
             Deviations without unit, the data's first, then the prior's; shape (m + p,).  They are
             independent and of variance 1 where model and prior are right.
         """
-        xp = jnp if any(isinstance(given, Array) for given in (values, features)) else np
+        xp: Any = jnp if any(isinstance(given, Array) for given in (values, features)) else np
         data = self._whitening @ (self.problem.measured - features)
         prior = (xp.log(values) - self._centre) / self.space.prior_sd()
         return xp.concatenate([data, prior])
