@@ -1,26 +1,16 @@
 """The result of `calibrate audit` as a record."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import AfterValidator
 from pydantic import model_validator as check
 
-from calibrate.core.errors import shown
 from calibrate.inference.audit import STRATEGIES
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record, Test
 
-
-def _known_strategy(name: str) -> str:
-    if name not in STRATEGIES:
-        raise ValueError(f"{shown(name)} is no strategy")
-    return name
-
-
-def _of_a_slope(name: str) -> str:
-    return name if name == "reference" else _known_strategy(name)
-
-
-StrategyName = Annotated[str, AfterValidator(_known_strategy)]
+if TYPE_CHECKING:  # a checker of types knows no Literal that is made from a dictionary
+    StrategyName = str
+else:
+    StrategyName = Literal[tuple(STRATEGIES)]
 
 
 class Slope(Record):
@@ -80,7 +70,7 @@ class SlopesOfCurve(Record):
     displacement (mm) at forces (N) while loading, or of the force (N) at displacements (mm)."""
 
     mean: list[Number]
-    slopes: dict[Parameter, dict[Annotated[str, AfterValidator(_of_a_slope)], CurveSlope]]
+    slopes: dict[Parameter, dict[Literal["reference"] | StrategyName, CurveSlope]]
     force_n: list[Number] | None = None
     displacement_mm: list[Number] | None = None
 

@@ -220,7 +220,7 @@ def test_every_strategy_is_made_named_recorded_and_drawn():
     assert set(STRATEGIES) == set(MARKS)
     recorded = TypeAdapter(StrategyName)
     assert [recorded.validate_python(name) for name in STRATEGIES] == list(STRATEGIES)
-    with pytest.raises(ValueError, match="no strategy"):
+    with pytest.raises(ValueError, match="should be 'fit', 'ensemble'"):
         recorded.validate_python("reference")
     program: Any = typer.main.get_command(cli.app)
     (option,) = (o for o in program.commands["audit"].params if "--strategy" in o.opts)
