@@ -4,6 +4,7 @@ A response has curvature, interactions, a level and a slope of its own on each p
 where a test says so noise: what a bed of spheres has, without a bed of spheres.
 """
 
+import inspect
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,12 +13,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import typer
 from jax import Array
 from pydantic import TypeAdapter
 
 import calibrate
-from calibrate import cli
 from calibrate.figures.audit import MARKS
 from calibrate.inference.audit import STRATEGIES, Audit, verdict
 from calibrate.inference.curve_points import POINTS, CurvePoints, CurveReading
@@ -27,6 +26,7 @@ from calibrate.inference.slopes import secant
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import names
 from calibrate.records.audit import StrategyName
+from calibrate.verbs import audit as audit_verb
 from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
@@ -222,8 +222,8 @@ def test_every_strategy_is_made_named_recorded_and_drawn():
     assert [recorded.validate_python(name) for name in STRATEGIES] == list(STRATEGIES)
     with pytest.raises(ValueError, match="should be 'fit', 'ensemble'"):
         recorded.validate_python("reference")
-    program: Any = typer.main.get_command(cli.app)
-    (option,) = (o for o in program.commands["audit"].params if "--strategy" in o.opts)
+    stated = inspect.unwrap(audit_verb.audit).__annotations__["strategies"]
+    (option,) = (each for each in stated.__metadata__ if hasattr(each, "help"))
     offered, _, _ = re.sub(r" \(.*?\)", "", option.help).partition(";")
     assert offered.split(", ") == list(STRATEGIES)
     page = (Path(calibrate.__file__).parents[1] / "docs/gradients.md").read_text(encoding="utf-8")
