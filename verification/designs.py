@@ -17,6 +17,7 @@ from calibrate.core.progress import for_terminal
 from calibrate.designs.comparison import Designed, Ending, Enhanced, SlopePair, design
 from calibrate.designs.study import ranked
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil
 from calibrate.reports.study import sentence, short
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
@@ -101,7 +102,7 @@ def main() -> None:
     reporting.configure()
     lab, quick = load_lab(bundled_lab()), PRESETS["quick"]
     work = Campaign(virtual_lab(lab, quick), specimen(lab, quick), chosen.folder, for_terminal())
-    found = design(lab, quick, {}, chosen.seed, work)
+    found = design(lab, quick, base_soil(lab), chosen.seed, work)
     reporting.write_page("designs", markdown(found, reporting.provenance()))
 
 

@@ -28,8 +28,9 @@ import numpy as np
 import xarray as xr
 
 from calibrate.core.progress import for_terminal
-from calibrate.inference.calibration import THRIFTY, explored, fit_from, scatter_of_packings
+from calibrate.inference.calibration import THRIFTY, exploring, fit_from, scatter_of_packings
 from calibrate.inference.evaluation import Calibration
+from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import pose
 from calibrate.inference.resolutions import Coarse
@@ -102,8 +103,11 @@ def _fit(lab, start: str, way: str, large: AbstractCampaign, small: AbstractCamp
     calibration = Calibration(
         problem, free, work, seeds.fitted, scatter, scattered, THRIFTY, coarse
     )
-    walked = explored(calibration, calibration.correction(free.start(), "both at the start"))
-    return free.soil(fit_from(calibration, walked).best.values)
+    if coarse is None:
+        return free.soil(fit(calibration).best.values)
+    ratio = calibration.correction(free.start(), "both at the start")
+    smaller = descend(exploring(calibration, ratio))
+    return free.soil(fit_from(calibration, smaller.best, smaller.slopes).best.values)
 
 
 def prepared(lab: Lab, folder: Path) -> None:

@@ -36,7 +36,6 @@ from calibrate.inference.fit import descend
 from calibrate.inference.parameters import Space, ensemble, space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab
-from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.composite import names_of
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset
@@ -336,7 +335,7 @@ class Designed:
 
 
 def design(
-    lab: Lab, preset: Preset, changes: dict[str, float], seed: int, work: AbstractCampaign
+    lab: Lab, preset: Preset, base: SoilParameters, seed: int, work: AbstractCampaign
 ) -> Designed:
     """The whole sequence around the lab file's soil; resumes from what `work.folder` holds.
 
@@ -348,7 +347,6 @@ def design(
     fresh = tuple(number for number in seeds.scatter if number not in seeds.fitted)
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
     factors = tuple(name for name in CANDIDATES if name not in held)
-    base = with_values(base_soil(lab), changes)
     bench = Bench(space(lab, factors, base), work, seeds.fitted)
     done = study(bench, lab.targets, fresh)
     return Designed(done, compare(lab, bench, done, fresh, seeds.scatter), seeds.fitted, fresh)

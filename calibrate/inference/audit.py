@@ -34,15 +34,40 @@ from jdem.sensitivity.pathwise import Pathwise
 from jdem.sensitivity.regression import Regression
 from jdem.sensitivity.virtual_power import VirtualPower
 
-STRATEGIES = (
-    "fit", "ensemble", "regression", "pathwise", "blend", "overdamped", "overdamped_blend",
-    "virtual_power", "virtual_power_blend",
-)  # fmt: skip
-SIMULATED = ("regression", "ensemble", "fit")  # from values of runs that a campaign keeps
-BLENDS = {  # each with the ensemble
-    "blend": "pathwise",
-    "overdamped_blend": "overdamped",
-    "virtual_power_blend": "virtual_power",
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way to slopes that can be audited.
+
+    `constructor` makes it with the steps that suit a space's parameters.  One that is `simulated`
+    needs only values of runs, which a campaign keeps; others differentiate the run itself.
+    A `blend_of` a strategy that differentiates weighs it against the ensemble.
+    """
+
+    doc: str
+    constructor: Callable[[Space], AbstractStrategy]
+    simulated: bool = False
+    blend_of: str = ""
+
+
+def _blend(name: str, precise: AbstractStrategy) -> Strategy:
+    doc = f"{name} and ensemble, weighted by measured variance"
+    return Strategy(doc, lambda space: Blend(precise, ensemble(space)), blend_of=name)
+
+
+# By name; a blend stands below the two that it is made of.  docs/gradients.md has the same table.
+STRATEGIES = {
+    "fit": Strategy("pairs of runs, some parameters alone: what fits use", fitting_ensemble, True),
+    "ensemble": Strategy("pairs of runs, parameters in groups: the screening's", ensemble, True),
+    "regression": Strategy(
+        "pairs of runs, one parameter at a time", lambda _: Regression((0.25,)), True
+    ),
+    "pathwise": Strategy("exact derivative of the computed path, by JAX", lambda _: Pathwise()),
+    "blend": _blend("pathwise", Pathwise()),
+    "overdamped": Strategy("from equilibrium to equilibrium, by JAX", lambda _: Overdamped()),
+    "overdamped_blend": _blend("overdamped", Overdamped()),
+    "virtual_power": Strategy("power balance, velocities frozen, by JAX", lambda _: VirtualPower()),
+    "virtual_power_blend": _blend("virtual_power", VirtualPower()),
 }
 REFERENCE = Regression((0.2,))
 JUDGED_FROM = 3.0  # standard errors of the reference
@@ -110,21 +135,6 @@ def verdict(rows: Sequence[dict]) -> bool:
     return all(row["passed"] for row in rows if row["judged"])
 
 
-def strategies(space: Space) -> dict[str, AbstractStrategy]:
-    """What can be audited, by name, with the steps that suit the space's parameters."""
-    return {
-        "fit": fitting_ensemble(space),
-        "ensemble": ensemble(space),
-        "regression": Regression((0.25,)),
-        "pathwise": Pathwise(),
-        "blend": Blend(unbiased=ensemble(space)),
-        "overdamped": Overdamped(),
-        "overdamped_blend": Blend(Overdamped(), ensemble(space)),
-        "virtual_power": VirtualPower(),
-        "virtual_power_blend": Blend(VirtualPower(), ensemble(space)),
-    }
-
-
 def checked_strategies(names: Sequence[str]) -> tuple[str, ...]:
     """Names of strategies, each once; refused where one is unknown."""
     for name in names:
@@ -136,7 +146,7 @@ def checked_strategies(names: Sequence[str]) -> tuple[str, ...]:
 
 def traces(names: Sequence[str]) -> bool:
     """Whether one of the strategies differentiates the run itself, which takes one `Campaign`."""
-    return any(name not in SIMULATED for name in names)
+    return any(not STRATEGIES[name].simulated for name in names)
 
 
 def audit(
@@ -149,30 +159,36 @@ def audit(
     reference = REFERENCE(simulated("reference"), point, count)
     if not bool(jnp.all(jnp.isfinite(reference.slopes))):
         raise CalibrationError("audit: a reference has no finite slope: every probe failed")
-    available, estimates, certificates = strategies(space), {}, {}
-    needed = {*names, *(BLENDS[name] for name in names if name in BLENDS)}
-    for name in SIMULATED:
-        if name in needed or (name == "ensemble" and needed & set(BLENDS)):
-            estimates[name] = available[name](simulated(name), point, count)
-    for name in BLENDS.values():
-        if name in needed:
+    made = {name: each.constructor(space) for name, each in STRATEGIES.items()}
+    estimates, certificates = {}, {}
+    for name in _with_parts(names):
+        precise = STRATEGIES[name].blend_of
+        if precise:
+            estimates[name] = blended(estimates[precise], estimates["ensemble"])
+        elif STRATEGIES[name].simulated:
+            estimates[name] = made[name](simulated(name), point, count)
+        else:
             work.progress.say(f"{name}: one pass with all tangents on every packing")
-            strategy = cast(AbstractTraced, available[name])
+            strategy = cast(AbstractTraced, made[name])
             found = traced_slopes(strategy, space, cast(Campaign, work), seeds, points)
             estimates[name], certificates[name] = found
-    for name, precise in BLENDS.items():
-        if name in names:
-            estimates[name] = blended(estimates[precise], estimates["ensemble"])
     return Audit(
         names=space.names,
         reference=reference,
         estimates={name: estimates[name] for name in names},
         certificates=certificates,
-        costs={name: available[name].runs(len(space.names), count) for name in names},
-        described={name: available[name].describe() for name in names},
+        costs={name: made[name].runs(len(space.names), count) for name in names},
+        described={name: made[name].describe() for name in names},
         packings=count,
         points=points,
     )
+
+
+def _with_parts(names: Sequence[str]) -> list[str]:
+    """Those of the strategies and what they are blended of, in the order of `STRATEGIES`."""
+    parts = {part for name in names if (part := STRATEGIES[name].blend_of)}
+    needed = {*names, *parts, *(["ensemble"] if parts else [])}
+    return [name for name in STRATEGIES if name in needed]
 
 
 def simulated_response(

@@ -14,35 +14,34 @@ import numpy as np
 
 from calibrate.inference.evaluation import (
     Calibration,
+    Evaluation,
     Settings,
     finished_features,
     packing_scatter,
 )
-from calibrate.inference.fit import Descent, Fit, descend, finished, fit
+from calibrate.inference.fit import Fit, descend, finished, fit
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
-from calibrate.inference.parameters import FACTORS, Space, ensemble, space, to_digits
+from calibrate.inference.parameters import FACTORS, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
-from calibrate.inference.widening import Round, Screened, advised, compared, widened
-from calibrate.inference.widening import chosen as chosen_of
+from calibrate.inference.slopes import SlopesOfSmallerBeds
+from calibrate.inference.widening import Round, Screened, advised, chosen, compared, widened
 from calibrate.io.lab import Lab
-from calibrate.io.soil import base_soil, with_values
+from calibrate.io.soil import with_values
 from calibrate.simulation import Run
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import (
     Seeds,
-    mean_observables,
-    measured_json,
-    packing_json,
-    quality_json,
+    checked_json,
     rates_json,
     soil_json,
-    spread_observables,
+    summary_json,
 )
 from calibrate.simulation.specimens import coarse as coarse_sentence
 from jdem.materials.soil import SoilParameters
+from jdem.sensitivity.base import AbstractStrategy
 
 CANDIDATES = (*FACTORS, "shear_modulus")
 # Where large beds are dear: a residual of 0.3 deviations is a third of what packings leave open.
@@ -50,44 +49,33 @@ THRIFTY = Settings(evaluations=10, patience=3, tolerance=0.3)
 EXPLORING = Settings(evaluations=12, patience=4, tolerance=0.3)  # small beds are cheap
 
 
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """A fit with everything around it that a report shows."""
-
-    lab: Lab
-    problem: Problem
-    result: Fit
-    soil: SoilParameters
-    space: Space
-    screening: dict
-    fitted_runs: list[Run]
-    fresh_runs: list[Run]
-    scatter: np.ndarray
-    simulations: int
-    named: dict[str, dict]
-    strategy: str
-    seeds: Seeds
-    rates: dict
-    resolutions: dict
-    rounds: list[dict]
-    help: str
-
-
 def calibrate(
     lab: Lab,
     preset: Preset,
     free: tuple[str, ...] | None,
-    changes: dict[str, float],
+    base: SoilParameters,
     seed: int,
     work: AbstractCampaign,
     coarse: Coarse | None = None,
-) -> Calibrated:
+) -> "Calibrated":
     """The whole calibration of a lab file; resumes from what `work.folder` holds.
 
-    `coarse` are the same tests on the smaller beds that it explores with.
+    Args:
+        lab: what was measured, and how.
+        preset: how many packings, and how many of them are held back.
+        free: names of the parameters to fit; None: the lab file's choice, or what the data fix.
+        base: where it starts; parameters that are not free stay there.
+        seed: choice of packings, from 0.
+        work: simulates the lab's tests.
+        coarse: the same tests on smaller beds, which it explores with; None: it does not.
+
+    Returns:
+        The fit, and everything that result.json says of it (`fit_json`).
+
+    Raises:
+        CalibrationError: nothing could be simulated.
     """
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
-    base = with_values(base_soil(lab), changes)
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     bench = Bench(lab, problem, base, seeds, work, scatter, scattered, coarse)
     free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
@@ -100,31 +88,38 @@ def calibrate(
     first = calibration.correction(calibration.space.start(), "both resolutions at the start")
     rounds = bench.rounds(calibration, first, screened)
     calibration, result = bench.settled(rounds)
-    reached = Round(calibration, Descent(result.best, result.history, "", result.slopes))
-    helped = bench.help(reached, screened, rounds)
+    helped = bench.help(Round(calibration, result), screened, rounds)
     soil = calibration.space.soil(result.best.values)
-    fitted = work.runs([soil], seeds.fitted, "fitted packings")[0]
-    fresh = work.runs([soil], seeds.fresh, "fresh packings")[0]
-    named = _named_sets(lab, base, seeds.fitted, work)
     return Calibrated(
-        lab=lab,
-        problem=problem,
+        bench=bench,
+        calibration=calibration,
         result=result,
-        soil=soil,
-        space=calibration.space,
+        rounds=rounds,
         screening=screening,
-        fitted_runs=fitted,
-        fresh_runs=fresh,
-        scatter=scatter,
-        simulations=work.simulated + (coarse.campaign.simulated if coarse else 0),
-        named=named,
-        strategy=calibration.strategy.describe(),
-        seeds=seeds,
-        rates=rates_json(work),
-        resolutions=resolutions_json(calibration, first, result, preset),
-        rounds=[each.as_json() for each in rounds],
+        first=first,
+        fitted_runs=work.runs([soil], seeds.fitted, "fitted packings")[0],
+        fresh_runs=work.runs([soil], seeds.fresh, "fresh packings")[0],
+        named_runs=bench.named_runs(),
         help=helped,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A fit with everything around it: what it was made from, the rounds that led to it, the ratio
+    of both sizes of beds at the start, runs at the fitted values and of the lab file's named
+    parameter sets, and one sentence of what would help where it missed."""
+
+    bench: "Bench"
+    calibration: Calibration
+    result: Fit
+    rounds: list[Round]
+    screening: dict
+    first: Correction
+    fitted_runs: list[Run]
+    fresh_runs: list[Run]
+    named_runs: dict[str, list[Run]]
+    help: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,28 +135,31 @@ class Bench:
     scattered: int
     coarse: Coarse | None
 
-    def calibration(self, names: tuple[str, ...]) -> Calibration:
-        """With these parameters free."""
-        settings = Settings() if self.coarse is None else THRIFTY
-        return self._calibration(space(self.lab, names, self.base), settings)
+    @property
+    def simulations(self) -> int:
+        """Of this start, those of smaller beds included."""
+        return self.work.simulated + (self.coarse.campaign.simulated if self.coarse else 0)
 
-    def _calibration(self, free: Space, settings: Settings) -> Calibration:
+    def calibration(
+        self, names: tuple[str, ...], strategy: AbstractStrategy | None = None
+    ) -> Calibration:
+        """With these parameters free; `strategy` as in `Settings`."""
         return Calibration(
-            self.problem,
-            free,
-            self.work,
-            self.seeds.fitted,
-            self.scatter,
-            self.scattered,
-            settings,
-            self.coarse,
+            problem=self.problem,
+            space=space(self.lab, names, self.base),
+            campaign=self.work,
+            seeds=self.seeds.fitted,
+            relative_scatter=self.scatter,
+            scatter_packings=self.scattered,
+            settings=replace(Settings() if self.coarse is None else THRIFTY, strategy=strategy),
+            coarse=self.coarse,
         )
 
     def screened(self) -> Screened:
         """Slopes of all features in every parameter that the lab file does not hold."""
         held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
         every = space(self.lab, tuple(n for n in CANDIDATES if n not in held), self.base)
-        calibration = self._calibration(every, Settings(strategy=ensemble(every)))
+        calibration = self.calibration(every.names, ensemble(every))
         slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
         at_start = calibration.evaluate(to_digits(every.start()), "the start")
         return Screened(every, slopes, at_start.features.mean(axis=0))
@@ -172,8 +170,8 @@ class Bench:
         """Fits of the first choice and, where the program chose and misses, of wider ones; with
         smaller beds where there are any."""
 
-        def level(chosen: Calibration) -> Calibration:
-            return chosen if self.coarse is None else exploring(chosen, correction)
+        def level(each: Calibration) -> Calibration:
+            return each if self.coarse is None else exploring(each, correction)
 
         start = level(calibration)
         first = Round(start, descend(start))
@@ -183,15 +181,26 @@ class Bench:
 
     def settled(self, rounds: Sequence[Round]) -> tuple[Calibration, Fit]:
         """The fit of the round that counts, on the beds that decide, all evaluations before it."""
-        kept = chosen_of(rounds)
+        kept = chosen(rounds)
         if self.coarse is None:
-            before = [each.descent for each in rounds]
             result = finished(kept.calibration, kept.descent)
-            return kept.calibration, replace(result, history=joined(before))
+            history = joined([each.descent.history for each in rounds])
+            return kept.calibration, replace(result, history=history)
         calibration = self.calibration(kept.names)
-        result = fit_from(calibration, kept.descent if kept.best is not None else None)
-        before = [each.descent for each in rounds if each.best is not None]
-        return calibration, _after(before, result, self.coarse.cost)
+        result = fit_from(calibration, kept.best, kept.descent.slopes)
+        before = joined([each.descent.history for each in rounds if each.best is not None])
+        cost = self.coarse.cost
+        explored = [
+            {**row, "status": "explored", "forward_runs": cost * row["forward_runs"]}
+            for row in before
+        ]
+        return calibration, replace(result, history=joined([explored, result.history]))
+
+    def named_runs(self) -> dict[str, list[Run]]:
+        """Runs of the lab file's named parameter sets on the packings of the fit."""
+        soils = [with_values(self.base, values) for values in self.lab.named_sets.values()]
+        rows = self.work.runs(soils, self.seeds.fitted, "named parameter sets") if soils else []
+        return dict(zip(self.lab.named_sets, rows, strict=True))
 
     def help(self, reached: Round, screened: Screened | None, rounds: Sequence[Round]) -> str:
         """What would bring a fit that missed its data nearer to them; "" where it met them."""
@@ -226,14 +235,6 @@ def scatter_of_packings(
     return covariance, freedom + 1
 
 
-def explored(calibration: Calibration, correction: Correction) -> Descent | None:
-    """The fit of smaller beds to corrected targets; None where there are none, or none succeeds."""
-    if calibration.coarse is None:
-        return None
-    found = descend(exploring(calibration, correction))
-    return None if found.best is None or found.best.failures else found
-
-
 def exploring(calibration: Calibration, correction: Correction) -> Calibration:
     """The same with smaller beds, to targets corrected for them."""
     coarse = calibration.coarse
@@ -248,37 +249,24 @@ def exploring(calibration: Calibration, correction: Correction) -> Calibration:
     )
 
 
-def fit_from(calibration: Calibration, walked: Descent | None) -> Fit:
-    """The fit from where smaller beds ended, with their slopes; None: from the start."""
-    if walked is None or walked.best is None:
+def fit_from(calibration: Calibration, smaller: Evaluation | None, slopes: np.ndarray) -> Fit:
+    """The fit from where smaller beds were best, with the slopes (m, p) that they ended with; from
+    the start where none of their evaluations succeeded."""
+    if smaller is None or smaller.failures:
         return fit(calibration)
-    return fit(calibration, walked.best.values, walked.slopes)
+    return fit(calibration, smaller.values, SlopesOfSmallerBeds(slopes))
 
 
-def joined(walks: Sequence[Descent]) -> list[dict]:
-    """Rows of one walk after the other, evaluations and forward runs counted on; parameters that
-    were not free yet stand at their start."""
+def joined(histories: Sequence[Sequence[dict]]) -> list[dict]:
+    """Rows of one history after the other, evaluations and forward runs counted on."""
     rows: list[dict] = []
-    for walk in walks:
+    for history in histories:
         shift = {k: rows[-1][k] if rows else 0 for k in ("evaluation", "forward_runs")}
-        rows += [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in walk.history]
+        rows += [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in history]
     return rows
 
 
-def _after(walks: Sequence[Descent], result: Fit, cost: float = 1.0) -> Fit:
-    """The fit with the evaluations of smaller beds before its own."""
-    before = [
-        {**row, "status": "explored", "forward_runs": cost * row["forward_runs"]}
-        for row in joined(walks)
-    ]
-    own = Descent(result.best, result.history, result.stopped, result.slopes)
-    earlier = Descent(None, before, "", result.slopes)
-    return replace(result, history=joined([earlier, own] if before else [own]))
-
-
-def resolutions_json(
-    calibration: Calibration, first: Correction, result: Fit, preset: Preset
-) -> dict:
+def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -> dict:
     """Ratio of both sizes' features at the start and at the best point; empty where there is one
     size.  Says so where they differ by more than their errors."""
     coarse = calibration.coarse
@@ -289,7 +277,7 @@ def resolutions_json(
     changed = disagreement(problem, first, last)
     if changed:
         calibration.campaign.progress.say(
-            f"beds of {coarse.spheres} and {preset.spheres} spheres disagree beyond their errors: "
+            f"beds of {coarse.spheres} and {coarse.large} spheres disagree beyond their errors: "
             f"their ratio is {'; '.join(changed)} at the start and at the end: slopes of the "
             "smaller ones may mislead; fit again from here (--set), or with --preset fine"
         )
@@ -326,68 +314,36 @@ def screening_json(bench: Bench, screened: Screened) -> dict:
 
 def fit_json(done: Calibrated) -> dict:
     """The contract's keys for `fit`, and what was checked on fresh packings."""
-    best = done.result.best
-    features = compared(done.problem, done.result.covariance, best)
-    met = not misses(features)
+    bench, calibration, found = done.bench, done.calibration, done.result
+    lab, names, best = bench.lab, calibration.space.names, found.best
+    features = compared(bench.problem, found.covariance, best)
+    met, rounds = not misses(features), [each.as_json() for each in done.rounds]
+    base = soil_json(bench.base)
+    ever = {name: base[name] for each in rounds for name in each["free"]}  # free at some time
     result = {
-        "parameters": soil_json(done.soil),
-        "free": list(done.space.names),
-        "observables": mean_observables(done.fitted_runs),
-        "spread": spread_observables(done.fitted_runs),
-        "fresh_packings": {
-            "observables": mean_observables(done.fresh_runs),
-            "spread": spread_observables(done.fresh_runs),
-        },
-        "targets": {name: target.mean for name, target in done.lab.targets.items()},
-        "measured": measured_json(done.lab),
-        "seeds": list(done.seeds.fitted),
-        "fresh_seeds": list(done.seeds.fresh),
-        "packings": {
-            "fitted": _packings_json(done.seeds.fitted, done.fitted_runs),
-            "fresh": _packings_json(done.seeds.fresh, done.fresh_runs),
-        },
-        "quality": quality_json(done.fitted_runs),
-        "rates": done.rates,
+        "parameters": soil_json(calibration.space.soil(best.values)),
+        "free": list(names),
+        **checked_json(lab, bench.seeds, done.fitted_runs, done.fresh_runs),
+        "targets": {name: target.mean for name, target in lab.targets.items()},
+        "rates": rates_json(bench.work),
         "features": features,
         "met": met,
         "packing_scatter": dict(
-            zip(features, np.sqrt(np.diag(done.scatter)).tolist(), strict=True)
+            zip(features, np.sqrt(np.diag(bench.scatter)).tolist(), strict=True)
         ),
-        "simulations": done.simulations,
-        "resolutions": done.resolutions,
-        "stopped": done.result.stopped,
-        "strategy": done.strategy,
-        "profiles": done.result.profiles,
-        "identifiability": done.result.identifiability.as_json(met),
+        "simulations": bench.simulations,
+        "resolutions": resolutions_json(calibration, done.first, found),
+        "stopped": found.stopped,
+        "strategy": calibration.strategy.describe(),
+        "profiles": found.profiles,
+        "identifiability": found.identifiability.as_json(met),
         "screening": done.screening,
-        "rounds": done.rounds,
-        "history": _complete(done),
-        "named_sets": done.named,
-        "at_bound": done.space.at_bound(best.values),
-        "notes": begun_late(done.lab),
+        "rounds": rounds,
+        "history": [{**row, "parameters": {**ever, **row["parameters"]}} for row in found.history],
+        "named_sets": {name: summary_json(runs) for name, runs in done.named_runs.items()},
+        "at_bound": calibration.space.at_bound(best.values),
+        "notes": begun_late(lab),
         "help": done.help,
     }
     across = coarse_sentence(result["quality"])
     return {**result, "warnings": warnings(result, [across] if across else [])}
-
-
-def _complete(done: Calibrated) -> list[dict]:
-    """The history with a value for every parameter that was ever free, at its start before."""
-    base = soil_json(done.space.base)
-    names = dict.fromkeys(n for each in done.rounds for n in each["free"])
-    known = {name: base[name] for name in names}
-    return [{**row, "parameters": {**known, **row["parameters"]}} for row in done.result.history]
-
-
-def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
-    return [packing_json(seed, run) for seed, run in zip(seeds, runs, strict=True)]
-
-
-def _named_sets(lab: Lab, base: SoilParameters, seeds, work: AbstractCampaign) -> dict[str, dict]:
-    """Observables of the lab file's named parameter sets on the fitted packings."""
-    soils = [with_values(base, values) for values in lab.named_sets.values()]
-    rows = work.runs(soils, seeds, "named parameter sets") if soils else []
-    return {
-        name: {"observables": mean_observables(row), "spread": spread_observables(row)}
-        for name, row in zip(lab.named_sets, rows, strict=True)
-    }

@@ -1,6 +1,7 @@
-"""Where a fit looks: features, whitened residual and slopes at parameter values.
+"""Where a fit looks: features, whitened residual, density and slopes at parameter values.
 
-    r(y) = [ L^-1 (measured - mean over packings) ,  (ln p - ln p0)/prior_sd ],   L L' = Sigma
+    r(p) = [ L^-1 (measured - mean over packings) ,  (ln p - ln p0)/prior_sd ],   L L' = Sigma
+    ln density(p | measured) = -|r|^2 / 2 - ln det L - sum ln prior_sd - (m + p)/2 ln 2 pi
 
 Values are those of the fitted beds; slopes may come from smaller ones, by pairs of runs or by
 derivatives that JAX took.
@@ -8,21 +9,23 @@ derivatives that JAX took.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from calibrate.core.errors import CalibrationError
-from calibrate.inference.first_order import FirstOrder
 from calibrate.inference.parameters import Space, fitting_ensemble, to_digits
 from calibrate.inference.problem import Problem, shrunk_covariance
 from calibrate.inference.resolutions import Coarse, Correction
+from calibrate.inference.traced import FirstOrder
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.sensitivity.base import AbstractStrategy, AbstractTraced
 
-_REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
+REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
+A = TypeVar("A", np.ndarray, Array)
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Settings:
     A fit is done when every whitened data residual is below `tolerance`, when its slopes promise
     less than half the tolerance's square, when the solver says so, when `patience` evaluations in
     a row were no better, or after `evaluations`.
+    `stopping` are rules of your own in place of these (`calibrate.inference.fit`).
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
     `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
@@ -41,14 +45,16 @@ class Settings:
     patience: int = 6
     tolerance: float = 0.15
     strategy: AbstractStrategy | None = None
+    stopping: tuple[Callable[[Any], str], ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """One point that the solver asked for.
 
-    values (p,) are parameters in SI; features (n, m) on each packing; residual is
-    whitened, data first, then prior; cost is half its squared norm.
+    values (p,) are parameters in SI; features (n, m) on each packing; residual (m + p,) is
+    whitened, data first, then prior; cost is half its squared norm: minus the log density, but for
+    a constant.
     """
 
     values: np.ndarray
@@ -97,25 +103,24 @@ class Calibration:
 
     def evaluate(self, values: np.ndarray, what: str) -> Evaluation:
         """Features and whitened residual at parameter values (p,)."""
-        runs = self.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
         self.forward_runs += 1
-        failures = tuple(run.failure for run in runs if run.failure)
-        return self._evaluated(values, self.problem.simulated(runs), failures)
+        return self._evaluated(self.campaign, values, 1.0, what)
 
     def estimate(self, values: np.ndarray, correction: Correction, what: str) -> Evaluation:
         """The same from the beds that slopes are taken on, times a ratio known from elsewhere."""
         if self.coarse is None:
             return self.evaluate(values, what)
-        runs = self.coarse.campaign.runs([self.space.soil(values)], self.seeds, what)[0]
-        failures = tuple(run.failure for run in runs if run.failure)
-        return self._evaluated(values, self.problem.simulated(runs) * correction.ratio, failures)
+        return self._evaluated(self.coarse.campaign, values, correction.ratio, what)
 
     def _evaluated(
-        self, values: np.ndarray, features: np.ndarray, failures: tuple[str, ...]
+        self, work: AbstractCampaign, values: np.ndarray, ratio: np.ndarray | float, what: str
     ) -> Evaluation:
-        residual = self._residual(features.mean(axis=0), np.log(values))
+        runs = work.runs([self.space.soil(values)], self.seeds, what)[0]
+        features = self.problem.simulated(runs) * ratio
+        residual = self.residual(values, features.mean(axis=0))
         if not np.all(np.isfinite(residual)):
-            residual = np.full_like(residual, _REJECTED)
+            residual = np.full_like(residual, REJECTED)
+        failures = tuple(run.failure for run in runs if run.failure)
         return Evaluation(values, features, residual, failures)
 
     @property
@@ -170,10 +175,43 @@ class Calibration:
         prior = np.diag(1 / self.space.prior_sd())
         return np.concatenate([-self.whitened(slopes), prior]) * self.space.log_slope(y)
 
-    def _residual(self, mean: np.ndarray, log_values: np.ndarray) -> np.ndarray:
-        data = self._whitening @ (self.problem.measured - mean)
-        prior = (log_values - self._centre) / self.space.prior_sd()
-        return np.concatenate([data, prior])
+    def residual(self, values: A, features: A) -> A:
+        """What the fit makes small: measured minus simulated, and the prior, whitened.
+
+        It is pure: nothing is simulated, and nothing is kept.  Given arrays of JAX, as those of a
+        function that stands in for the simulation, it returns one that JAX can differentiate.
+
+        Args:
+            values: free parameters, SI, in the order of `space.names`; shape (p,).
+            features: means over packings that these parameters give, in the order of
+                `problem.features` and in their units (mm or N); shape (m,).
+
+        Returns:
+            Deviations without unit, the data's first, then the prior's; shape (m + p,).  They are
+            independent and of variance 1 where model and prior are right.
+        """
+        xp: Any = jnp if any(isinstance(given, Array) for given in (values, features)) else np
+        data = self._whitening @ (self.problem.measured - features)
+        prior = (xp.log(values) - self._centre) / self.space.prior_sd()
+        return xp.concatenate([data, prior])
+
+    def log_density(self, values: A, features: A) -> A:
+        """Log prior plus log likelihood: both normal, the prior in ln p.
+
+        For a sampler, or for a fit on a response that stands in for the simulation.  As a function
+        of the values it is the posterior's density per unit of ln p (not of p), but for the
+        evidence.  The bounds of the fit are no part of it: `space.bounds()`.
+
+        Args:
+            values: free parameters, SI, in the order of `space.names`; shape (p,).
+            features: means over packings that these parameters give (mm or N); shape (m,).
+
+        Returns:
+            A number; nats.
+        """
+        residual = self.residual(values, features)
+        scale = np.log(self.space.prior_sd()).sum() - np.log(np.diag(self._whitening)).sum()
+        return -0.5 * (residual @ residual) - scale - 0.5 * len(residual) * np.log(2 * np.pi)
 
 
 def packing_scatter(

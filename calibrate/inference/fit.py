@@ -1,17 +1,18 @@
 """Calibration: Levenberg-Marquardt on whitened residuals, over averages of packings.
 
-The solver is Optimistix', stepped by hand: each step it asks for the residual at one
-point, and gets the simulated residual and its slopes there as an affine function.  So a
-fit can be watched, its best iterate kept, and, because every simulation is cached,
-killed at any moment and started again with the same end.
+A descent is a frozen state and a function `step` from one state to the next:
 
-Slopes are measured at the start, or taken from a fit of smaller beds that ended there; later
-evaluations correct them along the step that was taken (Broyden 1965, Math. Comp. 19, 577), a
-rejected one too: where a response is curved, its chord tells how far to go.  They are measured
-anew where two in a row are rejected, unless they were measured at that very point.
+    evaluate -> rules -> update slopes (`calibrate.inference.slopes`) -> solver -> rules
+
+The solver is Optimistix', stepped by hand: each step it asks for the residual at one point, and
+gets the simulated residual and its slopes there as an affine function.  So a fit can be watched,
+its best iterate kept, and, because every simulation is cached, killed at any moment and started
+again with the same end.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,9 +21,233 @@ import optimistix as optx
 from jax import Array
 
 from calibrate.core.errors import CalibrationError
-from calibrate.inference.evaluation import Calibration, Evaluation
+from calibrate.inference.evaluation import Calibration, Evaluation, Settings
 from calibrate.inference.identifiability import Identifiability, assess, by_profiles
 from calibrate.inference.parameters import to_digits
+from calibrate.inference.slopes import AbstractSlopes, LastStep, MeasuredSlopes
+
+SOLVER = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
+PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
+
+
+# ---------------------------------------------------------------- a descent, step by step
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent stands, or where it ended.
+
+    `best` is its best evaluation and `history` has one row for each.  `at` is the evaluation from
+    which the solver goes on: the last one, or again the best.  `jacobian` (m + p, p) is the
+    residual's there, with respect to the unbounded y of `Space`; None until `estimate`, the slopes,
+    took in the last evaluation.  `solver` is Optimistix' own state, which holds the point to
+    evaluate next, and `y` (p,) the last point that the solver accepted.  `stopped` says why the
+    descent ended; "" while it goes on.
+    """
+
+    calibration: Calibration
+    estimate: AbstractSlopes
+    solver: Any
+    y: Array
+    best: Evaluation | None = None
+    at: Evaluation | None = None
+    jacobian: np.ndarray | None = None
+    history: tuple[dict, ...] = ()
+    stopped: str = ""
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Slopes (m, p) per ln p as it knows them."""
+        return self.estimate.values
+
+    def no_better_in(self, count: int) -> bool:
+        """Whether none of the last evaluations, as many as `count`, was better."""
+        last = [row["status"] for row in self.history[-count:]]
+        return len(last) == count and "better" not in last
+
+
+def descend(
+    calibration: Calibration, start: np.ndarray | None = None, slopes: AbstractSlopes | None = None
+) -> Descent:
+    """The solver's way from `start` (p,) to where a rule stops it; arguments as in `fit`."""
+    descent = begun(calibration, start, slopes)
+    while not descent.stopped:
+        descent = step(descent)
+    return descent
+
+
+def begun(
+    calibration: Calibration, start: np.ndarray | None = None, slopes: AbstractSlopes | None = None
+) -> Descent:
+    """Before the first evaluation."""
+    space = calibration.space
+    y = space.to_unbounded(space.start() if start is None else np.asarray(start, float))
+    estimate = MeasuredSlopes.unknown(calibration) if slopes is None else slopes
+    return Descent(calibration, estimate, *_at_rest(calibration, y))
+
+
+def step(descent: Descent) -> Descent:
+    """One evaluation and, unless it already ends the descent, the update of the slopes and where
+    the solver goes next."""
+    seen = _ruled(_evaluated(descent))
+    return seen if seen.stopped else _ruled(_moved(seen, descent.best))
+
+
+def _evaluated(descent: Descent) -> Descent:
+    """After the evaluation that the solver asks for."""
+    calibration, number = descent.calibration, len(descent.history) + 1
+    values = to_digits(calibration.space.from_unbounded(np.asarray(descent.solver.y_eval)))
+    now = calibration.evaluate(values, f"evaluation {number}")
+    best = now if descent.best is None or now.cost < descent.best.cost else descent.best
+    row = _row(calibration, number, now, now is best)
+    calibration.campaign.progress.say(_line(calibration, row))
+    return replace(descent, best=best, at=now, jacobian=None, history=(*descent.history, row))
+
+
+def _moved(seen: Descent, before: Evaluation | None) -> Descent:
+    """After slopes and solver took in the last evaluation.  From one that was rejected the solver
+    begins anew at the best point, with better slopes; if it failed and the slopes are trusted, the
+    solver shortens its step instead."""
+    calibration, now = seen.calibration, seen.at
+    assert now is not None
+    last = LastStep(calibration, len(seen.history), now, before, seen.no_better_in(2))
+    estimate, at, solver, y = seen.estimate.updated(last), now, seen.solver, seen.y
+    if before and not (last.first or last.better or (now.failures and seen.estimate.trusted)):
+        at = before
+        solver, y = _at_rest(calibration, calibration.space.to_unbounded(before.values))
+    jacobian = calibration.jacobian(estimate.values, np.asarray(solver.y_eval))
+    local = (jnp.asarray(at.residual), jnp.asarray(jacobian), solver.y_eval)
+    y, solver, _ = SOLVER.step(_affine, y, local, {}, solver, frozenset())
+    return replace(seen, estimate=estimate, at=at, jacobian=jacobian, solver=solver, y=y)
+
+
+def _at_rest(calibration: Calibration, y: np.ndarray) -> tuple[Any, Array]:
+    """The solver's state at the unbounded point y (p,), before its first step, and the point."""
+    rows, point = len(calibration.problem.measured) + len(y), jnp.asarray(y)
+    blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), point)
+    struct = eqx.filter_eval_shape(lambda: jnp.zeros(rows))
+    return SOLVER.init(_affine, point, blank, {}, struct, None, frozenset()), point
+
+
+def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
+    """The residual near the point of evaluation: exact there, in value and slope."""
+    residual, jacobian, point = local
+    return residual + jacobian @ (y - point), None
+
+
+def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
+    names = [feature.name for feature in calibration.problem.features]
+    status = "failed" if evaluation.failures else ("better" if better else "rejected")
+    return {
+        "evaluation": number,
+        "status": status,
+        "failure": "; ".join(evaluation.failures),
+        "forward_runs": calibration.forward_runs,
+        "cost": evaluation.cost,
+        "parameters": dict(zip(calibration.space.names, evaluation.values.tolist(), strict=True)),
+        "features": dict(zip(names, evaluation.features.mean(axis=0).tolist(), strict=True)),
+    }
+
+
+def _line(calibration: Calibration, row: dict) -> str:
+    parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
+    features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
+    shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.is_target)
+    begin = f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}"
+    return f"{begin}  {parameters}  {shown}"
+
+
+# ---------------------------------------------------------------- when it stops
+
+
+# Asked after each evaluation, before its slopes are paid for (`jacobian` is None), and after them:
+# the first that returns a reason, not "", ends the descent.
+Rule = Callable[[Descent], str]
+
+
+@dataclass(frozen=True)
+class TargetsMet:
+    """Every whitened data residual of the best point is below the tolerance."""
+
+    tolerance: float
+
+    def __call__(self, descent: Descent) -> str:
+        at = descent.at
+        if at is None or at is not descent.best:
+            return ""
+        data = at.residual[: len(descent.calibration.problem.measured)]
+        met = np.max(np.abs(data)) < self.tolerance
+        return "every target is met within the tolerance" if met else ""
+
+
+@dataclass(frozen=True)
+class NothingToGain:
+    """The slopes promise less than one residual of the size of the tolerance is worth.
+
+    A target that the prior holds off is never met; this ends the fit all the same."""
+
+    tolerance: float
+
+    def __call__(self, descent: Descent) -> str:
+        at, jacobian = descent.at, descent.jacobian
+        if jacobian is None or at is None or at is not descent.best or at.failures:
+            return ""
+        move, *_ = np.linalg.lstsq(jacobian, at.residual, rcond=None)
+        gain = 0.5 * float(np.sum((jacobian @ move) ** 2))
+        little = gain < 0.5 * self.tolerance**2
+        return "no step would lower the cost by more than the tolerance" if little else ""
+
+
+@dataclass(frozen=True)
+class NoBetterPoint:
+    """So many evaluations in a row were no better, and the slopes took in the last."""
+
+    evaluations: int
+
+    def __call__(self, descent: Descent) -> str:
+        if descent.jacobian is None or not descent.no_better_in(self.evaluations):
+            return ""
+        return f"no better point in {self.evaluations} evaluations"
+
+
+@dataclass(frozen=True)
+class SmallStep:
+    """The solver's own: two points that it accepted hardly differ."""
+
+    def __call__(self, descent: Descent) -> str:
+        return "the solver's step became small" if bool(descent.solver.terminate) else ""
+
+
+@dataclass(frozen=True)
+class EnoughEvaluations:
+    """So many evaluations were made, and the slopes took in the last."""
+
+    evaluations: int
+
+    def __call__(self, descent: Descent) -> str:
+        if descent.jacobian is None or len(descent.history) < self.evaluations:
+            return ""
+        return f"after {self.evaluations} evaluations"
+
+
+def rules(settings: Settings) -> tuple[Rule, ...]:
+    """The user's own rules, or the usual ones with the numbers of the settings."""
+    return settings.stopping or (
+        TargetsMet(settings.tolerance),
+        NothingToGain(settings.tolerance),
+        NoBetterPoint(settings.patience),
+        SmallStep(),
+        EnoughEvaluations(settings.evaluations),
+    )
+
+
+def _ruled(descent: Descent) -> Descent:
+    """The same, stopped for the first reason that a rule has."""
+    reasons = (rule(descent) for rule in rules(descent.calibration.settings))
+    return replace(descent, stopped=next(filter(None, reasons), ""))
+
+
+# ---------------------------------------------------------------- the fit at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,166 +263,19 @@ class Fit:
     stopped: str
 
 
-PROFILE_STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
-
-
 def fit(
-    calibration: Calibration, start: np.ndarray | None = None, slopes: np.ndarray | None = None
+    calibration: Calibration, start: np.ndarray | None = None, slopes: AbstractSlopes | None = None
 ) -> Fit:
     """Fits from `start` (p,), by default the base soil's values, and says what the data fix.
 
-    slopes (m, p) per ln p are those of smaller beds at the start, if they are known.
+    `slopes` are what is known of them at the start (`calibrate.inference.slopes`), by default
+    nothing: they are measured there.
     """
     return finished(calibration, descend(calibration, start, slopes))
 
 
-@dataclass(frozen=True, eq=False)
-class Descent:
-    """Where the solver went: best evaluation, one row for each evaluation, why it stopped, and the
-    slopes (m, p) per ln p as it knew them in the end."""
-
-    best: Evaluation | None
-    history: list[dict]
-    stopped: str
-    slopes: np.ndarray
-
-
-def descend(
-    calibration: Calibration, start: np.ndarray | None = None, slopes: np.ndarray | None = None
-) -> Descent:
-    """The solver's walk from `start` (p,) alone; slopes as in `fit`."""
-    space, settings = calibration.space, calibration.settings
-    first = space.start() if start is None else np.asarray(start, float)
-    walk = _Walk(calibration, space.to_unbounded(first), slopes)
-    stopped = f"after {settings.evaluations} evaluations"
-    for _ in range(settings.evaluations):
-        reason = walk.advance()
-        if reason:
-            stopped = reason
-            break
-    return Descent(walk.best, walk.history, stopped, walk.slopes)
-
-
-class _Walk:
-    """The solver's state between evaluations, and the best evaluation so far."""
-
-    def __init__(self, calibration: Calibration, y: np.ndarray, slopes: np.ndarray | None = None):
-        self._calibration, self._given = calibration, slopes
-        self._solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
-        self.best: Evaluation | None = None
-        self.slopes = np.zeros((len(calibration.problem.measured), len(y)))
-        self._corrected = False
-        self._measured_at: Evaluation | None = None
-        self.history: list[dict] = []
-        self._begin(y)
-
-    def _begin(self, y: np.ndarray) -> None:
-        """The solver anew, from the unbounded point y."""
-        self.y = jnp.asarray(y)
-        rows = len(self._calibration.problem.measured) + len(y)
-        blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), self.y)
-        struct = eqx.filter_eval_shape(lambda: jnp.zeros(rows))
-        self._state = self._solver.init(_affine, self.y, blank, {}, struct, None, frozenset())
-
-    def advance(self) -> str:
-        """One evaluation and one solver step; a reason to stop, or nothing."""
-        calibration, number = self._calibration, len(self.history) + 1
-        y = np.asarray(self._state.y_eval)
-        values = to_digits(calibration.space.from_unbounded(y))
-        evaluation = calibration.evaluate(values, f"evaluation {number}")
-        before, better = self.best, self.best is None or evaluation.cost < self.best.cost
-        if better:
-            self.best = evaluation
-        self.history.append(_row(calibration, number, evaluation, better))
-        calibration.campaign.progress.say(_line(calibration, self.history[-1]))
-        if better and _close_enough(calibration, evaluation):
-            return "every target is met within the tolerance"
-        if before is None and self._given is not None and not evaluation.failures:
-            ratio = calibration.correction(evaluation.values, "both resolutions").ratio
-            self.slopes, self._corrected = self._given * ratio[:, None], True
-        elif before is None or before.failures:
-            self._measure(evaluation)
-        elif better:
-            self.slopes = secant(self.slopes, before, evaluation)
-            self._corrected = True
-        elif self._corrected or not evaluation.failures:
-            self._learn(before, evaluation)
-            evaluation, y = before, calibration.space.to_unbounded(before.values)
-            self._begin(y)
-        return self._step(evaluation, y)
-
-    def _learn(self, before: Evaluation, rejected: Evaluation) -> None:
-        """Slopes at `before` once a step from there was rejected: corrected along that step, or
-        measured anew if two steps in a row went wrong and they were not measured just there."""
-        wrong = rejected.failures or self._rejected_before()
-        if wrong and self._measured_at is not before:
-            self._measure(before)
-        elif not rejected.failures:
-            self.slopes = secant(self.slopes, before, rejected)
-            self._corrected = True
-
-    def _rejected_before(self) -> bool:
-        """Whether the evaluation before the last was no better either."""
-        return self.history[-2]["status"] != "better"
-
-    def _measure(self, evaluation: Evaluation) -> None:
-        if not evaluation.failures:
-            what = f"slopes at evaluation {len(self.history)}"
-            self.slopes = self._calibration.slopes(evaluation.values, what)
-            self._corrected, self._measured_at = False, evaluation
-
-    def _step(self, evaluation: Evaluation, y: np.ndarray) -> str:
-        jacobian = self._calibration.jacobian(self.slopes, y)
-        if evaluation is self.best and _nothing_left(self._calibration, evaluation, jacobian):
-            return "no step would lower the cost by more than the tolerance"
-        local = (jnp.asarray(evaluation.residual), jnp.asarray(jacobian), jnp.asarray(y))
-        self.y, self._state, _ = self._solver.step(
-            _affine, self.y, local, {}, self._state, frozenset()
-        )
-        last = [row["status"] for row in self.history[-self._calibration.settings.patience :]]
-        if len(last) == self._calibration.settings.patience and "better" not in last:
-            return f"no better point in {len(last)} evaluations"
-        done, _ = self._solver.terminate(_affine, self.y, local, {}, self._state, frozenset())
-        return "the solver's step became small" if bool(done) else ""
-
-
-def secant(slopes: np.ndarray, before: Evaluation, after: Evaluation) -> np.ndarray:
-    """Slopes (m, p) per ln p, corrected to give what changed from one point to the next."""
-    step = np.log(after.values / before.values)
-    change = after.features.mean(axis=0) - before.features.mean(axis=0)
-    missed = change - slopes @ step
-    if not np.all(np.isfinite(missed)):
-        return slopes
-    return slopes + np.outer(missed, step) / max(float(step @ step), _SMALLEST_STEP)
-
-
-_SMALLEST_STEP = 1e-4  # square of ln p; shorter steps are noise and correct little
-
-
-def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
-    """The residual near the point of evaluation: exact there, in value and slope."""
-    residual, jacobian, point = local
-    return residual + jacobian @ (y - point), None
-
-
-def _close_enough(calibration: Calibration, evaluation: Evaluation) -> bool:
-    data = evaluation.residual[: len(calibration.problem.measured)]
-    return bool(np.max(np.abs(data)) < calibration.settings.tolerance)
-
-
-def _nothing_left(calibration: Calibration, best: Evaluation, jacobian: np.ndarray) -> bool:
-    """Whether the slopes promise less than one residual of the size of the tolerance is worth.
-
-    A target that the prior holds off is never met; this ends the fit all the same."""
-    if best.failures:
-        return False
-    step, *_ = np.linalg.lstsq(jacobian, best.residual, rcond=None)
-    gain = 0.5 * float(np.sum((jacobian @ step) ** 2))
-    return gain < 0.5 * calibration.settings.tolerance**2
-
-
 def finished(calibration: Calibration, descent: Descent) -> Fit:
-    """The fit that ends where the walk was best, and what the data fix there."""
+    """The fit that ends where the descent was best, and what the data fix there."""
     best = descent.best
     if best is None or best.failures:
         reasons = "; ".join(best.failures) if best else "nothing was evaluated"
@@ -212,16 +290,14 @@ def finished(calibration: Calibration, descent: Descent) -> Fit:
         calibration.space.bounds(),
     )
     profiles = _profiles(calibration, identifiability, best)
-    identifiability = by_profiles(identifiability, profiles, best.cost)
-    covariance = calibration.covariance
     return Fit(
-        best,
-        descent.history,
-        identifiability,
-        profiles,
-        slopes,
-        covariance,
-        descent.stopped,
+        best=best,
+        history=list(descent.history),
+        identifiability=by_profiles(identifiability, profiles, best.cost),
+        profiles=profiles,
+        slopes=slopes,
+        covariance=calibration.covariance,
+        stopped=descent.stopped,
     )
 
 
@@ -253,25 +329,3 @@ def _profiles(
             )
         profiles[name] = rows
     return profiles
-
-
-def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
-    names = [feature.name for feature in calibration.problem.features]
-    status = "failed" if evaluation.failures else ("better" if better else "rejected")
-    return {
-        "evaluation": number,
-        "status": status,
-        "failure": "; ".join(evaluation.failures),
-        "forward_runs": calibration.forward_runs,
-        "cost": evaluation.cost,
-        "parameters": dict(zip(calibration.space.names, evaluation.values.tolist(), strict=True)),
-        "features": dict(zip(names, evaluation.features.mean(axis=0).tolist(), strict=True)),
-    }
-
-
-def _line(calibration: Calibration, row: dict) -> str:
-    parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
-    features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
-    shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.is_target)
-    begin = f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}"
-    return f"{begin}  {parameters}  {shown}"

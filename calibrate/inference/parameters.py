@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
+from calibrate.io.conventions import check_free
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
 from jdem.core.parameter import Search as Range
@@ -34,8 +35,9 @@ FACTORS = (
 RANGES = {name: entry.search for name, entry in CATALOGUE.items() if entry.search is not None}
 
 
-def checked_free(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of parameters that are to be fitted, refused where one cannot be."""
+def checked_free(names: Sequence[str], lab: Lab) -> tuple[str, ...]:
+    """Names of parameters that are to be fitted, refused where one cannot be, or where the lab's
+    conventions hold it."""
     for name in names:
         if name not in RANGES:
             repair = suggestion(name, RANGES) or f"give some of {', '.join(RANGES)}"
@@ -43,6 +45,7 @@ def checked_free(names: Sequence[str]) -> tuple[str, ...]:
     if not names or len(set(names)) < len(names):
         problem = "no name, or one name twice"
         raise InputError(COMMAND_LINE, "--free", problem, "name each parameter once")
+    check_free(lab.particles.conventions, names, COMMAND_LINE, "--free ")
     return tuple(names)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from calibrate.inference.evaluation import Calibration, Evaluation
-from calibrate.inference.fit import Descent, descend
+from calibrate.inference.fit import Descent, Fit, descend
 from calibrate.inference.misfit import misses
 from calibrate.inference.parameters import Space, to_digits
 from calibrate.inference.problem import Problem
@@ -162,10 +162,10 @@ def compared(problem: Problem, covariance: np.ndarray, best: Evaluation) -> dict
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One choice of free parameters and where its fit went."""
+    """One choice of free parameters and where its fit went, or ended."""
 
     calibration: Calibration
-    descent: Descent
+    descent: Descent | Fit
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """The soil that a lab file describes, as the simulator's parameters."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import equinox as eqx
@@ -10,16 +11,14 @@ from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import SoilParameters
 
 
-def with_values(soil: SoilParameters, values: dict) -> SoilParameters:
+def with_values(soil: SoilParameters, values: Mapping[str, float]) -> SoilParameters:
     """The soil with some parameters replaced, by name."""
-    values = dict(values)
-    exponent = values.pop("slope_exponent", None)
-    further = {
-        name: jnp.asarray(values.pop(name), float) for name in soil.further if name in values
-    }
+    left = dict(values)
+    exponent = left.pop("slope_exponent", None)
+    further = {name: jnp.asarray(left.pop(name), float) for name in soil.further if name in left}
     if further:
         soil = replace(soil, further={**soil.further, **further})
-    for name, value in values.items():
+    for name, value in left.items():
         soil = eqx.tree_at(lambda s, n=name: getattr(s, n), soil, jnp.asarray(value, float))
     if exponent is not None:
         soil = replace(soil, slope_exponent=float(exponent))

@@ -1,15 +1,16 @@
 """The result of `calibrate audit` as a record."""
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import model_validator as check
 
+from calibrate.inference.audit import STRATEGIES
 from calibrate.records.base import Number, Observable, Origin, Parameter, Record, Test
 
-Strategy = Literal[
-    "fit", "ensemble", "regression", "pathwise", "blend", "overdamped", "overdamped_blend",
-    "virtual_power", "virtual_power_blend",
-]  # fmt: skip
+if TYPE_CHECKING:  # a checker of types knows no Literal that is made from a dictionary
+    StrategyName = str
+else:
+    StrategyName = Literal[tuple(STRATEGIES)]
 
 
 class Slope(Record):
@@ -69,7 +70,7 @@ class SlopesOfCurve(Record):
     displacement (mm) at forces (N) while loading, or of the force (N) at displacements (mm)."""
 
     mean: list[Number]
-    slopes: dict[Parameter, dict[Literal["reference"] | Strategy, CurveSlope]]
+    slopes: dict[Parameter, dict[Literal["reference"] | StrategyName, CurveSlope]]
     force_n: list[Number] | None = None
     displacement_mm: list[Number] | None = None
 
@@ -99,11 +100,11 @@ class AuditSlopes(Record):
     `judged_from` standard errors are not judged.
     """
 
-    strategy: Strategy
+    strategy: StrategyName
     packings: int
     within: dict[Observable, Number]
     judged_from: Number
-    strategies: dict[Strategy, StrategyRecord]
+    strategies: dict[StrategyName, StrategyRecord]
     curves: dict[Test, SlopesOfCurve]
 
     @property

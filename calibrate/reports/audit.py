@@ -9,7 +9,6 @@ from calibrate.figures import audit as drawing
 from calibrate.figures.style import panel_svg, svg
 from calibrate.labtests.composite import described
 from calibrate.records.audit import AuditRecord, Slope, StrategyRecord
-from calibrate.records.audit import Strategy as StrategyName
 from calibrate.records.base import Observable, read
 from calibrate.reports.html import (
     Page,
@@ -71,7 +70,7 @@ def _name(observable: Observable) -> str:
     return described(observable).label
 
 
-def _strategy(found: AuditRecord, name: StrategyName) -> Strategy:
+def _strategy(found: AuditRecord, name: str) -> Strategy:
     each = found.strategies[name]
     cost = f"{each.forward_runs:.3g} forward runs a packing"
     text = f"{each.described}. {_passed(each)}; it costs {cost}."

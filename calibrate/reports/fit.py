@@ -32,7 +32,7 @@ def page(path: Path) -> Page:
     found = read(path, FitRecord)
     content = {
         "sentence": sentence(found),
-        "warnings": list(_warnings(found)),
+        "warnings": [f"{sentence}." for sentence in found.all_warnings()],
         "targets": _targets(found),
         "features": _features(found),
         "curves": [
@@ -88,12 +88,6 @@ def _met(found: FitRecord) -> str:
 def _interval(found: FitRecord, name: str) -> str:
     ends = found.identifiability.interval_95[name]
     return " to ".join(quantity(name, end, 3) for end in ends)
-
-
-def _warnings(found: FitRecord) -> Iterator[str]:
-    """What the fit warned of, as result.json holds it, with the names of parameters in words."""
-    for sentence in found.all_warnings():
-        yield f"{sentence}."
 
 
 def _weights(weights: dict[str, float]) -> str:
@@ -299,7 +293,8 @@ def _pictures(found: FitRecord) -> Iterator[Picture]:
             axis.set_title("")
             above(axis)
 
-        spread = "; ".join(f"{words(name)}: {_ratios(found, name)}" for name in _targeted(found))
+        targets = found.measured.targets
+        spread = "; ".join(f"{words(name)}: {_ratios(found, name)}" for name in targets)
         alt = f"Simulated over measured, packing by packing. {spread}."
         yield Picture(
             panel_svg(draw), alt, "Points: packings. Bars: their means. Grey: measured ± scatter."
@@ -316,10 +311,6 @@ def _pictures(found: FitRecord) -> Iterator[Picture]:
     for name in found.profiles:
         if name in found.free:
             yield _profile(found, name)
-
-
-def _targeted(found: FitRecord) -> list[Observable]:
-    return list(found.measured.targets)
 
 
 def _ratios(found: FitRecord, name: Observable) -> str:

@@ -1,6 +1,7 @@
 """What a verb works with: lab, preset, folder of results, progress, and where simulations run."""
 
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -10,6 +11,7 @@ from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder
 from calibrate.core.progress import AbstractProgress, for_terminal
+from calibrate.io.conventions import check_values
 from calibrate.io.lab import Lab, LabLike, lab_of
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import specimens
@@ -18,6 +20,7 @@ from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import PRESETS, Preset
+from jdem.materials.soil import SoilParameters
 from jdem.physics import PHYSICS
 
 
@@ -55,19 +58,26 @@ class Session:
         """The same session in single precision (float32)."""
         return replace(self, preset=replace(self.preset, dtype="float32"))
 
-    def campaign(self, out: Path, preparation: dict[str, float] | None) -> AbstractCampaign:
-        """Simulations of this session; beds settle with the soil under test if its changed
-        parameters are given, with a neutral soil if not."""
-        soil = None if preparation is None else with_values(base_soil(self.lab), preparation)
-        return specimens.campaign(self.lab, self.preset, out, self.progress, soil, self.place)
+    def soil(self, values: Mapping[str, float]) -> SoilParameters:
+        """The soil that the lab file describes with these values (SI) in place of its own;
+        `InputError` where the lab's conventions leave others."""
+        check_values(self.lab.particles.conventions, values, COMMAND_LINE, "--set ")
+        return with_values(base_soil(self.lab), values)
 
-    def campaign_of_one(self, out: Path, preparation: dict[str, float] | None) -> Campaign:
+    def campaign(self, out: Path, preparation: SoilParameters | None = None) -> AbstractCampaign:
+        """Simulations of this session; beds settle with the soil of `preparation`, or with a
+        neutral one."""
+        return specimens.campaign(
+            self.lab, self.preset, out, self.progress, preparation, self.place
+        )
+
+    def campaign_of_one(self, out: Path) -> Campaign:
         """The same where only tests on one specimen will do; those without soil are left out."""
         if len(self.lab.specimens()) > 1:
             problem = "the tests are made on several specimens, this command takes one"
             repair = "keep the tests of one specimen, in a lab file of their own"
             raise InputError(self.lab.file, "tests", problem, repair)
-        return cast(Campaign, self.on_soil().campaign(out, preparation))
+        return cast(Campaign, self.on_soil().campaign(out))
 
     def on_soil(self) -> "Session":
         """The same session with the lab's tests with soil alone."""

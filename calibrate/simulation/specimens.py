@@ -9,7 +9,6 @@ import numpy as np
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
-from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import names_of
 from calibrate.simulation.bare import BareCampaign
@@ -69,10 +68,9 @@ def campaign(
 
 
 def simulate(
-    lab: Lab, preset: Preset, settings: dict[str, float], seed: int, work: AbstractCampaign
+    lab: Lab, preset: Preset, soil: SoilParameters, seed: int, work: AbstractCampaign
 ) -> tuple[dict, list[Run]]:
     """All tests on the preset's packings; the contract's JSON and the runs."""
-    soil = with_values(base_soil(lab), settings)
     seeds = Seeds.of(seed, preset.packings).fitted
     runs = work.runs([soil], seeds, "simulating")[0]
     result = {
@@ -173,14 +171,40 @@ def drawn(displacement_mm: np.ndarray, force_n: np.ndarray) -> dict[str, list[fl
     return {name: [float(f"{x:.6g}") for x in column] for name, column in columns.items()}
 
 
-def packing_json(seed: int, run: Run) -> dict:
-    """One simulated specimen with its curves as drawn."""
+def checked_json(lab: Lab, seeds: Seeds, fitted: Sequence[Run], fresh: Sequence[Run]) -> dict:
+    """Runs at fitted values on the packings of the fit and on fresh ones, what was measured beside
+    them, and what says whether to believe them."""
     return {
-        "seed": seed,
-        **run.observables,
-        "failure": run.failure,
-        "curves": {name: drawn(*curve.T) for name, curve in run.curves.items()},
+        **summary_json(fitted),
+        "fresh_packings": summary_json(fresh),
+        "measured": measured_json(lab),
+        "seeds": list(seeds.fitted),
+        "fresh_seeds": list(seeds.fresh),
+        "packings": {
+            "fitted": _packings_json(seeds.fitted, fitted),
+            "fresh": _packings_json(seeds.fresh, fresh),
+        },
+        "quality": quality_json(fitted),
+        "observable_warnings": doubts(lab, fresh),
     }
+
+
+def summary_json(runs: Sequence[Run]) -> dict:
+    """Means over packings, and the scatter of one."""
+    return {"observables": mean_observables(runs), "spread": spread_observables(runs)}
+
+
+def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
+    """Simulated specimens with their curves as drawn."""
+    return [
+        {
+            "seed": seed,
+            **run.observables,
+            "failure": run.failure,
+            "curves": {name: drawn(*curve.T) for name, curve in run.curves.items()},
+        }
+        for seed, run in zip(seeds, runs, strict=True)
+    ]
 
 
 def measured_json(lab: Lab) -> dict:

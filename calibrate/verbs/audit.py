@@ -16,7 +16,6 @@ from calibrate.figures import Figure
 from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.parameters import FACTORS, space
-from calibrate.io.soil import base_soil, with_values
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
@@ -156,12 +155,11 @@ def audit(
     """
     folder, names = Path(out), checked_strategies(listed(strategies))
     session = Session.open(lab, preset, folder, dask, batch=batch).resized(spheres)
-    changes = parameter_values(values, session.lab.particles.conventions)
-    base = with_values(base_soil(session.lab), changes)
+    base = session.soil(parameter_values(values))
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
     campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
-    slopes = slopes_of(audited, campaign(folder, None), seeds, names)
+    slopes = slopes_of(audited, campaign(folder), seeds, names)
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     found = AuditResult(slopes, folder, {**origin_of(session), **settings, **audit_json(slopes)})
     write_json(folder / "audit.json", found.content)

@@ -19,7 +19,6 @@ from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import as_json, write_text
 from calibrate.figures import Figure
-from calibrate.io.conventions import check_values
 from calibrate.io.labfile import check_parameter
 
 P = ParamSpec("P")
@@ -198,17 +197,12 @@ def _as_arguments(text: str) -> str:
     return OPTION.sub(lambda found: found[1].replace("-", "_"), text)
 
 
-def parameter_values(
-    values: Mapping[str, float | str] | None, conventions: str | None = None
-) -> dict[str, float]:
-    """Parameters by name as numbers in SI units, checked; also against the lab's conventions."""
-    found = {
+def parameter_values(values: Mapping[str, float | str] | None) -> dict[str, float]:
+    """Parameters by name as numbers in SI units, checked."""
+    return {
         name: check_parameter(name, value, COMMAND_LINE, f"--set {name}")
         for name, value in (values or {}).items()
     }
-    if conventions is not None:
-        check_values(conventions, found, COMMAND_LINE, "--set ")
-    return found
 
 
 def line(sentence: str) -> Text:

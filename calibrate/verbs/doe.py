@@ -88,7 +88,6 @@ def doe(
     """
     folder = Path(out)
     session = Session.open(lab, preset, folder, dask, batch=batch).on_soil()
-    changes = parameter_values(values, session.lab.particles.conventions)
-    work = session.campaign(folder, None)
-    done = design(session.lab, session.preset, changes, seed, work)
+    base = session.soil(parameter_values(values))
+    done = design(session.lab, session.preset, base, seed, session.campaign(folder))
     return DoeResult(done, folder, report.write(session, done))

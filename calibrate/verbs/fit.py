@@ -12,12 +12,10 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate.core.errors import COMMAND_LINE
 from calibrate.core.files import write_json, write_text
 from calibrate.inference.calibration import Calibrated, calibrate, fit_json
 from calibrate.inference.parameters import RANGES, checked_free
 from calibrate.inference.resolutions import Coarse
-from calibrate.io.conventions import check_free
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
@@ -25,7 +23,7 @@ from calibrate.records.base import record
 from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
-from calibrate.simulation.specimens import check_some_sound, doubts
+from calibrate.simulation.specimens import check_some_sound
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
 
@@ -115,10 +113,10 @@ class FitResult(AbstractFiguresResult):
 
     def _verification(self) -> Iterator[str]:
         """How far fresh packings' means are from what was measured, and a publication's error."""
-        fresh = self.content["fresh_packings"]
+        fresh = self.record.fresh_packings
         count = len([packing for packing in self.record.packings.fresh if not packing.failure])
-        for name, target in self.lab.targets.items():
-            mean, error = fresh["observables"][name], fresh["spread"][name] / max(count, 1) ** 0.5
+        for name, target in self.record.measured.targets.items():
+            mean, error = fresh.observables[name], fresh.spread[name] / max(count, 1) ** 0.5
             said = (
                 f"{label(name)} on {count} fresh packings: {mean:.4g} ± {error:.2g} (standard "
                 f"error), {100 * (mean / target.mean - 1):+.1f} % of what was measured"
@@ -130,14 +128,14 @@ class FitResult(AbstractFiguresResult):
 
     def _conclusions(self) -> Iterator[str]:
         """What the data fixed, what they left open, how the fit ended, and what it warns of."""
-        found = self.content
+        found = self.record
         yield (
-            f"stopped: {found['stopped']}; {len(found['history'])} evaluations, "
-            f"{found['simulations']} simulations in this start"
+            f"stopped: {found.stopped}; {len(found.history)} evaluations, "
+            f"{found.simulations} simulations in this start"
         )
         held = [name for name in RANGES if name not in self.free]
         yield "held at their starting values: " + ", ".join(held)
-        for direction in self.record.identifiability.directions:
+        for direction in found.identifiability.directions:
             weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
             word = VERDICTS[direction.verdict]
             yield f"{word} (signal/noise {direction.signal_to_noise:.1f}): {weights}"
@@ -200,24 +198,21 @@ def fit(
     """
     folder = Path(out)
     session = Session.open(lab, preset, folder, dask, conventions)
-    followed = session.lab.particles.conventions
-    changes = parameter_values(values, followed)
-    names = None if free is None else checked_free(listed(free))
-    check_free(followed, names or (), COMMAND_LINE, "--free ")
-    preparation = changes if prepare_with_soil else None
+    base = session.soil(parameter_values(values))
+    names = None if free is None else checked_free(listed(free), session.lab)
+    preparation = base if prepare_with_soil else None
     work, spheres = session.campaign(folder, preparation), session.preset.explored
     coarse = None
     if spheres is not None:
         smaller = session.resized(spheres).campaign(folder, preparation)
         coarse = Coarse(smaller, spheres, session.preset.spheres)
-    done = calibrate(session.lab, session.preset, names, changes, seed, work, coarse)
+    done = calibrate(session.lab, session.preset, names, base, seed, work, coarse)
     return kept(session, done)
 
 
 def kept(session: Session, done: Calibrated) -> FitResult:
     """The result, with result.json, history.csv and a figure in the session's folder."""
     content = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
-    content["observable_warnings"] = doubts(session.lab, done.fresh_runs)
     found = FitResult(session.lab, session.out, content)
     write_json(session.out / "result.json", content)
     write_text(session.out / "history.csv", _table_of(content["history"]))

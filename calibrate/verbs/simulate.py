@@ -130,9 +130,9 @@ def simulate(
     session = Session.open(lab, preset, folder, dask, conventions)
     if single:
         session = session.in_single_precision()
-    changes = parameter_values(values, session.lab.particles.conventions)
-    work = session.campaign(folder, changes if prepare_with_soil else None)
-    content, runs = specimens.simulate(session.lab, session.preset, changes, seed, work)
+    soil = session.soil(parameter_values(values))
+    work = session.campaign(folder, soil if prepare_with_soil else None)
+    content, runs = specimens.simulate(session.lab, session.preset, soil, seed, work)
     return kept(session, content, runs)
 
 

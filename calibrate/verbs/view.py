@@ -10,7 +10,6 @@ from rich.console import RenderableType
 
 from calibrate.core.files import make_folder, write_json
 from calibrate.figures import bed
-from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation.session import Session
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractResult, line, parameter_values, verb
@@ -70,9 +69,8 @@ def view(
     folder = Path(out)
     session = Session.open(lab, preset, folder)
     make_folder(folder / "vtk")
-    changes = parameter_values(values, session.lab.particles.conventions)
-    soil = with_values(base_soil(session.lab), changes)
-    work = session.campaign_of_one(folder, None)
+    soil = session.soil(parameter_values(values))
+    work = session.campaign_of_one(folder)
     (packing,) = work.packings([seed])
     seen = states(work.lab, packing, soil, frames, session.progress.say)
     touching = [contacts_of(frame.bed, frame.state) for frame in seen]

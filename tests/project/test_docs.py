@@ -12,18 +12,24 @@ import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 
 from calibrate import cli
-from calibrate.io.lab import bundled_lab
+from calibrate.inference.evaluation import Calibration
+from calibrate.inference.parameters import space
+from calibrate.inference.problem import Problem
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.base import Pace
+from calibrate.labtests.features import ScalarTarget
 from calibrate.labtests.measured import Cylinder
 from calibrate.reports.effects import PLAIN
 from calibrate.verbs import VERBS
@@ -389,6 +395,30 @@ def test_the_strategy_finds_the_slopes_of_a_plane(examples):
     np.testing.assert_allclose(found.slopes, slopes, rtol=1e-6)
     assert found.values.shape == (3, 2)
     assert strategy.runs(2, 3) == 3 and eqx.is_array(found.standard_error)
+
+
+def test_the_rule_stops_at_its_cost(examples):
+    def state(cost):
+        return SimpleNamespace(best=SimpleNamespace(cost=cost))
+
+    assert examples["good_enough"](state(2.5)) == ""
+    assert [rule(state(1.5)) for rule in examples["settings"].stopping[:1]] == [
+        "the cost is below 2"
+    ]
+    assert len(examples["settings"].stopping) == 6
+
+
+def test_the_density_of_a_straight_response_is_highest_where_it_meets_data_and_prior(examples):
+    """One number and one parameter of prior deviation s: with slope b = d/s, d the deviation of
+    the number, half way to the data."""
+    free = space(load_lab(bundled_lab()), ("shear_modulus",))
+    (prior,) = free.prior_sd()
+    problem = Problem((ScalarTarget("depth", "mm", ""),), np.ones(1), np.array([0.04]), np.zeros(1))
+    work: Any = None
+    case = Calibration(problem, free, work, range(3), np.zeros((1, 1)), 8)
+    density = examples["straight"](case, jnp.array([0.6]), jnp.array([[0.2 / prior]]))
+    best = jnp.log(free.start()) + 1.0 * prior
+    np.testing.assert_allclose(jax.grad(density)(best), 0.0, atol=1e-9)
 
 
 def test_the_step_of_the_diagnosis_shares_out_a_residual(examples):

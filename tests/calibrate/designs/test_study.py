@@ -49,7 +49,7 @@ class Rough(Formulas):
 
 @pytest.fixture(scope="module")
 def found() -> Designed:
-    return design(replace(LAB, targets=TARGETS), PRESETS["quick"], {}, 0, Rough())
+    return design(replace(LAB, targets=TARGETS), PRESETS["quick"], BASE, 0, Rough())
 
 
 def test_the_screening_finds_what_matters(found):
@@ -125,14 +125,14 @@ def test_levels_stay_within_the_bounds():
 
 def test_a_lab_without_any_target_is_refused():
     with pytest.raises(InputError, match=r"targets.*give one or more of depression_depth_mm"):
-        design(replace(LAB, targets={}), PRESETS["quick"], {}, 0, Formulas())
+        design(replace(LAB, targets={}), PRESETS["quick"], BASE, 0, Formulas())
 
 
 @pytest.mark.slow
 def test_one_target_is_a_goal_of_both_surfaces_and_the_rest_are_responses(tmp_path):
     """The depth, without a target, has effects, surfaces and slopes all the same."""
     lab = replace(LAB, targets={"crushing_force_n": TARGETS["crushing_force_n"]})
-    found = design(lab, PRESETS["quick"], {}, 0, Rough())
+    found = design(lab, PRESETS["quick"], BASE, 0, Rough())
     titles = [experiment.title for experiment in found.study.experiments]
     assert titles == ["screening", "force", "force, 3 factors", "refinement"]
     assert set(found.study.screens) == set(TARGETS) and found.study.goals == ("crushing_force_n",)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibrate.inference.first_order import FirstOrder
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import pose
+from calibrate.inference.traced import FirstOrder
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.simulation import Campaign

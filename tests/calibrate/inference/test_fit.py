@@ -11,17 +11,27 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
 from calibrate.inference.evaluation import Calibration, Settings, packing_scatter
-from calibrate.inference.fit import descend, fit
+from calibrate.inference.fit import EnoughEvaluations, begun, descend, fit, rules, step
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem, pose
+from calibrate.inference.slopes import (
+    AbstractSlopes,
+    CorrectedSlopes,
+    MeasuredSlopes,
+    SlopesOfSmallerBeds,
+    secant,
+)
 from calibrate.labtests.features import ScalarTarget
 from calibrate.labtests.measured import Curve
 from calibrate.simulation import Campaign
@@ -128,6 +138,182 @@ def test_stated_intervals_hold_their_promise():
     assert hits >= 34, hits
 
 
+# ------------------------------------------------------------------ residual and density
+
+
+def two_numbers(measured, sd, scatter=((0.0, 0.0), (0.0, 0.0))):
+    """Two parameters and two targets of which one packing's relative covariance is `scatter`."""
+    features = tuple(
+        ScalarTarget(name, unit, "") for name, unit in (("depth", "mm"), ("force", "N"))
+    )
+    problem = Problem(features, np.array(measured), np.square(sd), np.zeros(2, int))
+    free = space(LAB, TWO, BASE)
+    return Calibration(problem, free, Formulas(), SEEDS, np.array(scatter), 8)
+
+
+def test_residual_and_density_are_those_of_independent_normals_by_hand():
+    """Two deviations of the first target, one of the second; one prior deviation in ln p."""
+    case = two_numbers([3.0, 200.0], [0.1, 20.0])
+    prior = case.space.prior_sd()
+    values = case.space.start() * np.exp(prior * [1.0, 0.0])
+    found = case.residual(values, np.array([2.8, 220.0]))
+    np.testing.assert_allclose(found, [2.0, -1.0, 1.0, 0.0], atol=1e-9)
+    normal = -0.5 * (4 + 1 + 1) - np.log(0.1) - np.log(20.0) - np.log(prior).sum()
+    expected = normal - 2 * np.log(2 * np.pi)
+    assert case.log_density(values, np.array([2.8, 220.0])) == pytest.approx(expected)
+
+
+def test_the_density_is_that_of_correlated_features():
+    """Sigma of the mean of three packings, beside that of the laboratory."""
+    scatter = np.array([[0.01, 0.004], [0.004, 0.09]])
+    measured, sd = np.array([3.0, 200.0]), np.array([0.1, 20.0])
+    case = two_numbers(measured, sd, scatter)
+    covariance = scatter * np.outer(measured, measured) / len(SEEDS) + np.diag(sd**2)
+    values, features = case.space.start() * [1.3, 0.6], np.array([2.5, 150.0])
+    data = stats.multivariate_normal(measured, covariance).logpdf(features)
+    prior = stats.norm(0, case.space.prior_sd()).logpdf(np.log([1.3, 0.6])).sum()
+    assert case.log_density(values, features) == pytest.approx(data + prior)
+
+
+def test_the_density_of_a_straight_response_has_the_covariance_of_the_slopes():
+    """Features a + B ln p: by JAX, the Hessian is -(J' J + P^-1), J = L^-1 B, and the gradient is
+    that of the residual."""
+    case = two_numbers([3.0, 200.0], [0.1, 20.0], [[0.01, 0.004], [0.004, 0.09]])
+    slopes, start = jnp.array([[-2.0, 0.5], [30.0, 120.0]]), np.log(case.space.start())
+
+    def density(log_values):
+        features = jnp.array([2.9, 190.0]) + slopes @ (log_values - start)
+        return case.log_density(jnp.exp(log_values), features)
+
+    point = jnp.asarray(start + np.array([0.2, -0.3]))
+    whitened = case.whitened(np.asarray(slopes))
+    prior = case.space.prior_sd()
+    information = whitened.T @ whitened + np.diag(1 / prior**2)
+    np.testing.assert_allclose(jax.hessian(density)(point), -information, rtol=1e-9)
+    features = np.array([2.9, 190.0]) + np.asarray(slopes) @ [0.2, -0.3]
+    residual = case.residual(np.exp(np.asarray(point)), features)
+    downhill = np.concatenate([-whitened, np.diag(1 / prior)]).T @ residual
+    np.testing.assert_allclose(jax.grad(density)(point), -downhill, rtol=1e-9)
+
+
+def test_an_evaluation_holds_the_public_residual_and_its_cost_is_the_density():
+    """But for a constant; nothing is simulated for either."""
+    case = scalar_case(TRUTH_TWO, 0)
+    found = [case.evaluate(START_TWO * f, "point") for f in ([1.0, 1.0], [1.2, 0.7])]
+    runs = case.forward_runs
+    for each in found:
+        mean = each.features.mean(axis=0)
+        np.testing.assert_array_equal(case.residual(each.values, mean), each.residual)
+    densities = [case.log_density(each.values, each.features.mean(axis=0)) for each in found]
+    assert densities[1] - densities[0] == pytest.approx(found[0].cost - found[1].cost)
+    assert case.forward_runs == runs
+
+
+# ------------------------------------------------------------------ a descent in its parts
+
+
+class Noted(Formulas):
+    """Notes what it was asked for."""
+
+    def each(self, soils, seeds, what):
+        self.asked = [*getattr(self, "asked", []), what]
+        return super().each(soils, seeds, what)
+
+
+class Failing:
+    """Every soil fails that the solver asks for at its evaluations of these numbers."""
+
+    def __init__(self, *evaluations):
+        self.what = [f"evaluation {number}" for number in evaluations]
+
+    def campaign(self):
+        work = Formulas()
+        honest = work.runs
+
+        def runs(soils, seeds, what):
+            rows = honest(soils, seeds, what)
+            if what not in self.what:
+                return rows
+            return [[replace(run, failure="the bed exploded") for run in row] for row in rows]
+
+        work.runs = runs
+        return work
+
+
+def told(descent):
+    """What a descent found, but for the meter of forward runs."""
+    rows = [{k: v for k, v in row.items() if k != "forward_runs"} for row in descent.history]
+    return rows, descent.stopped, descent.slopes.tolist()
+
+
+def test_steps_one_by_one_are_the_descent_and_leave_earlier_states_alone():
+    case = scalar_case(TRUTH_TWO, 0)
+    states = [begun(case, START_TWO * [3.0, 0.4])]
+    while not states[-1].stopped:
+        states.append(step(states[-1]))
+    assert told(states[-1]) == told(descend(case, START_TWO * [3.0, 0.4]))
+    assert [len(state.history) for state in states] == list(range(len(states)))
+    assert told(step(states[1])) == told(states[2])
+
+
+def test_rules_can_be_changed_and_one_that_stops_a_step_short_pays_for_no_slopes():
+    work = Noted()
+
+    def once_better(descent):
+        return "better" if len(descent.history) == 2 and descent.at is descent.best else ""
+
+    usual = descend(scalar_case(TRUTH_TWO, 0))
+    own = Settings(stopping=(once_better, *rules(Settings())))
+    found = descend(scalar_case(TRUTH_TWO, 0, work=work, settings=own))
+    assert found.stopped == "better" and len(usual.history) > 2
+    assert told(found)[0] == told(usual)[0][:2]
+    assert found.jacobian is None and work.asked[-1] == "evaluation 2"
+    only = Settings(stopping=(EnoughEvaluations(4),))
+    assert len(descend(scalar_case(TRUTH_TWO, 0, settings=only)).history) == 4
+
+
+def test_slopes_of_smaller_beds_are_taken_over_and_then_corrected():
+    work = Noted()
+    measured = scalar_case(TRUTH_TWO, 0).slopes(START_TWO, "slopes")
+    case = scalar_case(TRUTH_TWO, 0, work=work)
+    first = step(begun(case, slopes=SlopesOfSmallerBeds(measured)))
+    assert type(first.estimate) is CorrectedSlopes and first.estimate.at is None
+    np.testing.assert_array_equal(first.slopes, measured)
+    second = step(first)
+    np.testing.assert_array_equal(second.slopes, secant(measured, first.best, second.best))
+    assert not [what for what in work.asked if what.startswith("slopes")]
+
+
+def test_slopes_of_smaller_beds_are_dropped_where_the_start_fails():
+    case = scalar_case(TRUTH_TWO, 0, work=Failing(1).campaign())
+    first = step(begun(case, slopes=SlopesOfSmallerBeds(np.ones((2, 2)))))
+    assert not first.slopes.any()
+    assert type(step(first).estimate) is MeasuredSlopes
+
+
+@dataclass(frozen=True, eq=False)
+class AlwaysMeasured(AbstractSlopes):
+    """A user's own: measured at every point that is better."""
+
+    values: np.ndarray
+    trusted = True
+
+    def updated(self, last):
+        if not last.better:
+            return self
+        return AlwaysMeasured(last.calibration.slopes(last.now.values, "slopes of my own"))
+
+
+def test_slopes_can_be_changed():
+    work = Noted()
+    found = descend(
+        scalar_case(TRUTH_TWO, 0, work=work), START_TWO * [3.0, 0.4], AlwaysMeasured(np.eye(2))
+    )
+    better = [row for row in found.history if row["status"] == "better"]
+    assert found.stopped == "every target is met within the tolerance"
+    assert work.asked.count("slopes of my own") == len(better) - 1  # not at the last: it is done
+
+
 # ------------------------------------------------------------------ the record of a fit
 
 
@@ -138,14 +324,6 @@ def test_the_best_iterate_is_kept():
     best = result.history[int(np.argmin(costs))]
     assert list(best["parameters"].values()) == result.best.values.tolist()
     assert best["status"] == "better"
-
-
-class Noted(Formulas):
-    """Notes what it was asked for."""
-
-    def each(self, soils, seeds, what):
-        self.asked = [*getattr(self, "asked", []), what]
-        return super().each(soils, seeds, what)
 
 
 def test_slopes_are_measured_anew_after_two_rejected_steps_in_a_row_only():
@@ -202,26 +380,6 @@ def test_a_fit_ends_after_its_evaluations():
     result = fit(scalar_case(TRUTH_TWO, 0, settings=Settings(evaluations=2, tolerance=0.0)))
     assert [row["evaluation"] for row in result.history] == [1, 2]
     assert result.stopped == "after 2 evaluations"
-
-
-class Failing:
-    """Every soil fails that the solver asks for at its evaluations of these numbers."""
-
-    def __init__(self, *evaluations):
-        self.what = [f"evaluation {number}" for number in evaluations]
-
-    def campaign(self):
-        work = Formulas()
-        honest = work.runs
-
-        def runs(soils, seeds, what):
-            rows = honest(soils, seeds, what)
-            if what not in self.what:
-                return rows
-            return [[replace(run, failure="the bed exploded") for run in row] for row in rows]
-
-        work.runs = runs
-        return work
 
 
 @pytest.mark.parametrize("failing", [(2,), (2, 3)])

@@ -10,7 +10,7 @@ import pytest
 
 from calibrate.core.progress import Silent
 from calibrate.inference.calibration import (
-    explored,
+    exploring,
     fit_from,
     resolutions_json,
     scatter_of_packings,
@@ -21,7 +21,6 @@ from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
 from calibrate.labtests.features import ScalarTarget
-from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.specimens import Seeds
 from tests.support.formulas import BASE, LAB, Formulas, shift
 
@@ -65,7 +64,13 @@ def calibration(large, small):
 
 def across(case):
     """The fit from where the small beds' fit ends."""
-    return fit_from(case, explored(case, case.correction(case.space.start(), "start")))
+    smaller = explored(case)
+    return fit_from(case, smaller.best, smaller.slopes)
+
+
+def explored(case):
+    """The fit of the small beds to corrected targets."""
+    return descend(exploring(case, case.correction(case.space.start(), "start")))
 
 
 def test_the_ratio_and_its_error_are_those_of_the_means():
@@ -152,9 +157,9 @@ def test_slopes_of_small_beds_are_taken_along_and_not_measured_again_at_their_en
             return super().each(soils, seeds, what)
 
     case = calibration(Formulas(), Asked())
-    walked = explored(case, case.correction(case.space.start(), "start"))
+    smaller = explored(case)
     before = len(asked)
-    result = fit_from(case, walked)
+    result = fit_from(case, smaller.best, smaller.slopes)
     assert not [what for what in asked[before:] if what.startswith("slopes at evaluation")]
     assert "slopes at the best point" in asked[before:]
     assert result.history[0]["status"] == "better"
@@ -181,8 +186,8 @@ def test_sizes_that_disagree_beyond_their_errors_are_said_in_one_sentence(bends,
     large = Formulas(progress=Noted())
     case = calibration(large, Small(bends=bends))
     first = case.correction(case.space.start(), "start")
-    result = fit_from(case, explored(case, first))
-    record = resolutions_json(case, first, result, PRESETS["standard"])
+    result = across(case)
+    record = resolutions_json(case, first, result)
     lines = [line for line in large.progress.lines if "disagree beyond their errors" in line]
     assert (len(lines) == 1) == said and bool(record["disagree"]) == said
     assert record["explored_spheres"] == 500

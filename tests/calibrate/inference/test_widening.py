@@ -17,6 +17,7 @@ from calibrate.inference.parameters import space
 from calibrate.inference.resolutions import Coarse
 from calibrate.inference.widening import FARTHEST, Outlook
 from calibrate.io.lab import ParameterChoice as Choice
+from calibrate.io.soil import base_soil
 from calibrate.labtests.measured import Curve, Target
 from calibrate.simulation.resolution import PRESETS
 from tests.support.formulas import BASE, LAB, Capped
@@ -49,7 +50,7 @@ def crushed(factor):
 
 
 def fitted(lab, free=None, work=None, coarse=None):
-    return fit_json(calibrate(lab, PRESET, free, {}, 0, work or Capped(), coarse))
+    return fit_json(calibrate(lab, PRESET, free, base_soil(lab), 0, work or Capped(), coarse))
 
 
 @cache

@@ -16,7 +16,7 @@ from calibrate.core.progress import Silent
 from calibrate.inference.audit import traces
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, load_lab
-from calibrate.io.soil import base_soil
+from calibrate.io.soil import base_soil, with_values
 from calibrate.records.base import Measured, record
 from calibrate.simulation.resolution import Preset, bare_machine
 from calibrate.simulation.session import Session
@@ -158,7 +158,7 @@ def test_no_soil_changes_it_so_a_fit_compares_nothing_of_it(tmp_path):
     problem = pose(lab)
     assert [feature.name for feature in problem.features] == ["depression_depth_mm"]
     work, soil = campaign(lab, TINY, tmp_path, Silent()), base_soil(lab)
-    result, runs = simulate(lab, TINY, {"shear_modulus": 5e6}, 0, work)
+    result, runs = simulate(lab, TINY, with_values(soil, {"shear_modulus": 5e6}), 0, work)
     assert [run.failure for run in runs] == ["", ""]
     assert result["observables"]["deflection_mm"] == 0.0 == result["spread"]["deflection_mm"]
     assert result["observables"]["depression_depth_mm"] > 0
@@ -171,7 +171,7 @@ def test_no_soil_changes_it_so_a_fit_compares_nothing_of_it(tmp_path):
 def test_a_lab_of_the_machine_alone_is_simulated_and_not_fitted(tmp_path):
     lab = lab_of(tmp_path, HEAD + MACHINE)
     work = campaign(lab, TINY, tmp_path, Silent())
-    result, _ = simulate(lab, TINY, {}, 0, work)
+    result, _ = simulate(lab, TINY, base_soil(lab), 0, work)
     assert result["observables"] == {"deflection_mm": 0.0} and result["failures"] == []
     assert result["quality"]["spheres"] == work.simulated == 0
     with pytest.raises(InputError, match=r"measured on soil.*add a test of soil"):
@@ -181,7 +181,7 @@ def test_a_lab_of_the_machine_alone_is_simulated_and_not_fitted(tmp_path):
 def test_what_takes_one_specimen_takes_that_of_the_soil(tmp_path):
     lab = lab_of(tmp_path, HEAD + MACHINE + SOIL)
     session = Session(lab, TINY, tmp_path, Silent())
-    assert [t.name for t in session.campaign_of_one(tmp_path, None).apparatus] == ["confined"]
+    assert [t.name for t in session.campaign_of_one(tmp_path).apparatus] == ["confined"]
     assert traces(["fit", "pathwise"]) and not traces(["fit", "ensemble", "regression"])
 
 

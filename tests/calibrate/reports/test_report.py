@@ -64,7 +64,7 @@ def session(folder: Path, **changes) -> Session:
 
 def written_fit(folder: Path, free=None, **changes) -> Path:
     opened = session(folder, **changes)
-    fit_verb.kept(opened, fit(opened.lab, PRESET, free, {}, 0, Formulas()))
+    fit_verb.kept(opened, fit(opened.lab, PRESET, free, opened.soil({}), 0, Formulas()))
     return folder
 
 
@@ -79,7 +79,7 @@ def written_audit(folder: Path) -> Path:
 
 def written_study(folder: Path) -> Path:
     opened = session(folder)
-    study.write(opened, design(opened.lab, PRESET, {}, 0, Formulas()))
+    study.write(opened, design(opened.lab, PRESET, opened.soil({}), 0, Formulas()))
     return folder
 
 
@@ -236,7 +236,7 @@ def test_a_failed_packing_is_named(tmp_path, folders):
 def test_curves_without_targets_have_a_page(tmp_path):
     opened = session(tmp_path, curves=(MEASURED,))
     opened = replace(opened, lab=replace(opened.lab, targets={}))
-    found = fit(opened.lab, PRESET, ("shear_modulus",), {}, 0, Formulas())
+    found = fit(opened.lab, PRESET, ("shear_modulus",), opened.soil({}), 0, Formulas())
     fit_verb.kept(opened, found)
     text = text_of(page_of(tmp_path))
     assert re.search(r"\d of \d numbers read from curves lie within 2 s\.d\.", text)
@@ -433,7 +433,7 @@ def missed_fit(tmp_path_factory):
     opened = session(folder)
     strong = Curve("unconfined", *(specimen(BASE, 7).curves["unconfined"] * [1.0, 3.0]).T, "s.csv")
     opened = replace(opened, lab=replace(opened.lab, targets={}, curves=(strong,)))
-    fit_verb.kept(opened, fit(opened.lab, PRESET, ("restitution",), {}, 0, Formulas()))
+    fit_verb.kept(opened, fit(opened.lab, PRESET, ("restitution",), opened.soil({}), 0, Formulas()))
     return folder
 
 
@@ -476,7 +476,7 @@ def test_what_a_wider_round_freed_is_shown_with_its_start(tmp_path):
     opened = session(tmp_path)
     values = {"depression_depth_mm": Target(1.2, 0.05, 4), "crushing_force_n": Target(420, 20, 4)}
     opened = replace(opened, lab=replace(opened.lab, targets=values))
-    found = fit_verb.kept(opened, fit(opened.lab, PRESET, None, {}, 0, Capped()))
+    found = fit_verb.kept(opened, fit(opened.lab, PRESET, None, opened.soil({}), 0, Capped()))
     result = json.loads((tmp_path / "result.json").read_text())
     assert len(result["rounds"]) > 1
     assert page_of(tmp_path)

@@ -453,7 +453,7 @@ def test_few_spheres_across_are_said():
 def test_a_session_in_single_precision_simulates_in_it(tmp_path):
     session = Session.open(None, "quick", tmp_path)
     both = (session, session.in_single_precision())
-    campaigns = [each.campaign_of_one(tmp_path, None) for each in both]
+    campaigns = [each.campaign_of_one(tmp_path) for each in both]
     assert [work.lab.numerics.dtype for work in campaigns] == ["float64", "float32"]
 
 

@@ -4,23 +4,29 @@ A response has curvature, interactions, a level and a slope of its own on each p
 where a test says so noise: what a bed of spheres has, without a bed of spheres.
 """
 
+import inspect
+import re
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
+from pydantic import TypeAdapter
 
+import calibrate
 from calibrate.figures.audit import MARKS
-from calibrate.inference.audit import STRATEGIES, Audit, strategies, verdict
+from calibrate.inference.audit import STRATEGIES, Audit, verdict
 from calibrate.inference.curve_points import POINTS, CurvePoints, CurveReading
 from calibrate.inference.evaluation import Evaluation
-from calibrate.inference.fit import secant
 from calibrate.inference.parameters import ALONE, FACTORS, fitting_groups, probing_groups, space
+from calibrate.inference.slopes import secant
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.composite import names
-from calibrate.records.audit import Strategy
+from calibrate.records.audit import StrategyName
+from calibrate.verbs import audit as audit_verb
 from jdem.observables import Curve
 from jdem.sensitivity.base import Sensitivity
 from jdem.sensitivity.composite import Blend, blended
@@ -208,10 +214,29 @@ def test_a_traced_run_is_read_like_a_stored_one():
     np.testing.assert_allclose(points.traced(traced), points.read(kept), rtol=1e-12)
 
 
-def test_every_strategy_can_be_named_recorded_and_drawn():
-    lab = load_lab(bundled_lab())
-    available = strategies(space(lab, FACTORS))
-    assert set(STRATEGIES) == set(available) == set(get_args(Strategy)) == set(MARKS)
+def test_every_strategy_is_made_named_recorded_and_drawn():
+    free = space(load_lab(bundled_lab()), FACTORS)
+    assert all(each.constructor(free).describe() for each in STRATEGIES.values())
+    assert set(STRATEGIES) == set(MARKS)
+    recorded = TypeAdapter(StrategyName)
+    assert [recorded.validate_python(name) for name in STRATEGIES] == list(STRATEGIES)
+    with pytest.raises(ValueError, match="should be 'fit', 'ensemble'"):
+        recorded.validate_python("reference")
+    stated = inspect.unwrap(audit_verb.audit).__annotations__["strategies"]
+    (option,) = (each for each in stated.__metadata__ if hasattr(each, "help"))
+    offered, _, _ = re.sub(r" \(.*?\)", "", option.help).partition(";")
+    assert offered.split(", ") == list(STRATEGIES)
+    page = (Path(calibrate.__file__).parents[1] / "docs/gradients.md").read_text(encoding="utf-8")
+    for name, each in STRATEGIES.items():
+        assert f"| `{name}` | {each.doc} |" in page
+
+
+def test_a_blend_stands_below_its_parts():
+    names = list(STRATEGIES)
+    for name, each in STRATEGIES.items():
+        if each.blend_of:
+            assert not STRATEGIES[each.blend_of].simulated
+            assert max(map(names.index, (each.blend_of, "ensemble"))) < names.index(name)
 
 
 def test_the_ensemble_is_more_precise_than_one_at_a_time_at_lower_cost():
