@@ -2,9 +2,10 @@
 
     python -m studies.diagnosis        four minutes
 
-Reads the results of open_cases, infill, further_tests, liggghts.references, liggghts.codes and of
-sealed, with and without --shapes, and times both commands on a case of open_cases.  What is asked
-was written down before any of these cases was made.  Writes studies/results/diagnosis.md.
+Reads the results of open_cases, sound_cases, infill, further_tests, liggghts.references,
+liggghts.codes and of sealed, with and without --shapes, and times both commands on a case of
+open_cases.  What is asked was written down before any of these cases was made.  Writes
+studies/results/diagnosis.md.
 """
 
 import json
@@ -21,12 +22,13 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.discrepancy.comparison.classes import TOGETHER
+from calibrate.discrepancy.comparison.naming import BEYOND, FEWEST
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.diagnosis import diagnosed
 from calibrate.io.lab import bundled_lab, load_lab
 from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
-from studies import further_tests, open_cases, reporting
+from studies import further_tests, open_cases, reporting, sound_cases
 from studies.sealed import run, training
 from studies.sealed.scores import CLOSE, expected_error, share
 
@@ -201,6 +203,29 @@ def of_references() -> Iterator[Row]:
         yield line("nothing hidden: something named", "at most 10 %", named, words)
 
 
+def of_sound() -> Iterator[Row]:
+    """What the command says, with the grounds on which it may name a cause."""
+    cases = result("sound_cases").get("cases", [])
+    fresh = [c for c in cases if c["set"] == sound_cases.FRESH]
+    enough = [c["verdict"] != NONE for c in fresh if c["specimens"] >= FEWEST]
+    fewer = [c["verdict"] != NONE for c in fresh if c["specimens"] < FEWEST]
+    words = "fresh, records from 0 to 10 N on"
+    yield line("nothing hidden, three specimens or four: named", "at most 5 %", enough, words)
+    yield line("nothing hidden, one specimen or two: named", "never", fewer, words)
+    strong = [c for c in cases if c["set"] == sound_cases.STRONG]
+    for called, key in (
+        ("without regard to grounds, cross-validated", "before"),
+        ("likeliest", "likeliest"),
+        ("named by the command", "verdict"),
+    ):
+        right = [c[key] == c["truth"] for c in strong]
+        yield line(f"one effect above 6: {called}", "at least 90 %", right, "opened")
+    beyond = [c["reason"] == BEYOND for c in strong]
+    yield line(
+        "- soil beyond the library: not named before it has runs there", "", beyond, "opened"
+    )
+
+
 def of_codes() -> Iterator[Row]:
     every = result("codes").get("carried", [])
     for soil in dict.fromkeys(each["soil"] for each in every):
@@ -281,7 +306,8 @@ def asked_for() -> list[tuple[str, ...]]:
 def main() -> None:
     reporting.no_options(__doc__)
     parts: tuple[Callable[[], Iterator[Row]], ...] = (
-        of_sealed, of_open, of_infill, of_further, of_references, of_codes, of_real_soil, of_time
+        of_sealed, of_open, of_sound, of_infill, of_further, of_references, of_codes, of_real_soil,
+        of_time,
     )  # fmt: skip
     rows = [row for part in parts for row in part()]
     text = "\n".join([

@@ -16,8 +16,9 @@ with the same result, and nothing is left over.
 By default simulations are formulas (tests/support/formulas.py) of 20 ms, so that kills fall into
 every part of a command and not only into the simulation; --dem simulates spheres, 48 in fit and
 doe.
-The bank is the smallest there is, the study of sealed cases (`withheld`) has two that the bundled
-bank diagnoses after few draws; its seed, otherwise secret, is given, so that results compare.
+The library is the smallest there is.  The study of sealed cases (`withheld`) has two, which the
+bundled library diagnoses after few draws; its seed, otherwise secret, is given, so that results
+compare.
 
     python -m verification.kills
     python -m verification.kills --dem --verbs fit
@@ -51,7 +52,6 @@ from tests.support.pieces import (
     begin,
     inspected,
     left_over,
-    low_lab,
     result_of,
     written,
 )
@@ -64,9 +64,9 @@ LOADED = (diagnosed, study, withheld_report)  # imported before forking, as all 
 def started(verb: str, folder: Path, dem: bool, number: int = 0) -> int:
     """The verb in a process of its own, of several the one of this number."""
     chosen = (VERBS | PAIRED)[verb]
-    lab = [str(low_lab(folder.parent / "low.toml"))] if dem and chosen.takes_lab else []
-    arguments = [*chosen.arguments(folder), *lab, "--out", str(folder / chosen.out)]
-    return launched(arguments, folder.parent / f"{folder.name}{number or ''}.log", dem)
+    return launched(
+        chosen.arguments(folder, dem), folder.parent / f"{folder.name}{number or ''}.log", dem
+    )
 
 
 def launched(arguments: list[str], said: Path, dem: bool) -> int:

@@ -131,7 +131,7 @@ def side_by_side(arguments: list[str], cwd: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", [*pieces.PAIRED, "fit", "doe", "withheld"])
+@pytest.mark.parametrize("verb", [*pieces.PAIRED, *pieces.VERBS])
 def test_two_processes_in_one_folder_both_end_well(verb, tmp_path):
     """Then twice more, when all runs are there and the ends fall together."""
     chosen = {**pieces.VERBS, **pieces.PAIRED}[verb]
@@ -139,7 +139,7 @@ def test_two_processes_in_one_folder_both_end_well(verb, tmp_path):
     folder.mkdir()
     if chosen.before:
         alone([*chosen.before, "--out", str(tmp_path / "made")], tmp_path).communicate()
-    arguments = [*chosen.arguments(folder), "--out", str(folder / chosen.out)]
+    arguments = chosen.arguments(folder)
     side_by_side(arguments, folder)
     first = pieces.result_of(folder / chosen.result)
     side_by_side(arguments, folder)

@@ -7,8 +7,9 @@ named, in this order:
     few specimens    of a test: one or two do not tell by how much specimens scatter, so they cannot
                      show a gap
     beyond library   the soil that fits best lies beyond the runs, where what is left may be an
-                     error of the library; unless the explanation brings it back among them and
-                     removes at least `MOST` of the gap beyond doubt
+                     error of the library; unless with the explanation it lies among them, the gap
+                     is larger than the library's error, and the explanation removes a share of it
+                     whose interval holds its value and does not reach zero
     no shrinkage     the explanation, added to the model, leaves the gap as large as it was: the
                      share that it removes is not above zero (`Reduction.shrinks`)
 
@@ -31,7 +32,6 @@ from calibrate.discrepancy.comparison.repeats import Measured
 
 FEWEST = 3  # specimens of a test that show a gap
 MUTE, FEW, BEYOND = "no curves", "few specimens", "beyond library"
-MOST = 0.5  # share of the gap
 NO_SHRINKAGE = "no shrinkage"
 
 
@@ -66,7 +66,7 @@ def named(
     found = estimate_reduction(d, measured, comparison.noise, comparison.base, fit, seed)
     if grounds.beyond(comparison.base.delta):
         known = comparison.verdict != UNKNOWN and not grounds.beyond(fit.delta)
-        if not (known and found.holds and found.low >= MOST):
+        if not (known and found.visible and found.holds and found.low > 0):
             return _unnamed(comparison, BEYOND), None
     if found.shrinks:
         return comparison, found
