@@ -274,7 +274,7 @@ def fit(
     return finished(calibration, descend(calibration, start, slopes))
 
 
-def finished(calibration: Calibration, descent: Descent) -> Fit:
+def finished(calibration: Calibration, descent: Descent | Fit) -> Fit:
     """The fit that ends where the descent was best, and what the data fix there."""
     best = descent.best
     if best is None or best.failures:
