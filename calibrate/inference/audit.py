@@ -50,9 +50,9 @@ class Strategy:
     blend_of: str = ""
 
 
-def _blend(name: str, precise: AbstractStrategy) -> Strategy:
+def _blend(name: str, precise: Callable[[], AbstractStrategy]) -> Strategy:
     doc = f"{name} and ensemble, weighted by measured variance"
-    return Strategy(doc, lambda space: Blend(precise, ensemble(space)), blend_of=name)
+    return Strategy(doc, lambda space: Blend(precise(), ensemble(space)), blend_of=name)
 
 
 # By name; a blend stands below the two that it is made of.  docs/gradients.md has the same table.
@@ -63,11 +63,11 @@ STRATEGIES = {
         "pairs of runs, one parameter at a time", lambda _: Regression((0.25,)), True
     ),
     "pathwise": Strategy("exact derivative of the computed path, by JAX", lambda _: Pathwise()),
-    "blend": _blend("pathwise", Pathwise()),
+    "blend": _blend("pathwise", Pathwise),
     "overdamped": Strategy("from equilibrium to equilibrium, by JAX", lambda _: Overdamped()),
-    "overdamped_blend": _blend("overdamped", Overdamped()),
+    "overdamped_blend": _blend("overdamped", Overdamped),
     "virtual_power": Strategy("power balance, velocities frozen, by JAX", lambda _: VirtualPower()),
-    "virtual_power_blend": _blend("virtual_power", VirtualPower()),
+    "virtual_power_blend": _blend("virtual_power", VirtualPower),
 }
 REFERENCE = Regression((0.2,))
 JUDGED_FROM = 3.0  # standard errors of the reference

@@ -69,7 +69,7 @@ def typed(function: Callable[..., Any]) -> Callable[..., Any]:
     def called(**given: Any) -> Any:
         in_order, by_name = [], {}
         for name, parameter in parameters.items():
-            if given[name] is None:
+            if given.get(name) is None:
                 continue  # the function's own default holds
             value = _typed_of(parameter).read(given[name])
             if parameter.kind is parameter.VAR_POSITIONAL:
