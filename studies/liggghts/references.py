@@ -20,7 +20,12 @@ from calibrate.core.files import write_json
 from calibrate.discrepancy import model_discrepancy
 from calibrate.discrepancy.comparison.compare import compare
 from calibrate.discrepancy.comparison.probability_calibration import NONE
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import (
+    InferenceSetup,
+    answered,
+    described,
+    prepared_diagnosis,
+)
 from calibrate.discrepancy.library.description import ModelDiscrepancy
 from calibrate.discrepancy.model_discrepancy import BaseFitResidual
 from calibrate.io.lab import Lab, load_lab
@@ -40,11 +45,14 @@ def without_conventions(lab: Lab) -> Lab:
 
 
 def judged(lab: Lab, discrepancy: ModelDiscrepancy | None = None) -> dict:
-    """What is said of a lab."""
-    _, d, measured = described(lab, open_cases.emulated(), 0, discrepancy)
+    """What the command says of a lab, and what is likeliest before it asks for grounds."""
+    emulated = open_cases.emulated()
+    read, d, measured = described(lab, emulated, 0, discrepancy)
     found = compare(prepared_diagnosis(d, measured, 0, InferenceSetup()), measured)
+    last, _ = answered(lab, emulated, read, d, measured, found, 0)
     return {
-        "verdict": found.verdict, "stated": found.stated, "p_gap": found.summary.p_before,
+        "verdict": last.verdict, "reason": last.reason, "likeliest": found.verdict,
+        "stated": found.stated, "p_gap": found.summary.p_before,
         "misfit": found.base.objective, "features": len(d.features),
         "directions": 0 if discrepancy is None else discrepancy.directions.shape[1],
     }  # fmt: skip
