@@ -44,13 +44,12 @@ class Verb:
     result: str
     out: str = "."
     takes_lab: bool = True
-    always_dem: bool = False  # whether it simulates spheres where others take formulas
     before: tuple[str, ...] = ()  # a command that makes ./made, which this one reads
 
     def arguments(self, folder: Path, dem: bool = False) -> list[str]:
         """The command, with --out; what begins with ./ lies beside the folder that it works in."""
         given = [str(folder.parent / a[2:]) if a[:2] == "./" else a for a in self.command]
-        if self.takes_lab and (dem or self.always_dem):
+        if self.takes_lab and dem:
             given.append(str(low_lab(folder.parent / "low.toml")))
         return [*given, "--out", str(folder / self.out)]
 
@@ -70,8 +69,6 @@ PAIRED = {  # verbs that write, too, and lose nothing that another kill would no
     "simulate": Verb(("simulate",), "result.json"),
     "audit": Verb(("audit", "--packings", "2", "--spheres", "48", "--strategy", "ensemble"),
                   "audit.json"),
-    "view": Verb(("view", "--frames", "4", "--json", "./seen.json"), "../seen.json",
-                 always_dem=True),
     "contact": Verb(("contact", "--path-um", "20,2,32,-28"), "contact.json", takes_lab=False),
     "convert": Verb(("convert", str(DATA / "machine_exports" / "two_specimens.xlsx")),
                     "convert.json", takes_lab=False),
