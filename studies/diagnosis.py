@@ -251,6 +251,8 @@ def of_real_soil() -> Iterator[Row]:
             found = diagnosed(lab, open_cases.emulated()).comparison
         misfit = f"misfit {found.base.objective:.0f} for {len(found.base.values)} features"
         answer = f"{found.verdict}, stated with {found.stated:.2f}; {misfit}"
+        if found.reason:
+            answer = f"no cause named: {found.reason}; {misfit}"
         yield f"a natural clay, oedometer {words}{law}", "", answer, "", "cause not known"
 
 

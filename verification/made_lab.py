@@ -174,7 +174,8 @@ def write_finished(folder: Path) -> None:
         "# Soils far from the start, fitted with nothing chosen by hand\n\n"
         "`calibrate fit LAB --preset quick`: 150 spheres, three packings fitted, three fresh. "
         "Labs measured H (mm) and F (N) of the bundled lab file, times some factor, or one made "
-        "unconfined curve.\n\n"
+        "unconfined curve. So few spheres are for trying: fresh packings, unseen by the fit, "
+        "crush at another force than those of the fit.\n\n"
     )
     reporting.write_page(
         "made_lab", text + reporting.table(HEADER, rows) + reporting.footer(reporting.provenance())

@@ -114,7 +114,7 @@ def test_a_row_made_with_another_physics_is_told_apart(copied):
 
 # ------------------------------------------------------------------ faults are found
 
-MEASURED = {  # what `python -m verification.quick` measured once; not what it is compared with
+MEASURED = {  # made-up readings that hold; no output of `python -m verification.quick`
     "contact": {name: [1e-7] * 4 for name in ("linear", "hertz", "exponent_1", "capped")},
     "files": {"lab": [0.0], "curve": [0.0], "export": [0.0]},
     "small": {"H": [3.2, 3.3, 3.0, 3.4, 3.1, 3.3], "F": [180, 200, 150, 220, 190, 185]},

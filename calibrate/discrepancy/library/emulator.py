@@ -16,6 +16,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
+from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.kernel import (
     Blocks,
@@ -297,7 +298,10 @@ def _at_centre(dropped: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
-    """Mask of at most about `most_rows` rows: whole packings, evenly from first to last."""
+    """Mask of at most about `most_rows` rows: whole packings, evenly from first to last;
+    `CalibrationError` where there are none."""
+    if not len(packing):
+        raise CalibrationError("too few simulations for a library; give more --packings")
     every = np.unique(packing)
     share = min(most_rows / len(packing), 1.0)
     kept = every[np.unique((np.arange(len(every)) * share).astype(int), return_index=True)[1]]

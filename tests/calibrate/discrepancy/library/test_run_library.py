@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from calibrate.core.errors import InputError
+from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import run_library, simulate, store
 from calibrate.discrepancy.library.cross_validation import (
@@ -48,6 +48,7 @@ from calibrate.discrepancy.library.emulator import (
     FeatureEmulator,
     fit_emulator,
     leading,
+    spread,
 )
 from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
@@ -81,6 +82,11 @@ def emulator() -> FeatureEmulator:
     """Fitted to the formula with packings that scatter by 15 %."""
     scatter = np.exp(PACKING_SD * RNG.normal(size=(ROWS // EACH, 1)))[PACKING]
     return fit_emulator(X, S, PACKING, formula(X, S) * scatter, SCALE)
+
+
+def test_a_library_without_simulations_is_refused_in_a_sentence():
+    with pytest.raises(CalibrationError, match="give more --packings"):
+        spread(np.zeros(0, int), 100)
 
 
 def test_an_emulator_that_was_used_goes_to_another_process(emulator):
