@@ -7,7 +7,7 @@ Where a preset explores with smaller beds, these are fitted first, to targets co
 ratio of both sizes at the start (`calibrate.inference.resolutions`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,7 +83,7 @@ def calibrate(
     screening = {} if screened is None else screening_json(bench, screened)
     if free is None:
         free = tuple(screening["free"])
-        work.progress.say("free parameters: " + ", ".join(free))
+        work.progress.say("free parameters: " + _chosen(screening["alike"]))
     calibration = bench.calibration(free)
     first = calibration.correction(calibration.space.start(), "both resolutions at the start")
     rounds = bench.rounds(calibration, first, screened)
@@ -303,13 +303,24 @@ def screening_json(bench: Bench, screened: Screened) -> dict:
     found = choose_free(names, whitened, prior, rank) or [strongest(names, whitened, prior)]
     features = [feature.name for feature in bench.problem.features]
     return {
-        "free": [name for name, _ in found],
-        "signal_to_noise": dict(found),
+        "free": [choice.name for choice in found],
+        "signal_to_noise": {choice.name: choice.signal_to_noise for choice in found},
+        "alike": {choice.name: list(choice.alike) for choice in found},
         "slopes_per_ln": {
             feature: dict(zip(names, row.tolist(), strict=True))
             for feature, row in zip(features, screened.slopes, strict=True)
         },
     }
+
+
+def _chosen(alike: Mapping[str, Sequence[str]]) -> str:
+    """The names, each with the others that would have served as well."""
+    return ", ".join(
+        f"{name} (in the place of {' or '.join(others)}, which the data see about as well)"
+        if others
+        else name
+        for name, others in alike.items()
+    )
 
 
 def fit_json(done: Calibrated) -> dict:

@@ -12,11 +12,13 @@ covariance says, an interval reaches as much farther on that side.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
 IDENTIFIED = 0.5  # a direction counts as fixed if the data halve the prior's deviation
+ALIKE = 0.7  # of the largest signal-to-noise: slopes of one screening do not tell these apart
 WIDEST = 4.0  # times an interval may reach farther than its covariance says
 TOO_NEAR = 0.25  # deviations; points of a profile that are nearer say nothing of an interval
 
@@ -142,33 +144,44 @@ def _within(bounds: np.ndarray, interval: np.ndarray) -> np.ndarray:
     return np.clip(interval, bounds[:, :1], bounds[:, 1:])
 
 
+class Choice(NamedTuple):
+    """A parameter to free, its signal-to-noise, and others that would have served as well."""
+
+    name: str
+    signal_to_noise: float
+    alike: tuple[str, ...]
+
+
 def choose_free(
     names: tuple[str, ...], whitened_slopes: np.ndarray, prior_sd: np.ndarray, most: int
-) -> list[tuple[str, float]]:
-    """Parameters that the data can fix together, best first, with their signal-to-noise.
+) -> list[Choice]:
+    """Parameters that the data can fix together, best first.
 
     Greedy: the largest whitened slope times prior deviation, then the largest of what is
-    left after projecting the chosen ones out, while it exceeds what `IDENTIFIED` asks for.
+    left after projecting the chosen ones out, while it exceeds what `IDENTIFIED` asks for.  Of
+    those that are ALIKE the one is taken of which least was known beforehand, so that errors of
+    the slopes do not decide which it is.
     """
     remaining = whitened_slopes * prior_sd
-    chosen: list[tuple[str, float]] = []
+    chosen: list[Choice] = []
     while len(chosen) < most:
         strength = np.linalg.norm(remaining, axis=0)
-        best = int(np.argmax(strength))
-        if 1 / np.sqrt(1 + strength[best] ** 2) >= IDENTIFIED:
+        fixed = 1 / np.sqrt(1 + strength**2) < IDENTIFIED
+        alike = np.flatnonzero(fixed & (strength >= ALIKE * strength.max()))
+        if not alike.size:
             break
-        chosen.append((names[best], float(strength[best])))
+        best = max(alike.tolist(), key=lambda i: (prior_sd[i], strength[i]))
+        others = tuple(names[i] for i in alike if i != best)
+        chosen.append(Choice(names[best], float(strength[best]), others))
         unit = remaining[:, best] / strength[best]
         remaining = remaining - np.outer(unit, unit @ remaining)
     return chosen
 
 
-def strongest(
-    names: tuple[str, ...], whitened_slopes: np.ndarray, prior_sd: np.ndarray
-) -> tuple[str, float]:
+def strongest(names: tuple[str, ...], whitened_slopes: np.ndarray, prior_sd: np.ndarray) -> Choice:
     """The parameter that the data see best, and its signal-to-noise, however small."""
     strength = np.linalg.norm(whitened_slopes * prior_sd, axis=0)
-    return names[int(np.argmax(strength))], float(strength.max())
+    return Choice(names[int(np.argmax(strength))], float(strength.max()), ())
 
 
 def _data_alone(information, directions, prior_sd) -> np.ndarray:

@@ -114,9 +114,11 @@ class Step(Record):
 
 
 class Screening(Record):
-    """How the free parameters were chosen; empty where the user chose them."""
+    """How the free parameters were chosen; empty where the user chose them.  `alike`: for each,
+    others that the data see about as well."""
 
     free: list[Parameter] = Field(default_factory=list)
+    alike: dict[Parameter, list[Parameter]] = Field(default_factory=dict)
     slopes_per_ln: dict[str, dict[Parameter, Number]] = Field(default_factory=dict)
 
 

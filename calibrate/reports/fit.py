@@ -190,7 +190,19 @@ def _screening(found: FitRecord) -> Table | None:
     names = list(dict.fromkeys(name for row in slopes.values() for name in row))
     rows = [[words(name), *(number(row.get(name), 3) for row in slopes.values())] for name in names]
     columns = [_column(found, name) for name in slopes]
-    return Table(["candidate", *columns], rows, "Slopes per unit of ln p.")
+    note = " ".join(["Slopes per unit of ln p.", *_alike(found)])
+    return Table(["candidate", *columns], rows, note)
+
+
+def _alike(found: FitRecord) -> Iterator[str]:
+    """What would have served as well as a parameter that was chosen."""
+    for name, others in found.screening.alike.items():
+        if others:
+            seen = " and ".join(map(words, others))
+            yield (
+                f"The data see {seen} about as well as {words(name)}, which was freed; --free "
+                "chooses otherwise."
+            )
 
 
 def _held(found: FitRecord) -> Table:

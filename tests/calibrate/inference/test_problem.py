@@ -536,7 +536,7 @@ def test_the_json_has_null_for_what_is_not_known():
 def chosen(slopes, prior, most=9):
     slopes = np.asarray(slopes, float)
     names = tuple("abcdef"[: slopes.shape[1]])
-    return [name for name, _ in choose_free(names, slopes, np.asarray(prior, float), most)]
+    return [c.name for c in choose_free(names, slopes, np.asarray(prior, float), most)]
 
 
 def test_the_strongest_parameters_are_chosen_strongest_first():
@@ -545,6 +545,18 @@ def test_the_strongest_parameters_are_chosen_strongest_first():
 
 def test_of_two_alike_only_the_stronger_is_chosen():
     assert chosen([[5.0, 4.9, 0.0], [5.0, 4.9, 3.0]], [1, 1, 1]) == ["a", "c"]
+
+
+def test_errors_of_slopes_do_not_decide_which_of_two_that_are_seen_alike_is_freed():
+    """The wider prior does, whichever of both seems stronger; a clear difference counts."""
+    rng = np.random.default_rng(0)
+    for a, b in 10 * (1 + 0.1 * rng.normal(size=(50, 2))):
+        assert chosen([[a / 0.4, b]], [0.4, 1.0]) == ["b"]
+    assert chosen([[10 / 0.4, 6.0]], [0.4, 1.0]) == ["a"]
+    (best, *_) = choose_free(
+        ("a", "b", "c"), np.array([[25.0, 9.0, 2.0]]), np.array([0.4, 1, 1]), 1
+    )
+    assert best == ("b", 9.0, ("a",))
 
 
 def test_a_parameter_known_beforehand_is_not_worth_freeing():

@@ -83,7 +83,7 @@ def test_a_simulation_gives_the_failure_strain_that_a_lab_file_asks_for(tmp_path
     asking, found = load_lab(tmp_path / "lab.toml"), []
     for lab in (plain, asking):
         work = campaign(lab, TINY, tmp_path, Silent())
-        found.append(simulate(lab, TINY, {}, 0, work)[0]["observables"])
+        found.append(simulate(lab, TINY, base_soil(lab), 0, work)[0]["observables"])
     known, strain = found[1], found[1]["failure_strain_percent"]
     assert {name: known[name] for name in found[0]} == found[0]
     assert set(known) - set(found[0]) == {"failure_strain_percent"}

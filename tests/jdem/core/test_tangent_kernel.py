@@ -139,7 +139,11 @@ def test_a_run_does_not_notice_tangents():
     """
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_max_isa=AVX"
     subprocess.run(
-        [sys.executable, "-c", "from tests.test_tangent_kernel import compared; compared()"],
+        [
+            sys.executable,
+            "-c",
+            "from tests.jdem.core.test_tangent_kernel import compared; compared()",
+        ],
         env={**os.environ, "XLA_FLAGS": flags},
         cwd=ROOT,
         check=True,
