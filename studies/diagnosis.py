@@ -90,6 +90,11 @@ def of_cases(
         for kind in ("machine", "soil and walls"):
             some = [c["right"] for c in single if kind_of(c["hidden"][0]) == kind]
             yield line(f"- of these {kind}", asked, some, words)
+    for called, stratum in (("one effect below 2: named first", "single below 2"),
+                            ("two effects: both named", "two")):  # fmt: skip
+        some = [c["right"] for c in cases if c["stratum"] == stratum]
+        if some:
+            yield line(called, "", some, words)
     unknown = [c["verdict"] == UNKNOWN for c in cases if c["stratum"] == "outside"]
     if unknown:
         called = "effects that the library lacks, above 2: called unknown"

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate import figures as plotting
 from calibrate.core.progress import for_terminal
+from calibrate.figures import save
+from calibrate.figures.audit import audit_figure, curve_slopes_figure
 from calibrate.inference.audit import Audit, audit, audit_json, judged
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.io.lab import bundled_lab, load_lab
@@ -127,9 +128,9 @@ def main() -> None:
         audits[str(seed)] = audit_json(found)
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, audits[str(seed)])
-            plotting.save(plotting.audit_figure(drawn), reporting.IMAGES / "audit.png")
-            slopes = plotting.curve_slopes_figure(drawn)
-            plotting.save(slopes, reporting.IMAGES / "audit_curves.png")
+            save(audit_figure(drawn), reporting.IMAGES / "audit.png")
+            slopes = curve_slopes_figure(drawn)
+            save(slopes, reporting.IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
         reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)

@@ -1,6 +1,6 @@
 """Which rows no longer hold?  Smaller forms of them in ten minutes: `make verification-quick`.
 
-    python -m verification.quick                     about ten minutes on two idle cores
+    python -m verification.quick                     nine processor minutes
     python -m verification.quick --only contact
 
 First every sentence is compared with the result page that it rests on, and with its rule.  Then

@@ -134,8 +134,9 @@ class Cell:
     """Where a number stands: a page of results, a column of one of its tables, and rows.
 
     Rows are those whose cells equal or match `where`; `how` makes one number of theirs.  `part`
-    counts numbers within a cell from 0: the standard error in "3.336 ± 0.0098" is part 1.  Where no
-    table holds the number, `line` is a regular expression whose groups are the numbers.
+    counts numbers within a cell from 0: the standard error in "3.336 ± 0.0098" is part 1.  With
+    `over` the number is a percentage of that in another column.  Where no table holds the number,
+    `line` is a regular expression whose groups are the numbers.
     """
 
     page: str
@@ -145,6 +146,7 @@ class Cell:
     how: Callable[[list[float]], float] = only
     folder: str = "verification"
     line: str = ""
+    over: str = ""
 
     def path(self, root: Path) -> Path:
         return root / self.folder / "results" / f"{self.page}.md"
@@ -168,7 +170,12 @@ class Cell:
         rows = [row for row in _rows(text) if self.column in row]
         rows = [row for row in rows if all(_is(row.get(k), v) for k, v in self.where.items())]
         numbers = [re.findall(NUMBER, row[self.column]) for row in rows]
-        return [float(found[self.part]) for found in numbers if len(found) > self.part]
+        wholes = [float(row[self.over]) / 100 if self.over else 1.0 for row in rows]
+        return [
+            float(found[self.part]) / whole
+            for found, whole in zip(numbers, wholes, strict=True)
+            if len(found) > self.part
+        ]
 
 
 def _is(cell: str | None, wanted: str | re.Pattern) -> bool:

@@ -73,6 +73,10 @@ def test_numbers_of_readme_and_how_sure_are_in_rows():
     assert len(named) > 8 and len(bullets) == 4
     said = [part.format(**row.numbers()) for row in ROWS for part in row.says]
     assert not [text for text in (*named, *bullets) if not any(part in text for part in said)]
+    for part in sorted(said, key=len, reverse=True):
+        named, bullets = ([text.replace(part, "") for text in texts] for texts in (named, bullets))
+    measured = re.compile(r"\d (%|N|mm|processor)|\d of (the )?\d")
+    assert not [text for text in (*named, *bullets) if measured.search(text)]
 
 
 def test_commands_of_scripts_write_what_they_say():
