@@ -12,6 +12,7 @@ again with the same end.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import equinox as eqx
@@ -117,16 +118,32 @@ def _moved(seen: Descent, before: Evaluation | None) -> Descent:
         solver, y = _at_rest(calibration, calibration.space.to_unbounded(before.values))
     jacobian = calibration.jacobian(estimate.values, np.asarray(solver.y_eval))
     local = (jnp.asarray(at.residual), jnp.asarray(jacobian), solver.y_eval)
-    y, solver, _ = SOLVER.step(_affine, y, local, {}, solver, frozenset())
+    y, solver = _solver_step(y, local, solver)
     return replace(seen, estimate=estimate, at=at, jacobian=jacobian, solver=solver, y=y)
 
 
 def _at_rest(calibration: Calibration, y: np.ndarray) -> tuple[Any, Array]:
     """The solver's state at the unbounded point y (p,), before its first step, and the point."""
-    rows, point = len(calibration.problem.measured) + len(y), jnp.asarray(y)
-    blank = (jnp.zeros(rows), jnp.zeros((rows, len(y))), point)
+    point = jnp.asarray(y)
+    blank = _blank(len(calibration.problem.measured) + len(y), len(y))
+    return eqx.tree_at(lambda state: state.y_eval, blank, point), point
+
+
+@cache
+def _blank(rows: int, parameters: int) -> Any:
+    """The solver's state before it knows a point.  One for each size: a compiled step belongs to
+    the state that it began with."""
+    point = jnp.zeros(parameters)
+    local = (jnp.zeros(rows), jnp.zeros((rows, parameters)), point)
     struct = eqx.filter_eval_shape(lambda: jnp.zeros(rows))
-    return SOLVER.init(_affine, point, blank, {}, struct, None, frozenset()), point
+    return SOLVER.init(_affine, point, local, {}, struct, None, frozenset())
+
+
+@eqx.filter_jit
+def _solver_step(y: Array, local: tuple[Array, Array, Array], solver: Any) -> tuple[Array, Any]:
+    """The point that the solver accepts next, and its state; `local` as in `_affine`."""
+    y, solver, _ = SOLVER.step(_affine, y, local, {}, solver, frozenset())
+    return y, solver
 
 
 def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:

@@ -18,8 +18,9 @@ def with_values(soil: SoilParameters, values: Mapping[str, float]) -> SoilParame
     further = {name: jnp.asarray(left.pop(name), float) for name in soil.further if name in left}
     if further:
         soil = replace(soil, further={**soil.further, **further})
-    for name, value in left.items():
-        soil = eqx.tree_at(lambda s, n=name: getattr(s, n), soil, jnp.asarray(value, float))
+    if left:
+        given = [jnp.asarray(value, float) for value in left.values()]
+        soil = eqx.tree_at(lambda s: [getattr(s, name) for name in left], soil, given)
     if exponent is not None:
         soil = replace(soil, slope_exponent=float(exponent))
     return soil

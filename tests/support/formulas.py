@@ -3,6 +3,7 @@
 It has the interface of a campaign, so that it is statistics and not DEM that is tested.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -63,7 +64,7 @@ def pressed_lightly(lab: Lab, height: float = 0.05) -> Lab:
 
 def shift(soil, name):
     """ln of a parameter over its starting value."""
-    return float(jnp.log(getattr(soil, name) / getattr(BASE, name)))
+    return math.log(float(getattr(soil, name)) / float(getattr(BASE, name)))
 
 
 def shape(soil, seed):
