@@ -1,57 +1,61 @@
 """Every figure that this package draws; the only place, with reports, that knows matplotlib.
 
-`panels` fills one axis from a record; `fit`, `audit` and `doe` lay panels out in a file;
-`bed` looks inside a specimen; all share `style`.  `FIGURES` has the pictures of each verb:
-a new one is a function in a file of this folder and its line there.
+`FIGURES` has the pictures of each verb: a new one is a function in a file of this folder and its
+line there.  `panels` fills one axis from a record; `fit`, `audit` and `doe` lay panels out in a
+file; `bed` looks inside a specimen; all share `style`.
 """
 
 from collections.abc import Callable
+from pkgutil import resolve_name
 
-from calibrate.figures.audit import MARKS, audit_figure, curve_slopes_figure
-from calibrate.figures.fit import contact_figure, export_figure, fit_figure, simulation_figure
-from calibrate.figures.lab import preview_figure
-from calibrate.figures.misfit import misfit_figure
-from calibrate.figures.panels import RATIOS
-from calibrate.figures.style import DARK, LIGHT, MIDDLE, Figure, closed, save
+from calibrate.figures.style import Figure, closed, save
 
-# By verb and by name, the one that `plot()` draws first.  Each is drawn from what the verb's result
-# has as `drawn`, and lies in the result's folder as NAME.png.  The page of a fit or an audit shows
-# it below the first paragraph of its docstring.
-FIGURES: dict[str, dict[str, Callable[..., Figure]]] = {
+# By verb and by name, file and function; the one that `plot()` draws first stands first.  Each is
+# drawn from what the verb's result has as `drawn`; where that has nothing for it, the function
+# returns None.  Pages show a new one below the first paragraph of its docstring.
+FIGURES: dict[str, dict[str, str]] = {
     "simulate": {
-        "curves": simulation_figure,
+        "curves": "fit:simulation_figure",
     },
     "fit": {
-        "fit": fit_figure,
-        "misfit": misfit_figure,
+        "fit": "fit:fit_figure",
+        "misfit": "misfit:misfit_figure",
     },
     "contact": {
-        "contact": contact_figure,
+        "contact": "fit:contact_figure",
     },
     "audit": {
-        "audit": audit_figure,
-        "audit_curves": curve_slopes_figure,
+        "audit": "audit:audit_figure",
+        "audit_curves": "audit:curve_slopes_figure",
+    },
+    "doe": {
+        "study": "doe:study_figure",
     },
     "convert": {
-        "preview": preview_figure,
+        "preview": "lab:preview_figure",
+    },
+    "diagnose": {
+        "where_confined": "diagnosis:confined_figure",
+        "where_unconfined": "diagnosis:unconfined_figure",
+        "probability": "diagnosis:probability_figure",
+        "effects": "diagnosis:effects_figure",
+        "next_test": "diagnosis:proposed_figure",
+    },
+    "next": {
+        "next_test": "diagnosis:next_figure",
+    },
+    "export": {
+        "export": "fit:export_figure",
+    },
+    "view": {
+        "bed": "bed:bed_figure",
     },
 }
 
-__all__ = [
-    "DARK",
-    "FIGURES",
-    "LIGHT",
-    "MARKS",
-    "MIDDLE",
-    "RATIOS",
-    "Figure",
-    "audit_figure",
-    "closed",
-    "contact_figure",
-    "curve_slopes_figure",
-    "export_figure",
-    "fit_figure",
-    "preview_figure",
-    "save",
-    "simulation_figure",
-]
+
+def functions(verb: str) -> dict[str, Callable[..., Figure | None]]:
+    """The functions that draw a verb's figures, by name; only their files are loaded."""
+    return {name: resolve_name(f"{__name__}.{of}") for name, of in FIGURES[verb].items()}
+
+
+__all__ = ["FIGURES", "Figure", "closed", "functions", "save"]

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from calibrate.core.files import whole
-from calibrate.figures.style import DARK, MIDDLE, save
+from calibrate.figures.style import DARK, MIDDLE
 from calibrate.view.contacts import Contacts
 from calibrate.view.frames import Frame
 from jdem.boundaries.base import FAR
@@ -27,7 +27,7 @@ CUT = "cut along the axis; lines: contacts near it, dark in compression, orange 
 SHOWN = ("loading", "resting", "crushing")  # movements whose ends are drawn
 
 
-def bed_figure(frames: list[Frame], contacts: list[Contacts], path: Path) -> None:
+def bed_figure(frames: list[Frame], contacts: list[Contacts]) -> Figure:
     """The bed at the end of loading, of the rest, and of crushing, cut through its axis."""
     shown = moments(frames)
     figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 5), layout="constrained")
@@ -37,7 +37,7 @@ def bed_figure(frames: list[Frame], contacts: list[Contacts], path: Path) -> Non
         _bed(axis, frames[number], contacts[number], top, window)
     _load_bar(figure, axes, top)
     figure.supxlabel(CUT, fontsize=8)
-    save(figure, path)
+    return figure
 
 
 def moments(frames: list[Frame]) -> list[int]:

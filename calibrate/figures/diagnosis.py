@@ -6,7 +6,7 @@ tell them apart where colours do not.
 """
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -56,6 +56,21 @@ def where_figure(found: DiagnosisRecord, test: Test, words: Words) -> Figure:
         _residuals(axes[1], found, test, rows)
     _legend(figure)
     return figure
+
+
+def confined_figure(found: DiagnosisRecord, words: Words) -> Figure | None:
+    """Curves of confined compression, and what is left of them, place by place."""
+    return _where_measured(found, "confined", words)
+
+
+def unconfined_figure(found: DiagnosisRecord, words: Words) -> Figure | None:
+    """Curves of unconfined compression, and what is left of them, place by place."""
+    return _where_measured(found, "unconfined", words)
+
+
+def _where_measured(found: DiagnosisRecord, test: Test, words: Words) -> Figure | None:
+    measured = any(row.test == test for row in found.features)
+    return where_figure(found, test, words) if measured else None
 
 
 def _explained(found: DiagnosisRecord) -> bool:
@@ -247,9 +262,22 @@ def _mark(effect: EffectRow) -> dict:
     return {"color": colour, "mfc": fill, "marker": shape, "ms": 6, "ls": "", "zorder": 3}
 
 
-def next_figure(proposal: NextTestRecord, units: Mapping[str, str], words: Words) -> Figure:
+def proposed_figure(found: DiagnosisRecord, words: Words) -> Figure | None:
+    """What the proposed test would show under each of the leading explanations."""
+    return next_figure(found.next_test, words)
+
+
+def unit_of(label: str) -> str:
+    """The unit of what a further test shows."""
+    return "mm" if label.endswith("mm") or label.startswith(("displacement", "travel")) else "N"
+
+
+def next_figure(proposal: NextTestRecord | None, words: Words) -> Figure | None:
     """What the proposed test would show under each leading explanation, less their mean, at
-    the locations that tell them apart best; units are those of its labels ("mm" or "N")."""
+    the locations that tell them apart best."""
+    if proposal is None:
+        return None
+    units = {label: unit_of(label) for label in proposal.labels}
     values = np.array(list(proposal.predicted.values()))
     away, deviation = values - values.mean(axis=0), np.array(proposal.deviation)
     locations = np.sort(np.argsort(-np.ptp(away, axis=0) / deviation)[:LOCATIONS])

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibrate.core.files import whole
+from calibrate.core.files import whole, write_text
 from calibrate.labtests.composite import BY_NAME
 
 DARK, MIDDLE, LIGHT = "#20344f", "#c4622d", "#9fb7c9"
@@ -29,8 +29,11 @@ PANEL = (4.6, 3.9)  # inches; text keeps a readable size at 340 px
 def save(figure: Figure, path: Path) -> None:
     """Writes the figure whole or not at all, and forgets it."""
     try:
-        with whole(path) as part:
-            figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
+        if path.suffix == ".svg":
+            write_text(path, svg(figure))
+        else:
+            with whole(path) as part:
+                figure.savefig(part, dpi=130, format=path.suffix.lstrip("."))
     finally:
         plt.close(figure)
 

@@ -14,8 +14,8 @@ from calibrate.reports.html import (
     Page,
     Picture,
     Table,
-    further_pictures,
     number,
+    pictures_of,
     quantity,
     render,
     words,
@@ -41,7 +41,7 @@ def page(path: Path) -> Page:
         "strategies": [_strategy(found, name) for name in found.strategies],
         "curves": [
             *(_curves(found, name) for name in found.parameters_of_curves),
-            *further_pictures("audit", found, shown=2),
+            *pictures_of("audit", found, skipped=2).values(),
         ],
         "values": Table(
             ["parameter", "value"],

@@ -13,8 +13,7 @@ from rich.text import Text
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.comparison.next_test import BEFORE_TESTS
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.figures import diagnosis as plots
-from calibrate.figures.style import svg
+from calibrate.figures.diagnosis import unit_of
 from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.records.base import read, record
 from calibrate.records.diagnosis import (
@@ -25,9 +24,10 @@ from calibrate.records.diagnosis import (
 )
 from calibrate.reports.diagnosis_words import amount, label_of, percent, sentence
 from calibrate.reports.effects import members, plain, strength, title
-from calibrate.reports.html import Page, Picture, Table, number, render, words
+from calibrate.reports.html import Page, Picture, Table, number, pictures_of, render, words
 
 PAGE = "diagnosis.html"
+SHOWN = (*(f"where_{test}" for test in TESTS), "probability", "effects", "next_test")  # own places
 FIRST = 4  # explanations of the first table, besides none and unknown
 STATUS = {
     "found": "● goes with the gap",
@@ -60,10 +60,13 @@ def of(found: DiagnosisRecord) -> Page:
 def _page(found: DiagnosisRecord, pictures: dict[str, Picture]) -> Page:
     shown = {
         "sentence": sentence(found),
-        "first": [pictures[name] for name in pictures if name.startswith("where")],
+        "first": [
+            pictures[name] for name in SHOWN if name.startswith("where") and name in pictures
+        ],
         "answer": _answer(found),
         "likely": pictures["probability"],
         "each": pictures["effects"],
+        "further": [pictures[name] for name in pictures if name not in SHOWN],
         "next": pictures.get("next_test"),
         "predicted": _predicted(found),
         "segments": _segments(found),
@@ -98,43 +101,33 @@ def said(found: DiagnosisRecord) -> Iterator[RenderableType]:
 
 def _pictures(found: DiagnosisRecord) -> dict[str, Picture]:
     """All figures by the name of their file."""
-    pictures = {}
-    measured = {row.test for row in found.features}
-    for test in TESTS:
-        if test not in measured:
-            continue
-        drawing = svg(plots.where_figure(found, test, title))
-        caption = (
-            f"{label_of(test).capitalize()}. Top: measured repeats, the calibrated model, the "
-            "model with the best explanation. Bottom: what is left, place by place; shaded parts "
-            "leave the band that scatter fills in 95 of 100 laboratories."
-        )
-        pictures[f"where_{test}"] = Picture(drawing, f"{label_of(test)} and its residuals", caption)
-    pictures["probability"] = Picture(
-        svg(plots.probability_figure(found, title)), "Probabilities of explanations as bars",
+    captions = {f"where_{test}": _of_test(test) for test in TESTS}
+    captions["probability"] = (
+        "Probabilities of explanations as bars",
         "How likely each explanation is. The set is to hold the right one in 90 of 100 cases.",
-    )  # fmt: skip
-    pictures["effects"] = Picture(
-        svg(plots.effects_figure(found, title)), "Strength of each effect over its error",
+    )
+    captions["effects"] = (
+        "Strength of each effect over its error",
         "Each effect by itself, added to the calibrated model alone: estimated strength over its "
         "standard error.",
-    )  # fmt: skip
+    )
     if found.next_test is not None:
-        units = {label: _unit(found, label) for label in found.next_test.labels}
-        pictures["next_test"] = Picture(
-            svg(plots.next_figure(found.next_test, units, title)),
+        captions["next_test"] = (
             "Predicted outcome of the proposed test",
             f"{found.next_test.name.capitalize()}: what it would show under each of the leading "
             "explanations, at the places that tell them apart best. Bars: deviation of the mean of "
             "two repeats.",
-        )  # fmt: skip
-    return pictures
+        )
+    return pictures_of("diagnose", found, title, captions=captions)
 
 
-def _unit(found: DiagnosisRecord, label: str) -> str:
-    """The unit of what a further test shows: that of the feature, or as its label says."""
-    units = {row.name: row.unit for row in found.features}
-    return units.get(label, "mm" if label.endswith(", mm") else "N")
+def _of_test(test: str) -> tuple[str, str]:
+    return (
+        f"{label_of(test)} and its residuals",
+        f"{label_of(test).capitalize()}. Top: measured repeats, the calibrated model, the model "
+        "with the best explanation. Bottom: what is left, place by place; shaded parts leave the "
+        "band that scatter fills in 95 of 100 laboratories.",
+    )
 
 
 # ---------------------------------------------------------------- tables
@@ -268,11 +261,8 @@ def _predicted(found: DiagnosisRecord) -> Table | None:
     rows = [
         [
             label.removesuffix(", mm").removesuffix(", N"),
-            *(
-                f"{number(values[i], 3)} {_unit(found, label)}"
-                for values in test.predicted.values()
-            ),
-            f"{number(test.deviation[i], 2)} {_unit(found, label)}",
+            *(f"{number(values[i], 3)} {unit_of(label)}" for values in test.predicted.values()),
+            f"{number(test.deviation[i], 2)} {unit_of(label)}",
         ]
         for i, label in enumerate(test.labels)
     ]

@@ -15,8 +15,8 @@ from calibrate.reports.html import (
     Page,
     Picture,
     Table,
-    further_pictures,
     number,
+    pictures_of,
     plus_minus,
     quantity,
     render,
@@ -37,7 +37,7 @@ def page(path: Path) -> Page:
         "features": _features(found),
         "curves": [
             *(_curves(found, test) for test in found.measured.tests),
-            *further_pictures("fit", found, shown=1),
+            *pictures_of("fit", found, skipped=1).values(),
         ],
         "free": _free(found),
         "pictures": list(_pictures(found)),

@@ -8,14 +8,14 @@ they share.
 
 import base64
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
 import numpy as np
 
-from calibrate.figures import FIGURES
+from calibrate.figures import functions
 from calibrate.figures.style import svg
 from calibrate.io.labfile import PARAMETER_UNITS
 
@@ -73,11 +73,20 @@ def embedded(svg: str) -> str:
     return f"data:image/svg+xml;base64,{code}"
 
 
-def further_pictures(verb: str, found: object, shown: int) -> Iterator[Picture]:
-    """A verb's figures of the record `found`, but for the first that the page shows its own way."""
-    for draw in list(FIGURES[verb].values())[shown:]:
+def pictures_of(
+    verb: str,
+    *drawn: object,
+    captions: Mapping[str, tuple[str, str]] | None = None,
+    skipped: int = 0,
+) -> dict[str, Picture]:
+    """A verb's figures by name, drawn from `drawn`, but for the first few that a page shows its own
+    way; alt text and caption are the first paragraph of the docstring where `captions` has none."""
+    pictures = {}
+    for name, draw in list(functions(verb).items())[skipped:]:
         said = " ".join((inspect.getdoc(draw) or "").partition("\n\n")[0].split())
-        yield Picture(svg(draw(found)), said, said)
+        if (figure := draw(*drawn)) is not None:
+            pictures[name] = Picture(svg(figure), *(captions or {}).get(name, (said, said)))
+    return pictures
 
 
 def number(value: float | None, digits: int = 5) -> str:

@@ -1,9 +1,8 @@
-"""What to measure next: a table for the terminal, a picture, and a lab file for the answer."""
+"""What to measure next: a table for the terminal, and a lab file for the answer."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
 from rich.console import RenderableType
 from rich.table import Table as Terminal
 from rich.text import Text
@@ -15,10 +14,7 @@ from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNO
 from calibrate.discrepancy.comparison.verdict import proposed
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.discrepancy.library.further_tests import ANSWER, answer_file
-from calibrate.figures import diagnosis as plots
-from calibrate.figures.style import svg
-from calibrate.records.base import record
-from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord
+from calibrate.records.diagnosis import DiagnosisRecord
 from calibrate.reports.diagnosis_words import ENOUGH, beginnings, percent, verdict
 from calibrate.reports.effects import title
 from calibrate.reports.html import number
@@ -52,12 +48,10 @@ def content(diagnosis: Diagnosis) -> dict:
 
 
 def write(out: Path, diagnosis: Diagnosis, found: dict) -> None:
-    """next.json, figures/next_test.svg and a lab file for the answer."""
+    """next.json and a lab file for the answer."""
     write_json(out / "next.json", found)
     if diagnosis.proposals:
-        best = diagnosis.proposals[0]
-        write_text(out / ANSWER, answer_file(diagnosis.lab, best))
-        write_text(out / "figures" / "next_test.svg", svg(picture(best, found["stop"])))
+        write_text(out / ANSWER, answer_file(diagnosis.lab, diagnosis.proposals[0]))
 
 
 def said(
@@ -98,14 +92,3 @@ def _table(proposals: Sequence[Proposal]) -> Terminal:
 def nats(gain: float) -> str:
     """A gain; what is only rounding counts as none."""
     return number(gain, 2) if gain >= LEAST_NATS else "0"
-
-
-def picture(proposal: Proposal, stop: str) -> Figure:
-    """What a further test would show under each of the leading explanations."""
-    found = record(NextTestRecord, {**proposed(proposal, stop), "all": []})
-    units = {label: "mm" if _is_length(label) else "N" for label in proposal.labels}
-    return plots.next_figure(found, units, title)
-
-
-def _is_length(label: str) -> bool:
-    return label.endswith(", mm") or label.startswith(("displacement", "travel"))

@@ -18,7 +18,16 @@ from calibrate.labtests.composite import described
 from calibrate.labtests.composite import label as label_of
 from calibrate.records.base import Observable, read
 from calibrate.records.study import StudyRecord
-from calibrate.reports.html import Page, Picture, Table, number, quantity, render, words
+from calibrate.reports.html import (
+    Page,
+    Picture,
+    Table,
+    number,
+    pictures_of,
+    quantity,
+    render,
+    words,
+)
 
 RELIEF = (4.6, 4.2)  # inches
 ROUNDING = 1e-9  # of the response; smaller residuals are the computer's, and no picture shows them
@@ -56,7 +65,10 @@ def of(found: StudyRecord) -> Page:
         values=_values(found, compared),
         enhanced=_enhanced(compared),
         slopes=[_slopes(compared, name) for name in found.observables],
-        endings=[_endings(found, compared, name) for name in found.goals],
+        endings=[
+            *(_endings(found, compared, name) for name in found.goals),
+            *pictures_of("doe", found, skipped=1).values(),
+        ],
         stages=[
             _screening(found),
             *(_surfaces(found, title) for title in found.stages),

@@ -21,11 +21,11 @@ from calibrate.records.base import record
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AuditResult(AbstractFiguresResult):
+class AuditResult(AbstractDrawnResult):
     """Slopes of observables and curves in every parameter, and how far from the reference they are.
 
     Attributes:

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from calibrate import figures
 from calibrate.core import runtime
-from calibrate.core.errors import COMMAND_LINE, InputError, shown
+from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, shown
 from calibrate.core.files import as_json, write_text
 from calibrate.figures import Figure
 from calibrate.io.labfile import check_parameter
@@ -35,7 +35,6 @@ class AbstractResult(abc.ABC):
     the JSON file.
     """
 
-    verb: ClassVar[str] = ""  # under which its pictures stand in `calibrate.figures.FIGURES`
     files: ClassVar[tuple[str, ...]] = ()
     folder: Path
     content: dict
@@ -46,8 +45,7 @@ class AbstractResult(abc.ABC):
 
     def written(self) -> tuple[str, ...]:
         """What lies in the folder, pictures last; empty where the words say it."""
-        pictures = (f"{name}.png" for name in figures.FIGURES.get(self.verb, ()))
-        return (*self.files, *pictures) if self.files else ()
+        return self.files
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The result as JSON text.
@@ -77,19 +75,10 @@ class AbstractResult(abc.ABC):
 
 
 class AbstractDrawnResult(AbstractResult):
-    """A result that has a picture."""
-
-    @abc.abstractmethod
-    def plot(self) -> Figure:
-        """The picture of the result.
-
-        Returns:
-            A matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
-        """
-
-
-class AbstractFiguresResult(AbstractDrawnResult):
     """A result whose pictures stand in `calibrate.figures.FIGURES`."""
+
+    verb: ClassVar[str]  # under which they stand there
+    pictures: ClassVar[str] = "{}.png"  # where they lie in the folder
 
     @property
     @abc.abstractmethod
@@ -106,18 +95,27 @@ class AbstractFiguresResult(AbstractDrawnResult):
             A matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
 
         Raises:
-            InputError: the result has no picture of this name.
+            InputError: the verb has no picture of this name.
+            CalibrationError: this result has nothing that the picture would show.
         """
-        known = figures.FIGURES[self.verb]
-        chosen = next(iter(known)) if name is None else name
-        if chosen not in known:
+        known = figures.functions(self.verb)
+        if name is not None and name not in known:
             raise InputError("arguments", "name", f"no picture {shown(name)}", f"give {_or(known)}")
-        return figures.closed(known[chosen](*self.drawn))
+        for each in known if name is None else [name]:
+            if (figure := known[each](*self.drawn)) is not None:
+                return figures.closed(figure)
+        raise CalibrationError(f"nothing was found that the picture {_or([each])} would show")
 
     def save_figures(self) -> None:
         """Writes all of them to the folder."""
-        for name in figures.FIGURES[self.verb]:
-            figures.save(self.plot(name), self.folder / f"{name}.png")
+        for name, draw in figures.functions(self.verb).items():
+            if (figure := draw(*self.drawn)) is not None:
+                figures.save(figure, self.folder / self.pictures.format(name))
+
+    def written(self) -> tuple[str, ...]:
+        pictures = (Path(self.pictures.format(name)) for name in figures.FIGURES[self.verb])
+        names = dict.fromkeys(path.parts[0] for path in pictures)
+        return (*self.files, *names) if self.files else ()
 
 
 def _or(names: Iterable[str]) -> str:

@@ -14,11 +14,11 @@ from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json
 from calibrate.simulation import single_contact
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContactResult(AbstractFiguresResult):
+class ContactResult(AbstractDrawnResult):
     """The force-overlap loop of one contact.
 
     Attributes:

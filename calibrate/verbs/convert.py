@@ -21,11 +21,11 @@ from calibrate.instrument_import.unittext import Unit, doubt, unit_of
 from calibrate.instrument_import.vocabulary import TESTS
 from calibrate.io.lab import Lab, load_lab
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractFiguresResult, line, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ConvertResult(AbstractFiguresResult):
+class ConvertResult(AbstractDrawnResult):
     """What a testing machine's export holds.
 
     Attributes:

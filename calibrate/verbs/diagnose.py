@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.diagnosis import Diagnosis, diagnosed
 from calibrate.discrepancy.infill import InfillPlan, with_infill_runs
@@ -17,10 +16,7 @@ from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.run_library import RunLibrary
 from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
-from calibrate.figures import Figure
-from calibrate.figures import diagnosis as plots
 from calibrate.io.lab import load_lab
-from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.records.base import record
 from calibrate.records.diagnosis import DiagnosisRecord, content
 from calibrate.reports import diagnosis as report
@@ -43,7 +39,8 @@ class DiagnosisResult(AbstractDrawnResult):
         content: everything, with the keys of result.json.
     """
 
-    files = ("result.json", "diagnosis.html", "figures")
+    verb = "diagnose"
+    files, pictures = ("result.json", "diagnosis.html"), "figures/{}.svg"
     folder: Path
     content: dict
 
@@ -70,26 +67,10 @@ class DiagnosisResult(AbstractDrawnResult):
     def words(self) -> Iterator[RenderableType]:
         yield from report.said(self.record)
 
-    def plot(self, test: str | None = None) -> Figure:
-        """Curves of one test and what is left of them, place by place.
-
-        Args:
-            test: "confined" or "unconfined"; None: the first that was measured.
-
-        Returns:
-            A matplotlib figure.
-        """
-        measured = {row.test for row in self.record.features}
-        chosen = test or next(name for name in TESTS if name in measured)
-        return figures.closed(plots.where_figure(self.record, chosen, title))
-
-    def plot_probability(self) -> Figure:
-        """How likely each explanation is.
-
-        Returns:
-            A matplotlib figure.
-        """
-        return figures.closed(plots.probability_figure(self.record, title))
+    @property
+    def drawn(self) -> tuple[DiagnosisRecord, Callable[[str], str]]:
+        """The record, and names of explanations in words."""
+        return self.record, title
 
 
 @verb

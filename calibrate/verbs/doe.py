@@ -7,10 +7,7 @@ from pathlib import Path
 
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.designs.comparison import Designed, design
-from calibrate.figures import Figure
-from calibrate.figures.doe import study_figure
 from calibrate.records.base import record
 from calibrate.records.study import StudyRecord
 from calibrate.reports import study as report
@@ -25,10 +22,11 @@ class DoeResult(AbstractDrawnResult):
 
     Attributes:
         study: designs, surfaces and the comparison.
-        folder: where result.json, study.html and a run sheet for each design are.
+        folder: where result.json, study.html, study.png and a run sheet for each design are.
         content: everything, with the keys of result.json.
     """
 
+    verb = "doe"
     files = ("result.json", "study.html", "run sheets")
     study: Designed
     folder: Path
@@ -47,9 +45,10 @@ class DoeResult(AbstractDrawnResult):
     def words(self) -> Iterator[RenderableType]:
         yield from report.words(self.study)
 
-    def plot(self) -> Figure:
-        """Slopes by surfaces against gradients, and where each method ended."""
-        return figures.closed(study_figure(self.record))
+    @property
+    def drawn(self) -> tuple[StudyRecord]:
+        """The record of the study."""
+        return (self.record,)
 
 
 @verb
@@ -90,4 +89,6 @@ def doe(
     session = Session.open(lab, preset, folder, dask, batch=batch).on_soil()
     base = session.soil(parameter_values(values))
     done = design(session.lab, session.preset, base, seed, session.campaign(folder))
-    return DoeResult(done, folder, report.write(session, done))
+    found = DoeResult(done, folder, report.write(session, done))
+    found.save_figures()
+    return found

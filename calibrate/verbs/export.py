@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
 from calibrate.core.errors import COMMAND_LINE, BadValue, InputError
 from calibrate.core.files import make_folder, write_text
 from calibrate.core.units import LENGTH, positive_quantity
@@ -16,7 +15,6 @@ from calibrate.exporters import notes
 from calibrate.exporters.composite import EXPORTERS, NAMES
 from calibrate.exporters.parameters_json import content as content_of
 from calibrate.exporters.source import Found, find
-from calibrate.figures import Figure
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
 from calibrate.verbs.fit import FitResult
@@ -36,6 +34,7 @@ class ExportResult(AbstractDrawnResult):
         content: every parameter with unit and interval, and the surface energy at the wanted size.
     """
 
+    verb = "export"
     path: Path
     text: str
     found: Found
@@ -51,9 +50,10 @@ class ExportResult(AbstractDrawnResult):
         yield from map(line, [*notes.heading(self.found), *notes.scale_up(self.found)])
         yield line(f"written to {self.path}")
 
-    def plot(self) -> Figure:
-        """The exported parameters over their values, with 95 % intervals of those fitted."""
-        return figures.closed(figures.export_figure(self.found.values, self.found.intervals))
+    @property
+    def drawn(self) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+        """Parameters (SI) and the 95 % intervals of those that were fitted."""
+        return self.found.values, self.found.intervals
 
 
 @verb

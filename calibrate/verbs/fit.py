@@ -25,11 +25,11 @@ from calibrate.reports.terminal import observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractFiguresResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult(AbstractFiguresResult):
+class FitResult(AbstractDrawnResult):
     """Fitted parameters of one soil, how well the data fix them, and the check on fresh packings.
 
     Attributes:

@@ -1,6 +1,6 @@
 """Say what to measure next: what each test would tell, what it costs, what it would show."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,14 +9,12 @@ from typing import Annotated
 import typer
 from rich.console import RenderableType
 
-from calibrate import figures
-from calibrate.core.errors import CalibrationError
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.figures import Figure
 from calibrate.records.base import record
-from calibrate.records.diagnosis import DiagnosisRecord
+from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord
 from calibrate.records.diagnosis import content as diagnosis_content
 from calibrate.reports import next_test as report
+from calibrate.reports.effects import title
 from calibrate.simulation.session import Session, made_by
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, verb
@@ -34,7 +32,8 @@ class NextTestResult(AbstractDrawnResult):
         origin: what made it.
     """
 
-    files = ("next.json", "figures")
+    verb = "next"
+    files, pictures = ("next.json",), "figures/{}.svg"
     diagnosis: Diagnosis
     folder: Path
     content: dict
@@ -58,12 +57,11 @@ class NextTestResult(AbstractDrawnResult):
     def words(self) -> Iterator[RenderableType]:
         yield from report.said(self.folder, self.diagnosis, self.content, self.record)
 
-    def plot(self) -> Figure:
-        """What the best test would show under each of the leading explanations."""
-        if not self.diagnosis.proposals:
-            raise CalibrationError("no further test is proposed, so there is nothing to draw")
-        best = self.diagnosis.proposals[0]
-        return figures.closed(report.picture(best, self.stop))
+    @property
+    def drawn(self) -> tuple[NextTestRecord | None, Callable[[str], str]]:
+        """The best test, if one is proposed, and names of explanations in words."""
+        best = [record(NextTestRecord, {**test, "all": []}) for test in self.tests[:1]]
+        return (best[0] if best else None), title
 
 
 @verb
@@ -114,4 +112,6 @@ def next_test(
     origin = {"soil": session.lab.name, "preset": NO_PRESET, **made_by(), "settings": used}
     plain_data = report.content(found)
     report.write(folder, found, plain_data)
-    return NextTestResult(found, folder, plain_data, origin)
+    proposed = NextTestResult(found, folder, plain_data, origin)
+    proposed.save_figures()
+    return proposed

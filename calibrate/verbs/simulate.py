@@ -22,11 +22,11 @@ from calibrate.simulation import specimens
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractFiguresResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationResult(AbstractFiguresResult):
+class SimulationResult(AbstractDrawnResult):
     """Simulated tests of one soil on several packings.
 
     Attributes:

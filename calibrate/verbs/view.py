@@ -1,6 +1,6 @@
 """Run one specimen and show its bed: bed.png, bed.gif, and files for ParaView."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,33 +9,41 @@ import typer
 from rich.console import RenderableType
 
 from calibrate.core.files import make_folder, write_json
-from calibrate.figures import bed
+from calibrate.figures.bed import bed_animation
 from calibrate.simulation.session import Session
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractResult, line, parameter_values, verb
-from calibrate.view.contacts import contacts_of
+from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.view.contacts import Contacts, contacts_of
 from calibrate.view.frames import Frame
 from calibrate.view.frames import frames as states
 from calibrate.view.vtk import write_series
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ViewResult(AbstractResult):
+class ViewResult(AbstractDrawnResult):
     """Moments of one specimen in its tests.
 
     Attributes:
         frames: the bed at each moment.
+        contacts: those of each moment.
         folder: where the pictures and the files for ParaView are.
         content: the moments, with the keys of view.json.
     """
 
-    frames: Sequence[Frame]
+    verb = "view"
+    files = ("bed.gif", "particles.pvd", "contacts.pvd")
+    frames: list[Frame]
+    contacts: list[Contacts]
     folder: Path
     content: dict
 
     def words(self) -> Iterator[RenderableType]:
-        files = "bed.png, bed.gif, particles.pvd and contacts.pvd"
-        yield line(f"{len(self.frames)} moments; {files} are in {self.folder}")
+        yield line(f"{len(self.frames)} moments")
+
+    @property
+    def drawn(self) -> tuple[list[Frame], list[Contacts]]:
+        """Moments and their contacts."""
+        return self.frames, self.contacts
 
 
 @verb
@@ -75,8 +83,7 @@ def view(
     seen = states(work.lab, packing, soil, frames, session.progress.say)
     touching = [contacts_of(frame.bed, frame.state) for frame in seen]
     write_series(seen, touching, folder)
-    bed.bed_figure(seen, touching, folder / "bed.png")
-    bed.bed_animation(seen, touching, folder / "bed.gif")
+    bed_animation(seen, touching, folder / "bed.gif")
     content = {
         "soil": session.lab.name,
         "preset": session.preset.name,
@@ -87,4 +94,6 @@ def view(
         ],
     }
     write_json(folder / "view.json", content)
-    return ViewResult(seen, folder, content)
+    found = ViewResult(seen, touching, folder, content)
+    found.save_figures()
+    return found

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from calibrate import cli
-from calibrate import figures as preview
+from calibrate.figures import lab
 from calibrate.io.lab import bundled_lab
 from calibrate.simulation import Campaign
 from tests import DATA
@@ -140,7 +140,7 @@ def nothing_simulated() -> Iterator[None]:
 
     changed = [(Campaign, "runs", accepted), (Campaign, "each", accepted)]
     changed += [
-        (preview, "preview_figure", lambda *_: plt.figure()),
+        (lab, "preview_figure", lambda *_: plt.figure()),
         (cli, "_configure", lambda: None),
     ]
     before = [(owner, name, getattr(owner, name)) for owner, name, _ in changed]

@@ -12,7 +12,6 @@ import pytest
 import statsmodels.formula.api as smf
 from scipy import stats
 
-from calibrate import figures as plotting
 from calibrate.core.errors import BadValue
 from calibrate.designs import designs, terms
 from calibrate.designs.factors import Factor
@@ -131,11 +130,6 @@ def test_what_cannot_be_reached_has_no_desirability():
 
 
 # ---------------------------------------------------------------- figures
-
-
-def test_plotting_keeps_its_names():
-    for name in ("simulation_figure", "fit_figure", "audit_figure", "contact_figure", "MARKS"):
-        assert hasattr(plotting, name)
 
 
 def test_pareto_draws_every_effect_and_hatches_dummies():

@@ -23,7 +23,8 @@ from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.core.progress import Silent
 from calibrate.designs.comparison import SlopePair, design
-from calibrate.figures import doe
+from calibrate.figures import doe, misfit
+from calibrate.figures.fit import fit_figure
 from calibrate.figures.misfit import misfit_figure
 from calibrate.figures.panels import BANDED, FRESH, _band, _resampled
 from calibrate.figures.style import DARK, MIDDLE, PANEL
@@ -126,6 +127,18 @@ def test_a_page_stands_alone(pages, kind):
         assert 'src="data:image/svg+xml;base64,' in picture
         assert len(re.findall(r'alt="[^"]{20,}"', picture)) == 1
     assert "default-src 'none'" in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", WRITERS)
+def test_a_page_shows_a_new_figure_below_its_docstring(folders, kind, monkeypatch):
+    def new(found):
+        """What was found, in another way."""
+        return plt.figure(label=found.soil)
+
+    monkeypatch.setattr(misfit, "new", new, raising=False)
+    monkeypatch.setitem(figures.FIGURES[kind], "new", "misfit:new")
+    assert "What was found, in another way." in page_of(folders[kind])
 
 
 @pytest.mark.slow
@@ -449,7 +462,7 @@ def test_what_a_fit_warns_of_stands_in_result_and_page(missed_fit):
 
 def test_the_figure_of_a_fit_shows_its_warnings_and_no_empty_panel(missed_fit):
     found = records.read(missed_fit / "result.json", FitRecord)
-    figure = figures.fit_figure(found)
+    figure = fit_figure(found)
     said = " ".join(text.get_text() for text in figure.texts)
     said += figure._supxlabel.get_text()
     assert "Warning: the fit did not meet" in said

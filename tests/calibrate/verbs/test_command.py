@@ -1,16 +1,20 @@
 """Commands that are made from signatures: what is typed, what is given, what help loads."""
 
+import importlib
 import inspect
 import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 import typer
 
 import calibrate as package
 from calibrate import figures
-from calibrate.core.errors import InputError
+from calibrate.core.errors import CalibrationError, InputError
+from calibrate.figures import misfit
+from calibrate.figures.fit import contact_figure
 from calibrate.verbs import VERBS, command, options
 
 FOLDER = Path(command.__file__).parent
@@ -75,8 +79,9 @@ def test_a_signature_in_python_has_nothing_of_the_command_line():
 
 def test_a_picture_takes_one_line(monkeypatch, calibrate, tmp_path):
     """It is written, named on the terminal, and drawn in a notebook; others are refused."""
-    twice = lambda overlap, force: figures.contact_figure(2 * overlap, force)  # noqa: E731
-    monkeypatch.setitem(figures.FIGURES["contact"], "twice", twice)
+    twice = lambda overlap, force: contact_figure(2 * overlap, force)  # noqa: E731
+    monkeypatch.setattr(misfit, "twice", twice, raising=False)
+    monkeypatch.setitem(figures.FIGURES["contact"], "twice", "misfit:twice")
     status, out, error = calibrate("contact", "--path-um", "9,1", "--out", "o")
     assert (status, error) == (0, "")
     assert out.splitlines()[-1] == "contact.json, contact.png and twice.png are in o"
@@ -86,6 +91,31 @@ def test_a_picture_takes_one_line(monkeypatch, calibrate, tmp_path):
     assert widest == pytest.approx([9.0, 18.0])
     with pytest.raises(InputError, match='give "contact" or "twice"'):
         found.plot("thrice")
+
+
+@pytest.mark.parametrize("name", figures.FIGURES)
+def test_a_new_picture_of_any_verb_is_drawn_and_written(name, monkeypatch, tmp_path):
+    """From what the verb's result has as `drawn`; where that has nothing for it, it is left out."""
+    assert all(map(callable, figures.functions(name).values()))
+    [kind] = [
+        kind
+        for kind in vars(importlib.import_module(f"calibrate.verbs.{name}")).values()
+        if isinstance(kind, type) and vars(kind).get("verb") == name
+    ]
+    monkeypatch.setattr(kind, "drawn", ("a", "b"))
+    drawing = lambda *drawn: plt.figure(label=" ".join(drawn))  # noqa: E731
+    monkeypatch.setattr(misfit, "new", drawing, raising=False)
+    monkeypatch.setattr(misfit, "none", lambda *_: None, raising=False)
+    monkeypatch.setitem(figures.FIGURES, name, {"none": "misfit:none", "new": "misfit:new"})
+    found = object.__new__(kind)
+    object.__setattr__(found, "folder", tmp_path)
+    assert found.plot().get_label() == found.plot("new").get_label() == "a b"
+    with pytest.raises(CalibrationError, match='the picture "none" would show'):
+        found.plot("none")
+    found.save_figures()
+    [written] = (path for path in tmp_path.rglob("*") if path.is_file())
+    assert written == tmp_path / found.pictures.format("new")
+    assert not found.files or written.relative_to(tmp_path).parts[0] in found.written()
 
 
 # ------------------------------------------------------------------ from what is typed to arguments

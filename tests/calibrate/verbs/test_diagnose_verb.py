@@ -9,10 +9,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from calibrate import cli
+from calibrate import cli, figures
 from calibrate.core.errors import InputError
 from calibrate.discrepancy import infill
 from calibrate.discrepancy.comparison import naming
@@ -25,6 +26,7 @@ from calibrate.discrepancy.comparison.verdict import how_far
 from calibrate.discrepancy.diagnosis import beyond_library
 from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
 from calibrate.discrepancy.library.measurements import read_measurements
+from calibrate.figures import misfit
 from calibrate.io.lab import load_lab
 from calibrate.records.base import read
 from calibrate.records.diagnosis import DiagnosisRecord
@@ -160,9 +162,19 @@ def test_repeats_that_scatter_more_than_assumed_are_named(done):
 
 def test_figures_are_drawings_with_units(done):
     drawn = {path.stem for path in (done / "figures").glob("*.svg")}
-    assert {"where_confined", "where_unconfined", "probability", "effects", "next_test"} == drawn
+    assert set(figures.FIGURES["diagnose"]) == drawn
     for path in (done / "figures").glob("*.svg"):
         assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_a_new_figure_is_shown_on_the_page(done, monkeypatch):
+    def new(found, words):
+        """Which effects were found."""
+        return plt.figure(label=words(found.best[0]))
+
+    monkeypatch.setattr(misfit, "new", new, raising=False)
+    monkeypatch.setitem(figures.FIGURES["diagnose"], "new", "misfit:new")
+    assert "Which effects were found." in report.page(done / "result.json").html
 
 
 def test_every_effect_of_the_library_has_plain_words():

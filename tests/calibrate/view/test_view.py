@@ -13,6 +13,7 @@ import meshio
 import numpy as np
 import pytest
 
+from calibrate import figures
 from calibrate.figures import bed
 from calibrate.view.contacts import contacts_of
 from calibrate.view.frames import frames
@@ -112,7 +113,7 @@ def test_files_for_paraview_hold_the_bed(seen, tmp_path):
 
 def test_pictures_are_drawn(seen, tmp_path):
     _, _, states, contacts = seen
-    bed.bed_figure(states, contacts, tmp_path / "bed.png")
+    figures.save(bed.bed_figure(states, contacts), tmp_path / "bed.png")
     bed.bed_animation(states[-3:], contacts[-3:], tmp_path / "bed.gif")
     assert (tmp_path / "bed.png").stat().st_size > 10_000
     assert (tmp_path / "bed.gif").read_bytes().startswith(b"GIF")
