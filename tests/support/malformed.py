@@ -13,11 +13,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
-from calibrate import cli
-from calibrate.figures import lab
+from calibrate import cli, figures
 from calibrate.io.lab import bundled_lab
 from calibrate.simulation import Campaign
 from tests import DATA
@@ -140,7 +138,7 @@ def nothing_simulated() -> Iterator[None]:
 
     changed = [(Campaign, "runs", accepted), (Campaign, "each", accepted)]
     changed += [
-        (lab, "preview_figure", lambda *_: plt.figure()),
+        (figures, "FIGURES", {**figures.FIGURES, "convert": {}}),
         (cli, "_configure", lambda: None),
     ]
     before = [(owner, name, getattr(owner, name)) for owner, name, _ in changed]

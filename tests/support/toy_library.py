@@ -5,11 +5,13 @@ Small enough that a whole diagnosis takes seconds; kernels are those that fittin
 
 import hashlib
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from calibrate.discrepancy import diagnosis
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import COMPONENTS
 from calibrate.discrepancy.library.kernel import Kernel
@@ -19,6 +21,7 @@ from calibrate.discrepancy.library.store import NOTHING, save
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.simulation import Run
+from studies.sealed import further
 from studies.sealed.laboratory import SpecimenRecords, recorded, write_case
 from tests.support.formulas import BASE, LAB, specimen
 
@@ -75,6 +78,14 @@ def run_points(design: Design, points: RunPoints, *_) -> list[Run]:
 def write_library(path: Path) -> Path:
     save(library(), path)
     return path
+
+
+def with_few_draws(patch: pytest.MonkeyPatch) -> None:
+    """From now on, null distributions of 100 draws in place of 400, which take most of the time
+    of a diagnosis by this library."""
+    few = partial(diagnosis.prepared_diagnosis, draws=100)
+    for module in (diagnosis, further):
+        patch.setattr(module, "prepared_diagnosis", few)
 
 
 def reference() -> Curves:

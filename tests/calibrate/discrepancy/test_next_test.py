@@ -381,6 +381,7 @@ def test_the_loop_asks_takes_in_and_stops(place, lab, monkeypatch):
     """An offset of the load cell, on which the bare machine has the last word; asked for although
     the first tests have told it nearly."""
     monkeypatch.setattr(next_test, "WORTH", 0.0)
+    toy_library.with_few_draws(monkeypatch)
     asked: list[str] = []
 
     def answer(proposal: Proposal) -> Lab | None:

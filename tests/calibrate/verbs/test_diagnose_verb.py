@@ -58,11 +58,12 @@ def place(tmp_path_factory) -> Path:
 
 
 def call(*arguments: object) -> int:
-    """Exit status of a command line run in this process."""
+    """Exit status of a command line run in this process, with few draws."""
     settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     before = {name: getattr(jax.config, name) for name in settings}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
+        toy_library.with_few_draws(patch)
         try:
             cli.main()
         except SystemExit as end:
