@@ -1,7 +1,9 @@
 """`calibrate next` and what becomes of its answer: responses, the bare machine, lab files."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -62,12 +64,18 @@ def lab(place) -> Lab:
 
 
 @pytest.fixture(scope="module")
-def known(lab):
-    """Description, measured sample and comparison of the toy laboratory."""
+def prepared(lab):
+    """Description, measured sample and null distributions of the toy laboratory."""
     emulated = EmulatedLibrary.of(toy_library.library())
     _, d, measured = described(lab, emulated, 0)
-    prepared = prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
-    return d, measured, compare(prepared, measured)
+    return d, measured, prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
+
+
+@pytest.fixture(scope="module")
+def known(prepared):
+    """Description, measured sample and comparison of the toy laboratory."""
+    d, measured, nulls = prepared
+    return d, measured, compare(nulls, measured)
 
 
 def block(readings: np.ndarray) -> Curve:
@@ -308,21 +316,26 @@ class FakeLaboratory:
         return [SpecimenRecords(dict.fromkeys(("confined", "unconfined"), c), 1.0) for c in curves]
 
 
-def proposal_of(known, lab: Lab, name: str) -> Proposal:
+@pytest.fixture(scope="module")
+def proposal_of(known, prepared, lab) -> Callable[[str], Proposal]:
+    """What is proposed of the further test of a name; each is weighed once."""
     d, measured, comparison = known
-    prepared = prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
     offers = menu(d, comparison.noise, lab.pair().rates, 400.0)
-    (found,) = next_tests(
-        prepared, comparison, measured.mean, [o for o in offers if o.name == name]
-    )
-    return found
+
+    @cache
+    def proposal(name: str) -> Proposal:
+        chosen = [offer for offer in offers if offer.name == name]
+        (found,) = next_tests(prepared[-1], comparison, measured.mean, chosen)
+        return found
+
+    return proposal
 
 
-def test_a_test_again_is_made_on_fresh_specimens_under_its_condition(known, lab, tmp_path):
+def test_a_test_again_is_made_on_fresh_specimens_under_its_condition(proposal_of, lab, tmp_path):
     fake = FakeLaboratory()
     made = FurtherLaboratory(fake, tmp_path)  # pyright: ignore
     case = sealed_case(Hidden("wall_friction", 0.3), Hidden("load_cell_gain", 0.1))
-    greased = proposal_of(known, lab, "confined test in a freshly greased mould")
+    greased = proposal_of("confined test in a freshly greased mould")
     answer = made.answer(case, lab, greased)
     again = made.answer(case, lab, greased)
     assert answer is not None and again is not None
@@ -348,11 +361,13 @@ def test_rates_change_the_soil_that_depends_on_them():
     [((), 0.0), ((Hidden("rate_dependence", 0.02),), -400 * 0.02 * 2.7),
      ((Hidden("load_cell_drift", 0.2),), 12.0)],
 )  # fmt: skip
-def test_a_hold_shows_what_is_lost_and_what_drifts(hidden, change, known, lab, tmp_path):
+def test_a_hold_shows_what_is_lost_and_what_drifts(
+    hidden, change, known, proposal_of, lab, tmp_path
+):
     """The answer's curves through the file into an outcome."""
     d, _, comparison = known
     made = FurtherLaboratory(FakeLaboratory(), tmp_path)  # pyright: ignore
-    asked = proposal_of(known, lab, "hold at 400 N for 60 s")
+    asked = proposal_of("hold at 400 N for 60 s")
     answer = made.answer(sealed_case(*hidden), lab, asked)
     assert answer is not None
     cylinder = toy_library.library().cylinder
@@ -360,10 +375,10 @@ def test_a_hold_shows_what_is_lost_and_what_drifts(hidden, change, known, lab, t
     assert found.found == pytest.approx([change], abs=3.0)
 
 
-def test_a_bare_machine_answers_with_its_faults(known, lab, tmp_path):
+def test_a_bare_machine_answers_with_its_faults(known, proposal_of, lab, tmp_path):
     d, _, comparison = known
     made = FurtherLaboratory(FakeLaboratory(), tmp_path)  # pyright: ignore
-    asked = proposal_of(known, lab, BLOCK_AND_WEIGHT)
+    asked = proposal_of(BLOCK_AND_WEIGHT)
     case = sealed_case(
         Hidden("load_cell_offset", 6.0), Hidden("load_frame_compliance", 1e-6),
         Hidden("load_cell_drift", 0.02), Hidden("load_cell_gain", 0.03),
