@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.progress import for_terminal
-from calibrate.designs.comparison import Designed, Ending, Enhanced, SlopePair, design
+from calibrate.designs.comparison import Designed, Enhanced, MethodResult, SlopePair, design
 from calibrate.designs.study import ranked
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
@@ -45,7 +45,7 @@ def markdown(found: Designed, origin: dict) -> str:
     )
 
 
-def _endings(endings: tuple[Ending, ...]) -> str:
+def _endings(endings: tuple[MethodResult, ...]) -> str:
     rows = [
         [
             ending.method,

@@ -20,9 +20,9 @@ from calibrate.core.errors import BadValue, InputError
 from calibrate.designs.gradients import fit_with_gradients
 from calibrate.designs.study import (
     SIGNIFICANT,
-    Bench,
     Experiment,
     Study,
+    StudySetup,
     Surfaces,
     study,
     verified,
@@ -86,7 +86,7 @@ class SlopePair:
 
 
 @dataclass(frozen=True, eq=False)
-class Ending:
+class MethodResult:
     """Where a method ended: parameters, all observables (packings, observables), what it cost."""
 
     method: str
@@ -115,39 +115,39 @@ class Comparison:
     """Everything that is laid side by side."""
 
     slopes: tuple[SlopePair, ...]
-    endings: tuple[Ending, ...]
+    endings: tuple[MethodResult, ...]
     enhanced: tuple[Enhanced, ...]
     gradient_runs: float  # forward runs a packing of one gradient
 
 
-def compare(lab: Lab, bench: Bench, done: Study, fresh: Sequence[int], scatter) -> Comparison:
+def compare(lab: Lab, setup: StudySetup, done: Study, fresh: Sequence[int], scatter) -> Comparison:
     """Gradients at the centres of the designs, and a gradient fit of the same parameters.
 
     `scatter` are the packings from which the fit takes one packing's scatter.
     """
-    at_base = gradient(bench, bench.soil({}), "gradient at the base soil")
+    at_base = gradient(setup, setup.soil({}), "gradient at the base soil")
     held = done.second.experiment.held
-    at_second = gradient(bench, bench.soil(held), "gradient at the centre of the second design")
+    at_second = gradient(setup, setup.soil(held), "gradient at the centre of the second design")
     slopes = [
-        *_screened(bench, done, at_base),
-        *_surfaced(bench, done.first, at_base),
-        *_surfaced(bench, done.second, at_second),
+        *_screened(setup, done, at_base),
+        *_surfaced(setup, done.first, at_base),
+        *_surfaced(setup, done.second, at_second),
     ]
     return Comparison(
         slopes=tuple(slopes),
-        endings=(_designed(bench, done), fitted(lab, bench, done, fresh, scatter)),
-        enhanced=tuple(enhanced(bench, done.second.experiment, done.goals[-1], at_second)),
-        gradient_runs=strategy(bench.space).runs(len(bench.space.names), len(bench.seeds)),
+        endings=(_designed(setup, done), fitted(lab, setup, done, fresh, scatter)),
+        enhanced=tuple(enhanced(setup, done.second.experiment, done.goals[-1], at_second)),
+        gradient_runs=strategy(setup.space).runs(len(setup.space.names), len(setup.seeds)),
     )
 
 
-def gradient(bench: Bench, soil: SoilParameters, what: str) -> Sensitivity:
+def gradient(setup: StudySetup, soil: SoilParameters, what: str) -> Sensitivity:
     """Slopes (observables + curves, p) at a soil, on the packings of the designs."""
-    there = Space(bench.space.names, bench.space.ranges, soil)
-    points = CurvePoints.of(bench.work)
-    response = simulated_response(there, bench.work, bench.seeds, points)(what)
+    there = Space(setup.space.names, setup.space.ranges, soil)
+    points = CurvePoints.of(setup.work)
+    response = simulated_response(there, setup.work, setup.seeds, points)(what)
     point = jnp.log(jnp.asarray(there.start()))
-    return strategy(there)(response, point, len(bench.seeds))
+    return strategy(there)(response, point, len(setup.seeds))
 
 
 def strategy(space: Space) -> Ensemble:
@@ -155,9 +155,9 @@ def strategy(space: Space) -> Ensemble:
     return ensemble(space, PAIRS)
 
 
-def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(bench)
-    for m, observable in enumerate(bench.observables):
+def _screened(setup: StudySetup, done: Study, found: Sensitivity) -> list[SlopePair]:
+    pairs, freedom = [], _freedom(setup)
+    for m, observable in enumerate(setup.observables):
         for p, factor in enumerate(done.screening.design.factors):
             effect = done.screens[observable][factor.name]
             span = 2 * factor.half_range
@@ -178,13 +178,13 @@ def _screened(bench: Bench, done: Study, found: Sensitivity) -> list[SlopePair]:
     return pairs
 
 
-def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(bench)
-    for m, observable in enumerate(bench.observables):
+def _surfaced(setup: StudySetup, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
+    pairs, freedom = [], _freedom(setup)
+    for m, observable in enumerate(setup.observables):
         surface = stage.whole[observable]
         slopes = surface.slopes(np.zeros(surface.X.shape[1]))
         for j, factor in enumerate(stage.experiment.design.factors):
-            p = bench.space.names.index(factor.name)
+            p = setup.space.names.index(factor.name)
             slope, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
             pairs.append(
                 SlopePair(
@@ -203,17 +203,17 @@ def _surfaced(bench: Bench, stage: Surfaces, found: Sensitivity) -> list[SlopePa
     return pairs
 
 
-def _freedom(bench: Bench) -> list[int]:
+def _freedom(setup: StudySetup) -> list[int]:
     """Degrees of freedom of the gradient's standard errors."""
-    return strategy(bench.space).freedom(len(bench.space.names), len(bench.seeds))
+    return strategy(setup.space).freedom(len(setup.space.names), len(setup.seeds))
 
 
 def _p_value(t: float, df: int) -> float:
     return float(2 * stats.t.sf(abs(t), df))
 
 
-def _designed(bench: Bench, done: Study) -> Ending:
-    return Ending(
+def _designed(setup: StudySetup, done: Study) -> MethodResult:
+    return MethodResult(
         method="designs",
         values=done.values,
         fitted=done.fitted,
@@ -224,38 +224,38 @@ def _designed(bench: Bench, done: Study) -> Ending:
 
 
 def fitted(
-    lab: Lab, bench: Bench, done: Study, fresh: Sequence[int], scatter: Sequence[int]
-) -> Ending:
+    lab: Lab, setup: StudySetup, done: Study, fresh: Sequence[int], scatter: Sequence[int]
+) -> MethodResult:
     """The fit of the parameters that the designs ended with, from the base soil."""
     free = tuple(done.values)
-    ranges = tuple(bench.space.ranges[bench.space.names.index(name)] for name in free)
-    problem, there = pose(lab), Space(free, ranges, bench.space.base)
-    work = bench.work
+    ranges = tuple(setup.space.ranges[setup.space.names.index(name)] for name in free)
+    problem, there = pose(lab), Space(free, ranges, setup.space.base)
+    work = setup.work
     spread = packing_scatter(
         problem, lambda seeds: work.runs([there.base], seeds, "scatter of packings")[0], scatter
     )
-    calibration = Calibration(problem, there, work, bench.seeds, spread, len(scatter))
+    calibration = Calibration(problem, there, work, setup.seeds, spread, len(scatter))
     walk = descend(calibration)
     if walk.best is None:
         raise BadValue("the gradient fit evaluated nothing", "see the progress lines", "fit")
     soil = there.soil(walk.best.values)
     reached = [row for row in walk.history if row["status"] == "better"][-1]
-    return Ending(
+    return MethodResult(
         method="gradient fit",
         values=dict(zip(free, walk.best.values.tolist(), strict=True)),
-        fitted=_ended(bench, soil, bench.seeds),
-        fresh=_ended(bench, soil, fresh),
-        simulations=round(reached["forward_runs"] * len(bench.seeds)),
+        fitted=_ended(setup, soil, setup.seeds),
+        fresh=_ended(setup, soil, fresh),
+        simulations=round(reached["forward_runs"] * len(setup.seeds)),
         stopped=walk.stopped,
     )
 
 
-def _ended(bench: Bench, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
-    return verified(bench, soil, seeds, "the gradient fit's end")
+def _ended(setup: StudySetup, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
+    return verified(setup, soil, seeds, "the gradient fit's end")
 
 
 def enhanced(
-    bench: Bench, experiment: Experiment, observable: str, found: Sensitivity
+    setup: StudySetup, experiment: Experiment, observable: str, found: Sensitivity
 ) -> list[Enhanced]:
     """Surfaces of one response from fewer points, with and without the gradient at the centre.
 
@@ -264,9 +264,9 @@ def enhanced(
     """
     X, y = experiment.design.coded, experiment.means(observable)
     factors = experiment.design.factors
-    columns = [bench.space.names.index(factor.name) for factor in factors]
+    columns = [setup.space.names.index(factor.name) for factor in factors]
     half = np.array([factor.half_range for factor in factors])
-    m = bench.observables.index(observable)
+    m = setup.observables.index(observable)
     slope, error = (
         np.asarray(part)[m, columns] * half for part in (found.slopes, found.standard_error)
     )
@@ -294,7 +294,7 @@ def _subsets(X, y, slope, sd, centre: int, size: int, rng) -> Enhanced:
         left = np.setdiff1d(np.arange(len(X)), used)
         gradients = np.full((len(used), X.shape[1]), np.nan)
         for kind, rows in enumerate((gradients, _at_end(gradients, slope))):
-            errors[kind].append(_left_out(X, y, used, left, rows, sd))
+            errors[kind].append(_held_out(X, y, used, left, rows, sd))
     return Enhanced(size, *(_pooled(kind) for kind in errors))
 
 
@@ -305,7 +305,7 @@ def _at_end(gradients: np.ndarray, slope: np.ndarray) -> np.ndarray:
     return known
 
 
-def _left_out(X, y, used, left, gradients, sd) -> float:
+def _held_out(X, y, used, left, gradients, sd) -> float:
     """Mean squared error at the points left out; NaN where the others do not fix the surface."""
     terms = quadratic(X.shape[1])
     try:
@@ -347,9 +347,9 @@ def design(
     fresh = tuple(number for number in seeds.scatter if number not in seeds.fitted)
     held = {name for name, choice in lab.parameters.items() if choice.free is False}
     factors = tuple(name for name in CANDIDATES if name not in held)
-    bench = Bench(space(lab, factors, base), work, seeds.fitted)
-    done = study(bench, lab.targets, fresh)
-    return Designed(done, compare(lab, bench, done, fresh, seeds.scatter), seeds.fitted, fresh)
+    setup = StudySetup(space(lab, factors, base), work, seeds.fitted)
+    done = study(setup, lab.targets, fresh)
+    return Designed(done, compare(lab, setup, done, fresh, seeds.scatter), seeds.fitted, fresh)
 
 
 def _check_targets(lab: Lab) -> None:

@@ -94,7 +94,7 @@ class Experiment:
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class StudySetup:
     """Where designs are run: a base soil with its free parameters, packings, a campaign."""
 
     space: Space
@@ -203,32 +203,32 @@ class Study:
         return sum(experiment.simulations for experiment in self.experiments)
 
 
-def study(bench: Bench, targets: Mapping[str, Target], fresh: Sequence[int]) -> Study:
+def study(setup: StudySetup, targets: Mapping[str, Target], fresh: Sequence[int]) -> Study:
     """Runs the sequence towards all targets, at least one; resumes from what the campaign holds."""
-    goals = {name: _goal(targets[name]) for name in bench.observables if name in targets}
+    goals = {name: _goal(targets[name]) for name in setup.observables if name in targets}
     first, *_, last = [next(iter(goals)), *goals]
-    factors = bench.factors(bench.space.names, SCREENED, {})
-    screening = bench.run("screening", designs.plackett_burman(factors, centre=1), {})
+    factors = setup.factors(setup.space.names, SCREENED, {})
+    screening = setup.run("screening", designs.plackett_burman(factors, centre=1), {})
     screens = {
-        name: screen(screening.replicated(), screening.blocked(name)) for name in bench.observables
+        name: screen(screening.replicated(), screening.blocked(name)) for name in setup.observables
     }
     by_first, by_last = (ranked(screens[name]) for name in (first, last))
     called = stage_titles(first, last)
 
-    chosen = bench.factors(by_first[:FEW_FACTORS], SURFACED, {})
+    chosen = setup.factors(by_first[:FEW_FACTORS], SURFACED, {})
     composite = designs.central_composite(chosen, centre=1)
-    few = surfaces(bench.run(called[0], composite, {}), {first: goals[first]})
+    few = surfaces(setup.run(called[0], composite, {}), {first: goals[first]})
     values = few.best()
 
-    chosen = bench.factors(by_last[:MORE_FACTORS], SURFACED, values)
+    chosen = setup.factors(by_last[:MORE_FACTORS], SURFACED, values)
     behnken = designs.box_behnken(chosen, centre=1)
-    more = surfaces(bench.run(called[1], behnken, _others(values, chosen)), goals)
+    more = surfaces(setup.run(called[1], behnken, _others(values, chosen)), goals)
     values |= more.best()
 
     rest = [name for name in by_first if name not in by_last[:MORE_FACTORS]]
-    refined = bench.factors(rest[:1], SURFACED, values)
+    refined = setup.factors(rest[:1], SURFACED, values)
     sweep = designs.sweep(refined[0], LEVELS)
-    refinement = surfaces(bench.run("refinement", sweep, _others(values, refined)), goals, cubic)
+    refinement = surfaces(setup.run("refinement", sweep, _others(values, refined)), goals, cubic)
     values |= refinement.best()
     return Study(
         screening=screening,
@@ -238,8 +238,8 @@ def study(bench: Bench, targets: Mapping[str, Target], fresh: Sequence[int]) -> 
         refinement=refinement,
         goals=tuple(goals),
         values=values,
-        fitted=verified(bench, bench.soil(values), bench.seeds, "optimum"),
-        fresh=verified(bench, bench.soil(values), fresh, "optimum on fresh packings"),
+        fitted=verified(setup, setup.soil(values), setup.seeds, "optimum"),
+        fresh=verified(setup, setup.soil(values), fresh, "optimum on fresh packings"),
     )
 
 
@@ -285,9 +285,11 @@ def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) ->
     return Surfaces(experiment, whole, reduced, best)
 
 
-def verified(bench: Bench, soil: SoilParameters, seeds: Sequence[int], what: str) -> np.ndarray:
+def verified(
+    setup: StudySetup, soil: SoilParameters, seeds: Sequence[int], what: str
+) -> np.ndarray:
     """All observables (packings, observables) of a soil; NaN where a run failed."""
-    runs, names = bench.work.runs([soil], seeds, what)[0], bench.observables
+    runs, names = setup.work.runs([soil], seeds, what)[0], setup.observables
     unknown = [np.nan] * len(names)
     return np.array([unknown if run.failure else _observed(run, names) for run in runs])
 

@@ -5,7 +5,6 @@ is no term.  A model is hierarchical if with each term it has all terms that div
 """
 
 import itertools
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.core.errors import BadValue, shown, suggestion
-from calibrate.designs.factors import Factor
 
 
 @dataclass(frozen=True)
@@ -110,28 +108,3 @@ def removable(terms: Terms) -> Terms:
 def matrix(terms: Terms, X: np.ndarray) -> np.ndarray:
     """The model matrix (n, 1 + terms) at points (n, p): a column of ones, then each term."""
     return np.column_stack([np.ones(len(X)), *(term.values(X) for term in terms)])
-
-
-def natural_coefficients(
-    terms: Terms, coefficients: np.ndarray, factors: Sequence[Factor]
-) -> dict[Term, float]:
-    """The same polynomial in natural units: the coefficient of each power, intercept included.
-
-    `coefficients` (1 + terms) are those of coded units.  A logarithmic factor stands as the
-    logarithm of its natural value.
-    """
-    found: dict[Term, float] = {}
-    intercept = Term((0,) * len(factors))
-    for term, coefficient in zip((intercept, *terms), coefficients, strict=True):
-        for powers in itertools.product(*(range(power + 1) for power in term.powers)):
-            share = float(coefficient)
-            for factor, power, kept in zip(factors, term.powers, powers, strict=True):
-                share *= _binomial_share(factor, power, kept)
-            found[Term(powers)] = found.get(Term(powers), 0.0) + share
-    return found
-
-
-def _binomial_share(factor: Factor, power: int, kept: int) -> float:
-    """Coefficient of x^kept in ((x - centre)/half_range)^power."""
-    rest = (-factor.scaled_centre) ** (power - kept)
-    return math.comb(power, kept) * rest / factor.half_range**power

@@ -27,8 +27,8 @@ from calibrate.discrepancy.comparison.localise import Localisation, localise
 from calibrate.discrepancy.comparison.naming import Grounds, named
 from calibrate.discrepancy.comparison.next_test import (
     BEFORE_TESTS,
-    Learned,
     Proposal,
+    UpdatedBelief,
     next_tests,
     updated,
 )
@@ -94,7 +94,7 @@ class Diagnosis:
     comparison: Comparison
     reduction: Reduction | None
     proposals: list[Proposal]
-    learned: Learned | None = None
+    belief: UpdatedBelief | None = None
     unused: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
     library_error: float = 1.0
@@ -107,7 +107,7 @@ class Diagnosis:
             self.comparison,
             self.reduction,
             self.proposals,
-            self.learned,
+            self.belief,
         )
 
 
@@ -175,10 +175,10 @@ def diagnosed(
     comparison = compare(prepared, measured)
     cylinder = Cylinder.of(lab)
     made, unused = outcomes(lab, further, cylinder, d, comparison.noise)
-    learned = None
+    belief = None
     if made:
         say("taking in further tests")
-        comparison, learned = updated(prepared, comparison, measured.mean, made)
+        comparison, belief = updated(prepared, comparison, measured.mean, made)
     localisation = localise(d, measured, comparison.noise, comparison.base, seed)
     say("how far the gap shrinks")
     delta = comparison.base.delta
@@ -190,7 +190,7 @@ def diagnosed(
         offers = menu(d, comparison.noise, lab.pair().rates, cylinder.force_high)
         proposals = next_tests(prepared, comparison, measured.mean, offers, seed)
     return Diagnosis(
-        lab, found, measured, prepared, localisation, comparison, reduction, proposals, learned,
+        lab, found, measured, prepared, localisation, comparison, reduction, proposals, belief,
         tuple(unused), beyond, error,
     )  # fmt: skip
 

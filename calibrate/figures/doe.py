@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibrate.designs.comparison import Ending, SlopePair
+from calibrate.designs.comparison import MethodResult, SlopePair
 from calibrate.designs.diagnostics import BoxCox, Diagnostics
 from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Effect, Screening
@@ -306,7 +306,9 @@ def study_figure(found: StudyRecord) -> Figure:
     return figure
 
 
-def endings(axis: Axes, found: Sequence[Ending], target: Target, column: int, label: str) -> None:
+def endings(
+    axis: Axes, found: Sequence[MethodResult], target: Target, column: int, label: str
+) -> None:
     """One response (`column` of the endings) at each method's end, packing by packing."""
     reach = (target.mean - target.scatter, target.mean + target.scatter)
     axis.axhspan(*reach, color=LIGHT, alpha=0.5, lw=0, label="measured ± scatter")

@@ -77,21 +77,21 @@ def calibrate(
     """
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
-    bench = Bench(lab, problem, base, seeds, work, scatter, scattered, coarse)
+    setup = FitSetup(lab, problem, base, seeds, work, scatter, scattered, coarse)
     free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
-    screened = bench.screened() if free is None else None
-    screening = {} if screened is None else screening_json(bench, screened)
+    screened = setup.screened() if free is None else None
+    screening = {} if screened is None else screening_json(setup, screened)
     if free is None:
         free = tuple(screening["free"])
         work.progress.say("free parameters: " + _chosen(screening["alike"]))
-    calibration = bench.calibration(free)
+    calibration = setup.calibration(free)
     first = calibration.correction(calibration.space.start(), "both resolutions at the start")
-    rounds = bench.rounds(calibration, first, screened)
-    calibration, result = bench.settled(rounds)
-    helped = bench.help(Round(calibration, result), screened, rounds)
+    rounds = setup.rounds(calibration, first, screened)
+    calibration, result = setup.settled(rounds)
+    helped = setup.help(Round(calibration, result), screened, rounds)
     soil = calibration.space.soil(result.best.values)
     return Calibrated(
-        bench=bench,
+        setup=setup,
         calibration=calibration,
         result=result,
         rounds=rounds,
@@ -99,7 +99,7 @@ def calibrate(
         first=first,
         fitted_runs=work.runs([soil], seeds.fitted, "fitted packings")[0],
         fresh_runs=work.runs([soil], seeds.fresh, "fresh packings")[0],
-        named_runs=bench.named_runs(),
+        named_runs=setup.named_runs(),
         help=helped,
     )
 
@@ -110,7 +110,7 @@ class Calibrated:
     of both sizes of beds at the start, runs at the fitted values and of the lab file's named
     parameter sets, and one sentence of what would help where it missed."""
 
-    bench: "Bench"
+    setup: "FitSetup"
     calibration: Calibration
     result: Fit
     rounds: list[Round]
@@ -123,7 +123,7 @@ class Calibrated:
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class FitSetup:
     """Everything that a fit needs but its free parameters."""
 
     lab: Lab
@@ -294,14 +294,14 @@ def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -
     }
 
 
-def screening_json(bench: Bench, screened: Screened) -> dict:
+def screening_json(setup: FitSetup, screened: Screened) -> dict:
     """Slopes of all features in all candidates, and the parameters that the data can fix."""
     names = screened.space.names
-    whitened = bench.calibration(names).whitened(screened.slopes)
-    rank = len(bench.problem.measured)
+    whitened = setup.calibration(names).whitened(screened.slopes)
+    rank = len(setup.problem.measured)
     prior = screened.space.prior_sd()
     found = choose_free(names, whitened, prior, rank) or [strongest(names, whitened, prior)]
-    features = [feature.name for feature in bench.problem.features]
+    features = [feature.name for feature in setup.problem.features]
     return {
         "free": [choice.name for choice in found],
         "signal_to_noise": {choice.name: choice.signal_to_noise for choice in found},
@@ -325,24 +325,24 @@ def _chosen(alike: Mapping[str, Sequence[str]]) -> str:
 
 def fit_json(done: Calibrated) -> dict:
     """The contract's keys for `fit`, and what was checked on fresh packings."""
-    bench, calibration, found = done.bench, done.calibration, done.result
-    lab, names, best = bench.lab, calibration.space.names, found.best
-    features = compared(bench.problem, found.covariance, best)
+    setup, calibration, found = done.setup, done.calibration, done.result
+    lab, names, best = setup.lab, calibration.space.names, found.best
+    features = compared(setup.problem, found.covariance, best)
     met, rounds = not misses(features), [each.as_json() for each in done.rounds]
-    base = soil_json(bench.base)
+    base = soil_json(setup.base)
     ever = {name: base[name] for each in rounds for name in each["free"]}  # free at some time
     result = {
         "parameters": soil_json(calibration.space.soil(best.values)),
         "free": list(names),
-        **checked_json(lab, bench.seeds, done.fitted_runs, done.fresh_runs),
+        **checked_json(lab, setup.seeds, done.fitted_runs, done.fresh_runs),
         "targets": {name: target.mean for name, target in lab.targets.items()},
-        "rates": rates_json(bench.work),
+        "rates": rates_json(setup.work),
         "features": features,
         "met": met,
         "packing_scatter": dict(
-            zip(features, np.sqrt(np.diag(bench.scatter)).tolist(), strict=True)
+            zip(features, np.sqrt(np.diag(setup.scatter)).tolist(), strict=True)
         ),
-        "simulations": bench.simulations,
+        "simulations": setup.simulations,
         "resolutions": resolutions_json(calibration, done.first, found),
         "stopped": found.stopped,
         "strategy": calibration.strategy.describe(),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import model_validator as check
 
-from calibrate.designs.comparison import Comparison, Ending, Enhanced, SlopePair
+from calibrate.designs.comparison import Comparison, Enhanced, MethodResult, SlopePair
 from calibrate.designs.design import Design
 from calibrate.designs.factors import Factor
 from calibrate.designs.screening import Screening, screen
@@ -107,14 +107,16 @@ class EndingRecord(Record):
             return data
         return {**data, **{where: _behind(f"{where}_", data) for where in ("fitted", "fresh")}}
 
-    def ending(self, observables: Sequence[Observable]) -> Ending:
+    def ending(self, observables: Sequence[Observable]) -> MethodResult:
         if any(set(group) != set(observables) for group in (self.fitted, self.fresh)):
             raise ValueError(f"where {self.method} ended, an observable is missing")
         fitted, fresh = (
             np.column_stack([group[name] for name in observables])
             for group in (self.fitted, self.fresh)
         )
-        return Ending(self.method, dict(self.values), fitted, fresh, self.simulations, self.stopped)
+        return MethodResult(
+            self.method, dict(self.values), fitted, fresh, self.simulations, self.stopped
+        )
 
 
 def _behind(begin: str, data: dict) -> dict:

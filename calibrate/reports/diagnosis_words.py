@@ -284,15 +284,15 @@ def _proposed(test: NextTestRecord) -> str:
 
 def further(found: DiagnosisRecord) -> str:
     """What further tests have changed."""
-    learned = found.further_tests
-    if learned is None:
+    made = found.further_tests
+    if made is None:
         return ""
-    made = ", ".join(learned.tests)
-    if not learned.foreseen:
-        return f"Further tests ({made}) showed what no explanation foresees."
-    name = max(learned.before, key=lambda one: found.which.probability.get(one, 0.0))
-    then, now = learned.before[name], found.which.probability.get(name, 0.0)
-    return f"Further tests ({made}) took “{title(name)}” from {percent(then)} to {percent(now)}."
+    names = ", ".join(made.tests)
+    if not made.foreseen:
+        return f"Further tests ({names}) showed what no explanation foresees."
+    name = max(made.before, key=lambda one: found.which.probability.get(one, 0.0))
+    then, now = made.before[name], found.which.probability.get(name, 0.0)
+    return f"Further tests ({names}) took “{title(name)}” from {percent(then)} to {percent(now)}."
 
 
 def _undetectable(found: DiagnosisRecord) -> str:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from calibrate.core.files import whole, write_json, write_text
 from calibrate.designs.anova import anova
-from calibrate.designs.comparison import Comparison, Designed, Ending
+from calibrate.designs.comparison import Comparison, Designed, MethodResult
 from calibrate.designs.study import Experiment, Study, Surfaces
 from calibrate.labtests.composite import described
 from calibrate.records.base import record
@@ -94,7 +94,7 @@ def _stage_json(stage: Surfaces) -> dict:
     }
 
 
-def _ending_json(ending: Ending, done: Study) -> dict:
+def _ending_json(ending: MethodResult, done: Study) -> dict:
     return {
         "method": ending.method,
         "values": ending.values,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.designs.anova import Anova, anova
-from calibrate.designs.comparison import Comparison, Ending
+from calibrate.designs.comparison import Comparison, MethodResult
 from calibrate.designs.diagnostics import box_cox, diagnose, without_profile
 from calibrate.designs.screening import Screening
 from calibrate.designs.study import SIGNIFICANT
@@ -117,7 +117,7 @@ def _reached(found: StudyRecord, compared: Comparison) -> Table:
     return Table(columns, rows)
 
 
-def _ending(ending: Ending) -> list[str]:
+def _ending(ending: MethodResult) -> list[str]:
     cells = [
         cell(v, m) for m in range(ending.fitted.shape[1]) for v in (ending.fitted, ending.fresh)
     ]

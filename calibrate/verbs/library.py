@@ -75,7 +75,7 @@ def make_library(
     out: Annotated[
         str | Path, typer.Option("--out", help="The library's file."), options.Typed(Path)
     ] = "library.nc",
-    packings: Annotated[int, typer.Option("--packings", min=8, max=500, help=DESIGN)] = 160,
+    packings: Annotated[int, typer.Option("--packings", min=16, max=500, help=DESIGN)] = 160,
     onto: Annotated[
         str | Path | None,
         typer.Option("--onto", help="A smaller library: simulate only what it lacks, join both."),
@@ -99,7 +99,8 @@ def make_library(
     Args:
         lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
         out: the library's file.
-        packings: of the design, with 6 simulations each.
+        packings: of the design, with 6 simulations each; at least 16, as the emulator is judged on
+            blocks of 8 that it has not seen.
         onto: file of a smaller library, to which only what it lacks is added; None: a new one.
         shaped: packings of specimens of other heights and largest stresses.
         refined: packings on which the effects that are hardest to predict are simulated.

@@ -80,7 +80,8 @@ def view(
     soil = session.soil(parameter_values(values))
     work = session.campaign_of_one(folder)
     (packing,) = work.packings([seed])
-    seen = states(work.lab, packing, soil, frames, session.progress.say)
+    roomier = work.lab.roomier(work.specimen)
+    seen = states(work.lab, packing, soil, frames, session.progress.say, roomier)
     touching = [contacts_of(frame.bed, frame.state) for frame in seen]
     write_series(seen, touching, folder)
     bed_animation(seen, touching, folder / "bed.gif")

@@ -44,9 +44,27 @@ def frames(
     soil: SoilParameters,
     most: int,
     say: Callable[[str], None] = lambda line: None,
+    roomier: VirtualLab | None = None,
 ) -> list[Frame]:
     """At most 2 `most` and at least about `most` states, evenly spaced; the last of each
-    movement is always among them.  `say` hears of each movement that is finished."""
+    movement is always among them.  `say` hears of each movement that is finished.  If a contact
+    list of `lab` is too small, `roomier`, the same with larger ones, begins anew."""
+    try:
+        return _frames(lab, packing, soil, most, say)
+    except _FullError as full:
+        if roomier is None:
+            raise CalibrationError(f"a contact list was too small: {full}") from None
+        say("a contact list was too small: once more with larger ones")
+        return frames(roomier, packing, soil, most, say)
+
+
+class _FullError(Exception):
+    """A contact list was too small; the message says which, and the capacity that would do."""
+
+
+def _frames(
+    lab: VirtualLab, packing: Packing, soil: SoilParameters, most: int, say: Callable[[str], None]
+) -> list[Frame]:
     kept: list[Frame] = []
     pieces = _Pieces(lab, packing, soil)
     for frame, is_last in pieces.run():
@@ -103,7 +121,7 @@ class _Pieces:
         before = float(self.state.time)
         record: Record = self.loop(self.bed, self.state, programme, self.steps, self.lab.capacity)
         if bool(record.overflow_of(self.bed.grid)):
-            raise CalibrationError(record.explain_overflow(self.bed.grid))
+            raise _FullError(record.explain_overflow(self.bed.grid))
         self.state = record.state
         last = int(np.flatnonzero(np.asarray(record.samples.segment) >= 0)[-1])
         force = float(record.samples.platen_force[last])

@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 import sys
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -61,6 +62,11 @@ PRIVATE = {
     r"habits?": "class bias",
     r"rehears\w+": "a simulated calibration",
     r"upkeep": "list update",
+}
+OF_CODE = {  # beside those of pages, words that no identifier has
+    r"bench": "setup",
+    r"learned": "belief",
+    r"asking": "policy",
 }
 TELLING = (
     r"\b2\d Nov",
@@ -222,6 +228,38 @@ def test_pages_speak_the_fields_language(page):
     for word, better in PRIVATE.items():
         found = re.search(rf"\b{word}\b", text, re.IGNORECASE)
         assert not found, f"{found and found[0]}: write {better}"
+
+
+def identifiers(source: str) -> Iterator[str]:
+    """Names that a file gives: classes, functions, arguments and variables."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+
+
+def banned_in(names: Iterable[str]) -> list[str]:
+    """Names with a banned word, CapWords and under_scores being read as words."""
+    words = re.compile("|".join(rf"\b{word}\b" for word in {**PRIVATE, **OF_CODE}), re.IGNORECASE)
+    between = re.compile(r"(?<=[a-z])(?=[A-Z])|_")
+    return [n for n in names if any(words.search(between.sub(gap, n)) for gap in " -")]
+
+
+@pytest.mark.parametrize("package", ["calibrate", "jdem"])
+def test_identifiers_use_the_words_of_pages(package):
+    """A word that pages may not have, no file, class, function, argument or variable has."""
+    files = sorted((ROOT / package).rglob("*.py"))
+    found = {path.name: banned_in([path.stem, *identifiers(path.read_text())]) for path in files}
+    assert {name: banned for name, banned in found.items() if banned} == {}
+
+
+def test_the_rule_on_identifiers_catches():
+    source = "class BenchTop: ...\ndef left_out(twin):\n    upkeep = 1\n"
+    assert banned_in(identifiers(source)) == ["BenchTop", "left_out", "twin", "upkeep"]
+    assert banned_in(["benchmark", "kind", "banking"]) == []
 
 
 @pytest.mark.parametrize("page", NOW, ids=name_of)

@@ -45,11 +45,12 @@ class Verb:
     out: str = "."
     takes_lab: bool = True
     before: tuple[str, ...] = ()  # a command that makes ./made, which this one reads
+    on_spheres: bool = False  # whether it simulates spheres even where others take formulas
 
     def arguments(self, folder: Path, dem: bool = False) -> list[str]:
         """The command, with --out; what begins with ./ lies beside the folder that it works in."""
         given = [str(folder.parent / a[2:]) if a[:2] == "./" else a for a in self.command]
-        if self.takes_lab and dem:
+        if self.takes_lab and (dem or self.on_spheres):
             given.append(str(low_lab(folder.parent / "low.toml")))
         return [*given, "--out", str(folder / self.out)]
 
@@ -58,7 +59,7 @@ VERBS = {
     "fit": Verb(("fit", "--free", "shear_modulus,surface_energy"), "result.json"),
     "doe": Verb(("doe",), "result.json"),
     "library": Verb(
-        ("library", "--packings", "8", "--shaped", "0", "--refined", "0", "--spheres", "120"),
+        ("library", "--packings", "16", "--shaped", "0", "--refined", "0", "--spheres", "120"),
         "library.nc",
         out="library.nc",
     ),
@@ -69,6 +70,7 @@ PAIRED = {  # verbs that write, too, and lose nothing that another kill would no
     "simulate": Verb(("simulate",), "result.json"),
     "audit": Verb(("audit", "--packings", "2", "--spheres", "48", "--strategy", "ensemble"),
                   "audit.json"),
+    "view": Verb(("view", "--frames", "4"), "view.json", on_spheres=True),
     "contact": Verb(("contact", "--path-um", "20,2,32,-28"), "contact.json", takes_lab=False),
     "convert": Verb(("convert", str(DATA / "machine_exports" / "two_specimens.xlsx")),
                     "convert.json", takes_lab=False),
@@ -206,7 +208,8 @@ def low_lab(path: Path) -> Path:
 
 def begin(arguments: list[str], dem: bool = False) -> None:
     """The command line in this process, on small specimens."""
-    prepare_process(dem)
+    spheres = {name for name, verb in PAIRED.items() if verb.on_spheres}
+    prepare_process(dem or arguments[0] in spheres)
     study, sys.argv = arguments[0] == STUDY, ["calibrate", *arguments]
     if study:
         sys.argv = arguments

@@ -139,7 +139,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class LaplacePosterior:
     """What the data at hand say of a fit: covariance (p + q + r, p + q + r) of its shift, its
     chosen strengths and the emulator's errors along their directions, and what these errors are
     expected to be (r,)."""
@@ -148,7 +148,7 @@ class Known:
     errors: np.ndarray
 
 
-def known(d: Linearised, fit: Refit, measured: np.ndarray) -> Known:
+def laplace_posterior(d: Linearised, fit: Refit, measured: np.ndarray) -> LaplacePosterior:
     """Laplace's approximation at a fit to measured means (m,)."""
     wrong = d.wrong_at(fit.delta, fit.strengths)
     chosen = list(fit.chosen)
@@ -160,7 +160,7 @@ def known(d: Linearised, fit: Refit, measured: np.ndarray) -> Known:
     whole = fit.covariance + spread @ columns[:, :moved].T  # fit.covariance holds the errors'
     told = np.outer(prior, prior) * (columns.T @ np.linalg.solve(whole, columns))
     left = np.linalg.solve(fit.covariance, measured - fit.values)
-    return Known(np.diag(prior) - (told + told.T) / 2, wrong.T @ left)
+    return LaplacePosterior(np.diag(prior) - (told + told.T) / 2, wrong.T @ left)
 
 
 def predicted(
@@ -170,7 +170,7 @@ def predicted(
     (m,): means of these data; stays: share of what the fit leaves of them that comes again.  Where
     the emulator errs for a soil it errs in the same way when the test is made again."""
     values, base, effects = test.response(fit.delta, fit.strengths)
-    of_data = known(d, fit, measured)
+    of_data = laplace_posterior(d, fit, measured)
     wrong = widened(test.response.wrong(fit.delta, fit.strengths), len(of_data.errors))
     slopes = np.hstack([base, effects[:, list(fit.chosen)], wrong])
     left = unexplained(test, d, fit, measured, of_data)
@@ -180,7 +180,7 @@ def predicted(
 
 
 def unexplained(
-    test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray, of_data: Known
+    test: FurtherTest, d: Linearised, fit: Refit, measured: np.ndarray, of_data: LaplacePosterior
 ) -> np.ndarray:
     """What a fit and the emulator's errors leave of a further test's features (m,) in the data at
     hand; nothing of those that these do not show."""

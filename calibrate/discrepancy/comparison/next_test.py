@@ -95,7 +95,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Learned:
+class UpdatedBelief:
     """What further tests changed: their names, the probabilities before by explanation, and the
     chance of such an outcome under each."""
 
@@ -171,7 +171,7 @@ def why_stop(comparison: Comparison, proposals: Sequence[Proposal]) -> str:
 
 def updated(
     prepared: Prepared, comparison: Comparison, measured: np.ndarray, outcomes: Sequence[Outcome]
-) -> tuple[Comparison, Learned]:
+) -> tuple[Comparison, UpdatedBelief]:
     """The comparison after further tests, and what they changed.
 
     Where no explanation foresaw them, the answer is "unknown", as surely as the outcome is odd.
@@ -184,15 +184,15 @@ def updated(
     prior = np.array([max(one.probability, 1e-12) for one in every])
     score = np.log(prior) + np.array([float(p.log_density(found)) for p in told])
     after = np.exp(score - logsumexp(score))
-    learned = Learned(
+    belief = UpdatedBelief(
         tuple(outcome.test.name for outcome in outcomes),
         {one.name: one.probability for one in every}, chance,
     )  # fmt: skip
-    if not learned.foreseen:
+    if not belief.foreseen:
         foreseen = max(chance.values()) / UNFORESEEN
         after = foreseen * after + (1 - foreseen) * np.array([one.name == UNKNOWN for one in every])
     probability = {one.name: float(p) for one, p in zip(every, after, strict=True)}
-    return answered_with(prepared, comparison, probability), learned
+    return answered_with(prepared, comparison, probability), belief
 
 
 def _leading(every: Sequence[Explanation], d: Linearised) -> list[Explanation]:

@@ -13,7 +13,7 @@ import numpy as np
 from calibrate.discrepancy.comparison.classes import SEPARABLE
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared
 from calibrate.discrepancy.comparison.localise import Localisation
-from calibrate.discrepancy.comparison.next_test import Learned, Proposal, why_stop
+from calibrate.discrepancy.comparison.next_test import Proposal, UpdatedBelief, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.projection import project
 from calibrate.discrepancy.comparison.reduction import Reduction
@@ -90,7 +90,7 @@ def as_json(
     comparison: Comparison,
     reduction: Reduction | None,
     proposals: list[Proposal],
-    learned: Learned | None = None,
+    belief: UpdatedBelief | None = None,
 ) -> dict:
     """The keys where, which, how_far, next_test and further_tests."""
     return {
@@ -121,8 +121,8 @@ def as_json(
         "how_far": how_far(reduction),
         "next_test": _next(comparison, proposals),
         "further_tests": None
-        if learned is None
-        else {**asdict(learned), "foreseen": learned.foreseen},
+        if belief is None
+        else {**asdict(belief), "foreseen": belief.foreseen},
     }
 
 

@@ -54,17 +54,6 @@ def test_a_cubic_and_its_gradient_are_recovered():
     assert surface.gradient(probe) == pytest.approx(np.array(numeric).T, abs=1e-6)
 
 
-def test_natural_coefficients_give_the_same_surface():
-    factors = (Factor("A", 2, 6), Factor("B", 1, 100, log=True))
-    design = designs.central_composite(factors)
-    y = np.random.default_rng(2).normal(size=len(design))
-    surface = fit_surface(design.coded, y, terms.parse("A + B + A*B + A^2*B", ("A", "B")))
-    natural = terms.natural_coefficients(surface.terms, surface.coefficients, factors)
-    a, b = design.natural().T
-    value = sum(c * a ** t.powers[0] * np.log(b) ** t.powers[1] for t, c in natural.items())
-    assert value == pytest.approx(surface(design.coded), rel=1e-9)
-
-
 def test_intervals_are_those_of_statsmodels():
     surface = noisy_surface()
     x = np.array([[0.3, -0.2], [0, 0]])

@@ -15,7 +15,7 @@ from calibrate.core.progress import Silent
 from calibrate.designs import designs
 from calibrate.designs.comparison import Designed, Enhanced, SlopePair, design, gradient
 from calibrate.designs.optimum import target
-from calibrate.designs.study import Bench, stage_titles, study, surfaces
+from calibrate.designs.study import StudySetup, stage_titles, study, surfaces
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.labtests.measured import Target
 from calibrate.reports import study as report
@@ -107,18 +107,18 @@ def test_slopes_disagree_where_they_should():
 
 def test_a_failed_run_ends_the_study_with_its_place():
     work = Formulas(fails=lambda soil: soil.surface_energy > 1.2 * BASE.surface_energy)
-    bench = Bench(space(LAB, NAMES), work, range(3))
+    setup = StudySetup(space(LAB, NAMES), work, range(3))
     with pytest.raises(CalibrationError, match=r"screening, point \d+: the bed exploded"):
-        study(bench, TARGETS, range(3, 6))
+        study(setup, TARGETS, range(3, 6))
 
 
 def test_levels_stay_within_the_bounds():
     """Star points too: a factor near its bound gets a narrower range, around the same value."""
     high = float(BASE.plasticity_ratio) * 1.15
     base = replace(BASE, plasticity_ratio=jnp.asarray(high))
-    bench = Bench(space(LAB, NAMES, base), Formulas(), range(3))
-    (factor,) = bench.factors(["plasticity_ratio"], 2.0, {})
-    stars = designs.central_composite((factor, *bench.factors(["surface_energy"], 2.0, {})))
+    setup = StudySetup(space(LAB, NAMES, base), Formulas(), range(3))
+    (factor,) = setup.factors(["plasticity_ratio"], 2.0, {})
+    stars = designs.central_composite((factor, *setup.factors(["surface_energy"], 2.0, {})))
     assert stars.natural()[:, 0].max() < 0.85
     assert factor.centre == pytest.approx(high)
 
@@ -176,13 +176,13 @@ def test_a_surface_and_the_gradient_agree_on_simulated_beds(tmp_path):
     preset = Preset("tiny", 48, 0.1, 0.2, 2)
     lab = pressed_lightly(LAB)
     work = campaign(lab, preset, tmp_path, Silent())
-    bench = Bench(space(lab, ("shear_modulus", "static_friction")), work, range(2))
-    factors = bench.factors(bench.space.names, 1.5, {})
+    setup = StudySetup(space(lab, ("shear_modulus", "static_friction")), work, range(2))
+    factors = setup.factors(setup.space.names, 1.5, {})
     composite = designs.central_composite(factors, centre=1)
     goals = {"depression_depth_mm": target(0.2, 1.0, 5.0)}
-    stage = surfaces(bench.run("depth", composite, {}), goals)
+    stage = surfaces(setup.run("depth", composite, {}), goals)
     slope = stage.whole["depression_depth_mm"].slopes(np.zeros(2))
-    found = gradient(bench, bench.soil({}), "gradient")
+    found = gradient(setup, setup.soil({}), "gradient")
     surface = slope.values[0] / factors[0].half_range
     reach = 3 * np.hypot(slope.se[0] / factors[0].half_range, float(found.standard_error[0, 0]))
     print(f"dH/dlnG by surface {surface:.3f}, by gradient {float(found.slopes[0, 0]):.3f} mm")

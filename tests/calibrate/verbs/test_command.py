@@ -13,6 +13,7 @@ import typer
 import calibrate as package
 from calibrate import figures
 from calibrate.core.errors import CalibrationError, InputError
+from calibrate.discrepancy.library import cross_validation
 from calibrate.figures import misfit
 from calibrate.figures.fit import contact_figure
 from calibrate.verbs import VERBS, command, options
@@ -137,6 +138,12 @@ def given(*words: str) -> dict:
     program.command()(command.typed(kept))
     program(list(words), standalone_mode=False)
     return found
+
+
+def test_the_smallest_library_has_two_blocks_of_packings():
+    """The emulator is judged on one that it was fitted without."""
+    [packings] = (p for p in command.command_of("library").params if p.name == "packings")
+    assert packings.min == 2 * cross_validation.BLOCK
 
 
 def test_what_is_not_typed_keeps_the_default_of_the_function():

@@ -8,21 +8,25 @@ import json
 import shutil
 import subprocess
 from types import SimpleNamespace
+from typing import cast
 
 import meshio
 import numpy as np
 import pytest
 
 from calibrate import figures
+from calibrate.core.errors import CalibrationError
 from calibrate.figures import bed
+from calibrate.view import frames as series
 from calibrate.view.contacts import contacts_of
 from calibrate.view.frames import frames
 from calibrate.view.vtk import write_series
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.step import GRAVITY
-from jdem.laboratory.virtual_lab import TestSequence
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
 from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing
 from tests.support.effect_lab import SMALL, SOIL, small_lab
 
 pytestmark = [pytest.mark.slow, pytest.mark.thorough]
@@ -109,6 +113,28 @@ def test_files_for_paraview_hold_the_bed(seen, tmp_path):
     collection = (tmp_path / "particles.pvd").read_text()
     assert collection.count("<DataSet") == len(states)
     assert all((tmp_path / f"vtk/contacts_{k:04d}.vtu").exists() for k in range(len(states)))
+
+
+def test_full_contact_lists_are_made_larger_once(monkeypatch):
+    """As `simulate` does; without larger ones it is said which list was too small."""
+    lab, roomier = (cast(VirtualLab, SimpleNamespace()) for _ in range(2))
+    packing, frame = cast(Packing, None), SimpleNamespace(movement="loading")
+
+    class Pieces:
+        def __init__(self, used, packing, soil):
+            self.full = used is lab
+
+        def run(self):
+            yield frame, False
+            if self.full:
+                raise series._FullError("pairs: have 3, need 4")
+
+    monkeypatch.setattr(series, "_Pieces", Pieces)
+    said: list[str] = []
+    assert frames(lab, packing, SOIL, 6, said.append, roomier) == [frame]
+    assert said == ["a contact list was too small: once more with larger ones"]
+    with pytest.raises(CalibrationError, match="pairs: have 3, need 4"):
+        frames(lab, packing, SOIL, 6)
 
 
 def test_pictures_are_drawn(seen, tmp_path):
