@@ -30,8 +30,8 @@ from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
 from jdem.core.smooth import Smoothing
 from jdem.materials.soil import SoilParameters, particle_law
 from tests import ROOT
-from tests.calibrate.inference.test_fit import BASE, TINY, tiny_campaign, tiny_lab
 from tests.support import malformed
+from tests.support.formulas import BASE, TINY, tiny_campaign, tiny_lab
 from tests.support.toy_place import Toy
 
 pytestmark = pytest.mark.thorough

@@ -1,6 +1,7 @@
 """A soil of formulas: H, F and both curves in closed form, with the scatter of packings.
 
-It has the interface of a campaign, so that it is statistics and not DEM that is tested.
+It has the interface of a campaign, so that it is statistics and not DEM that is tested.  Where
+simulations themselves are needed there is a real campaign, of 48 spheres in a low mould.
 """
 
 import math
@@ -13,9 +14,11 @@ import numpy as np
 from calibrate.core.progress import Silent
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
+from calibrate.simulation import Campaign
 from calibrate.simulation.executors import Here
-from calibrate.simulation.resolution import PRESETS, virtual_lab
+from calibrate.simulation.resolution import PRESETS, Preset, virtual_lab
 from calibrate.simulation.run import Run
+from calibrate.simulation.specimens import campaign
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -60,6 +63,19 @@ def pressed_lightly(lab: Lab, height: float = 0.05) -> Lab:
         specimen=replace(lab.specimen, height=height),
         tests=(compression, *lab.tests[1:]),
     )
+
+
+TINY = Preset("tiny", 48, 0.1, 0.2, 2)
+
+
+def tiny_lab() -> Lab:
+    """The bundled soil in a low mould, pressed with 50 N."""
+    return pressed_lightly(LAB)
+
+
+def tiny_campaign(folder: Path) -> Campaign:
+    """Its real simulations; all tests that use it share two compiled programs."""
+    return replace(campaign(tiny_lab(), TINY, folder, Silent()), workers=1)
 
 
 def shift(soil, name):

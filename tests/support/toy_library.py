@@ -4,13 +4,16 @@ Small enough that a whole diagnosis takes seconds; kernels are those that fittin
 """
 
 import hashlib
+import sys
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
+from calibrate import cli
 from calibrate.discrepancy import diagnosis
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import COMPONENTS
@@ -86,6 +89,23 @@ def with_few_draws(patch: pytest.MonkeyPatch) -> None:
     few = partial(diagnosis.prepared_diagnosis, draws=100)
     for module in (diagnosis, further):
         patch.setattr(module, "prepared_diagnosis", few)
+
+
+def call(*arguments: object) -> int:
+    """Exit status of a command line run in this process, with few draws."""
+    settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in settings}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
+        with_few_draws(patch)
+        try:
+            cli.main()
+        except SystemExit as end:
+            return int(end.code or 0)
+        finally:
+            for name, value in before.items():
+                jax.config.update(name, value)
+    return 0
 
 
 def reference() -> Curves:

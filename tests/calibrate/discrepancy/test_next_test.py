@@ -41,8 +41,8 @@ from jdem.laboratory.virtual_lab import TestSequence
 from studies.sealed.further import Asking, FurtherLaboratory, under
 from studies.sealed.laboratory import SpecimenRecords
 from studies.sealed.plan import Hidden, WithheldCase
-from tests.calibrate.verbs.test_diagnose_verb import call
 from tests.support import toy_library
+from tests.support.toy_library import call
 
 jax.config.update("jax_enable_x64", True)
 

@@ -35,10 +35,17 @@ from calibrate.inference.slopes import (
 from calibrate.labtests.features import ScalarTarget
 from calibrate.labtests.measured import Curve
 from calibrate.simulation import Campaign
-from calibrate.simulation.resolution import Preset
 from calibrate.simulation.specimens import campaign
 from tests import ROOT
-from tests.support.formulas import BASE, LAB, Formulas, pressed_lightly, specimen
+from tests.support.formulas import (
+    BASE,
+    LAB,
+    TINY,
+    Formulas,
+    specimen,
+    tiny_campaign,
+    tiny_lab,
+)
 
 pytestmark = pytest.mark.thorough
 
@@ -443,8 +450,6 @@ def test_the_jacobian_is_that_of_the_residual():
 
 # ------------------------------------------------------------------ cache, and killed fits
 
-TINY = Preset("tiny", 48, 0.1, 0.2, 2)
-
 SCRIPT = """
 import json, sys
 from dataclasses import replace
@@ -453,15 +458,6 @@ import tests.conftest
 from tests.calibrate.inference.test_fit import tiny_fit
 json.dump(tiny_fit(Path(sys.argv[1])), open(sys.argv[2], "w"))
 """
-
-
-def tiny_lab():
-    """The bundled soil in a low mould, pressed with 50 N."""
-    return pressed_lightly(LAB)
-
-
-def tiny_campaign(folder):
-    return replace(campaign(tiny_lab(), TINY, folder, Silent()), workers=1)
 
 
 def tiny_fit(folder):

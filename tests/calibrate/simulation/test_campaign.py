@@ -32,7 +32,7 @@ from calibrate.simulation.session import Session, place_of
 from calibrate.simulation.specimens import coarse, simulation_json
 from calibrate.simulation.store import LENGTH, sealed, unsealed
 from tests import ROOT
-from tests.calibrate.inference.test_fit import BASE, tiny_campaign
+from tests.support.formulas import BASE, tiny_campaign
 from tests.support.toy_place import formula, soils, toy_campaign
 
 pytestmark = pytest.mark.thorough

@@ -19,7 +19,7 @@ from calibrate.simulation import cluster as cluster_module
 from calibrate.simulation import keys
 from calibrate.simulation.cluster import DaskCluster, code_of, on_worker
 from jdem.effects.composite import EFFECTS
-from tests.calibrate.inference.test_fit import BASE, tiny_campaign
+from tests.support.formulas import BASE, tiny_campaign
 from tests.support.toy_place import soils, toy_campaign
 
 pytestmark = pytest.mark.thorough

@@ -3,17 +3,15 @@
 import html
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from calibrate import cli, figures
+from calibrate import figures
 from calibrate.core.errors import InputError
 from calibrate.discrepancy import infill
 from calibrate.discrepancy.comparison import naming
@@ -35,6 +33,7 @@ from calibrate.reports.diagnosis_words import caution, shrinkage, verdict
 from calibrate.reports.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
 from tests.support import diagnosis_world, toy_library
+from tests.support.toy_library import call
 
 pytestmark = pytest.mark.thorough
 
@@ -55,23 +54,6 @@ def place(tmp_path_factory) -> Path:
     toy_library.write_library(folder / "library.nc")
     toy_library.write_lab(folder / "lab", HOSTILE, OFFSET)
     return folder
-
-
-def call(*arguments: object) -> int:
-    """Exit status of a command line run in this process, with few draws."""
-    settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in settings}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["calibrate", *map(str, arguments)])
-        toy_library.with_few_draws(patch)
-        try:
-            cli.main()
-        except SystemExit as end:
-            return int(end.code or 0)
-        finally:
-            for name, value in before.items():
-                jax.config.update(name, value)
-    return 0
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from jdem.packing.specimen import Specimen
 
 pytestmark = pytest.mark.thorough
 
-SPECIMEN = Specimen(diameter=0.05, height=0.05, count=48)  # test_fit's: one program settles both
+SPECIMEN = Specimen(diameter=0.05, height=0.05, count=48)  # that of TINY: one program settles both
 CYCLE = (
     Step("force", "load", 100.0),
     Step("hold", "hold", 60.0),
