@@ -12,7 +12,6 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from calibrate.core.files import write_json
-from calibrate.figures import Figure
 from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.parameters import FACTORS, space
@@ -55,14 +54,6 @@ class AuditResult(AbstractDrawnResult):
     def drawn(self) -> tuple[AuditRecord]:
         """The record of the audit."""
         return (self.record,)
-
-    def plot_curves(self) -> Figure:
-        """Slopes of whole curves in every parameter.
-
-        Returns:
-            A matplotlib figure.
-        """
-        return self.plot("audit_curves")
 
     def _table(self, strategy: str) -> Table:
         title = f"{strategy}, {self.slopes.packings} packings"

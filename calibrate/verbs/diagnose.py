@@ -4,9 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import RenderableType
 
 from calibrate.core.progress import for_terminal
@@ -79,16 +77,7 @@ def diagnose(
     *,
     library: options.LibraryFile = None,
     discrepancy: options.DiscrepancyFile = None,
-    simulate: Annotated[
-        int,
-        typer.Option(
-            "--simulate",
-            min=0,
-            max=400,
-            metavar="N",
-            help="Simulate the leading explanations on N more packings; 0: none.",
-        ),
-    ] = 0,
+    simulate: options.InfillPackings = 0,
     batch: options.Batch = None,
     further: options.FurtherLabs = (),
     seed: options.StatisticsSeed = 0,

@@ -4,9 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import RenderableType
 
 from calibrate.discrepancy.diagnosis import Diagnosis
@@ -70,16 +68,7 @@ def next_test(
     *,
     library: options.LibraryFile = None,
     discrepancy: options.DiscrepancyFile = None,
-    simulate: Annotated[
-        int,
-        typer.Option(
-            "--simulate",
-            min=0,
-            max=400,
-            metavar="N",
-            help="Simulate the leading explanations on N more packings first; 0: none.",
-        ),
-    ] = 0,
+    simulate: options.InfillPackings = 0,
     further: options.FurtherLabs = (),
     seed: options.StatisticsSeed = 0,
     out: options.Folder = "results/next",

@@ -102,3 +102,13 @@ DiscrepancyFile = Annotated[
     typer.Option("--discrepancy", help="What `calibrate discrepancy` wrote."),
     Typed(Path | None),
 ]
+InfillPackings = Annotated[
+    int,
+    typer.Option(
+        "--simulate",
+        min=0,
+        max=400,
+        metavar="N",
+        help="Simulate the leading explanations on N more packings; 0: none.",
+    ),
+]
