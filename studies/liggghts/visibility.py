@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core import runtime
-from calibrate.discrepancy.library.machine import MACHINE
 from calibrate.discrepancy.model_discrepancy import load
 from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, recorded_feature_values
+from calibrate.response.machine import MACHINE
 from studies import open_cases, reporting
 from studies.liggghts.cases import Case, Hidden
 from studies.liggghts.generate import specimen_run

@@ -24,10 +24,9 @@ from scipy.special import logsumexp
 from calibrate.discrepancy.comparison.compare import Prepared
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.projection import fitted_shift
+from calibrate.discrepancy.comparison.projection import admissible, fitted_shift
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.comparison.score import admissible
 from calibrate.labtests.diagnosis.curves import tests_of
 
 RIDGE = 1.0  # of the classifier's weights

@@ -54,6 +54,7 @@ ORDER = {
         "io",
         "instrument_import",
         "simulation",
+        "response",
         "inference",
         "designs",
         "discrepancy",

@@ -17,7 +17,7 @@ from calibrate import cli
 from calibrate.discrepancy import diagnosis
 from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import COMPONENTS
-from calibrate.discrepancy.library.kernel import Kernel
+from calibrate.discrepancy.library.kernel import start
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
 from calibrate.discrepancy.library.simulate import RunPoints
 from calibrate.discrepancy.library.store import NOTHING, save
@@ -67,8 +67,8 @@ def runs(design: Design) -> list[Run]:
 @cache
 def library() -> RunLibrary:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
-    start = Kernel.start(made.base.shape[1], made.strengths.shape[1])
-    kernels = (start._replace(local=np.full(made.strengths.shape[1], NOTHING)),) * COMPONENTS
+    first = start(made.base.shape[1], made.strengths.shape[1])
+    kernels = (first._replace(local=np.full(made.strengths.shape[1], NOTHING)),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 

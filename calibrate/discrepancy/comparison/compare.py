@@ -36,10 +36,9 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     hypotheses,
     log_probabilities,
 )
-from calibrate.discrepancy.comparison.projection import project
+from calibrate.discrepancy.comparison.projection import Scores, project, scores
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.comparison.score import Scores, scores
 from calibrate.discrepancy.comparison.unspecified_gap import Factors, kernel_factors, projected
 
 

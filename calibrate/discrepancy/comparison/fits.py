@@ -14,7 +14,7 @@ import numpy as np
 from calibrate.discrepancy.comparison.evidence import Evidence
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise, estimate
-from calibrate.discrepancy.comparison.projection import fitted_shift, project
+from calibrate.discrepancy.comparison.projection import admissible, fitted_shift, lengths, project
 from calibrate.discrepancy.comparison.refit import (
     Refit,
     Start,
@@ -24,7 +24,6 @@ from calibrate.discrepancy.comparison.refit import (
     weighed,
 )
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.comparison.score import admissible, lengths
 
 REFITTED = 3  # leading effects whose pairs are refitted
 BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of

@@ -14,9 +14,8 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.noise import Shape, best_shape, estimate
-from calibrate.discrepancy.comparison.projection import Projected, project
+from calibrate.discrepancy.comparison.projection import Projected, admissible, lengths, project
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.comparison.score import admissible, lengths
 from calibrate.discrepancy.comparison.unspecified_gap import (
     Factors,
     kernel_factors,

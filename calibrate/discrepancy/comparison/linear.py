@@ -9,7 +9,7 @@ values and slopes may stand behind it for what is not linear.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -42,19 +42,6 @@ class Emulator(Protocol):
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray: ...
 
 
-@runtime_checkable
-class Focusable(Protocol):
-    """An emulator that can spare itself slopes: `only` those of some effects (numbers) count then,
-    others may be NaN."""
-
-    def only(self, wanted: Sequence[int]) -> Emulator: ...
-
-
-def focused(emulator: Emulator, wanted: Sequence[int]) -> Emulator:
-    """The emulator with the slopes of some effects alone, if it can spare itself the others."""
-    return emulator.only(wanted) if isinstance(emulator, Focusable) else emulator
-
-
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """A linear description of the simulator in the space of features.
@@ -64,7 +51,9 @@ class Linearised:
     shapes; packing_residuals (n, m) are features of n simulated specimens minus their mean;
     extra (m, m) covariances of a specimen that simulations of packings do not contain
     (density, moisture); sensor (m, m) that of the instruments; wrong (m, q) directions in
-    which the description itself may be wrong, one standard deviation each.
+    which the description itself may be wrong, one standard deviation each.  rows (m,): which of the
+    emulator's features it describes, and on: a mask of which of its effects are candidates, the
+    others being at strength 0; None: all of them.
     """
 
     features: tuple[Feature, ...]
@@ -81,6 +70,8 @@ class Linearised:
     sensor: np.ndarray
     wrong: np.ndarray
     emulator: Emulator | None = field(default=None)
+    rows: np.ndarray | None = None
+    on: np.ndarray | None = None
 
     def __post_init__(self):
         m, p, k = len(self.features), len(self.base_names), len(self.effects)
@@ -118,29 +109,40 @@ class Linearised:
     def at(self, delta: np.ndarray, strengths: np.ndarray):
         """Values (m,), slopes (m, p) and effects' slopes (m, k) at a point."""
         if self.emulator is not None:
-            return self.emulator(delta, strengths)
+            values, base, effects = self.emulator(delta, self._every(strengths))
+            effects = effects if self.on is None else effects[:, self.on]
+            return tuple(map(self._mine, (values, base, effects)))
         values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
         return values, self.base_slopes, self.effect_slopes
 
     def wrong_at(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         """Directions (m, q) in which the values at a point may be wrong."""
-        return self.wrong if self.emulator is None else self.emulator.wrong(delta, strengths)
-
-    def focused(self, wanted: Sequence[int]) -> "Linearised":
-        """The same for who needs the slopes of some effects (numbers) alone."""
         if self.emulator is None:
-            return self
-        return replace(self, emulator=focused(self.emulator, wanted))
+            return self.wrong
+        return self._mine(self.emulator.wrong(delta, self._every(strengths)))
+
+    def _mine(self, found: np.ndarray) -> np.ndarray:
+        return found if self.rows is None else found[self.rows]
+
+    def _every(self, strengths: np.ndarray) -> np.ndarray:
+        """Strengths of all the emulator's effects."""
+        if self.on is None:
+            return strengths
+        every = np.zeros(len(self.on))
+        every[self.on] = strengths
+        return every
 
     def without_effects(self, names: Sequence[str]) -> "Linearised":
         """The same without some candidates."""
-        keep = [i for i, effect in enumerate(self.effects) if effect.name not in names]
+        keep = np.array([effect.name not in names for effect in self.effects], bool)
+        on = keep
+        if self.on is not None:
+            on = self.on.copy()
+            on[self.on] = keep
         return replace(
-            self,
-            effects=tuple(self.effects[i] for i in keep),
-            effect_slopes=self.effect_slopes[:, keep],
-            emulator=None if self.emulator is None else _Fewer(self.emulator, keep, self),
-        )
+            self, on=on, effect_slopes=self.effect_slopes[:, keep],
+            effects=tuple(e for e, kept in zip(self.effects, keep, strict=True) if kept),
+        )  # fmt: skip
 
     def only_features(self, index: np.ndarray) -> "Linearised":
         """The same for a subset of the features."""
@@ -156,7 +158,7 @@ class Linearised:
             extra=self.extra[block],
             sensor=self.sensor[block],
             wrong=self.wrong[index],
-            emulator=None if self.emulator is None else _Rows(self.emulator, index),
+            rows=np.asarray(index) if self.rows is None else self.rows[index],
         )
 
 
@@ -191,45 +193,3 @@ def simple(
         sensor=np.zeros((m, m)),
         wrong=np.zeros((m, 0)),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fewer:
-    """An emulator that holds all effects but some at strength 0."""
-
-    emulator: Emulator
-    keep: list[int]
-    whole: Linearised
-
-    def __call__(self, delta, strengths):
-        values, base, effects = self.emulator(delta, self._every(strengths))
-        return values, base, effects[:, self.keep]
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, [self.keep[k] for k in wanted]))
-
-    def wrong(self, delta, strengths):
-        return self.emulator.wrong(delta, self._every(strengths))
-
-    def _every(self, strengths):
-        every = np.zeros(len(self.whole.effects))
-        every[self.keep] = strengths
-        return every
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """An emulator of a subset of the features."""
-
-    emulator: Emulator
-    index: np.ndarray
-
-    def __call__(self, delta, strengths):
-        values, base, effects = self.emulator(delta, strengths)
-        return values[self.index], base[self.index], effects[self.index]
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, wanted))
-
-    def wrong(self, delta, strengths):
-        return self.emulator.wrong(delta, strengths)[self.index]

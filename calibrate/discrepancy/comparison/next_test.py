@@ -35,9 +35,8 @@ from calibrate.discrepancy.comparison.further import (
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.naming import BEYOND, FEW, MUTE
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.projection import project
+from calibrate.discrepancy.comparison.projection import confusability, lengths, project
 from calibrate.discrepancy.comparison.refit import Refit
-from calibrate.discrepancy.comparison.score import confusability, lengths
 
 DRAWS = 400  # outcomes of each explanation
 LEAST_LIKELY = 0.003  # explanations below are left out of gains

@@ -100,7 +100,7 @@ def refit(
         before, point = point.objective, problem.descended(point)
         if before - point.objective < DONE:
             break
-    return problem.with_all_slopes(point)
+    return point
 
 
 def weighed(
@@ -140,21 +140,11 @@ class _Problem:
     def inverse(self) -> np.ndarray:
         return np.linalg.inv(self.covariance)
 
-    @cached_property
-    def focused(self) -> Linearised:
-        """The description with the slopes of the chosen effects alone."""
-        return self.description.focused(self.chosen)
-
     def at(self, delta: np.ndarray, strengths: np.ndarray) -> Refit:
-        """The point at a shift and strengths, with the slopes of the chosen effects; its objective
-        is not finite where the description is not."""
+        """The point at a shift and strengths; its objective is not finite where the description is
+        not."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.judged(delta, strengths, *self.focused.at(delta, strengths))
-
-    def with_all_slopes(self, point: Refit) -> Refit:
-        """The same point with the slopes of all effects."""
-        found = self.description.at(point.delta, point.strengths)
-        return self.judged(point.delta, point.strengths, *found)
+            return self.judged(delta, strengths, *self.description.at(delta, strengths))
 
     def judged(self, delta, strengths, values, base, effects) -> Refit:
         """A point with its objective, given values (m,) and slopes (m, p), (m, k) there."""

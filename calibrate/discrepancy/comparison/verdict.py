@@ -15,9 +15,8 @@ from calibrate.discrepancy.comparison.compare import Comparison, Prepared
 from calibrate.discrepancy.comparison.localise import Localisation
 from calibrate.discrepancy.comparison.next_test import Proposal, UpdatedBelief, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.projection import project
+from calibrate.discrepancy.comparison.projection import admissible, lengths, project
 from calibrate.discrepancy.comparison.reduction import Reduction
-from calibrate.discrepancy.comparison.score import admissible, lengths
 
 BIG = 0.3  # typical strengths; smaller is trivial
 SIGNIFICANT = 1.96  # of |z|; 1.64 for one-sided effects

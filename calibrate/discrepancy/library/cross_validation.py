@@ -36,7 +36,7 @@ from scipy.optimize import fminbound, minimize
 from calibrate.discrepancy.comparison.generated import HEAVY
 from calibrate.discrepancy.library.design import SIZES
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, leading
-from calibrate.discrepancy.library.kernel import Kernel
+from calibrate.response.process import Kernel
 
 FOLDS, BLOCK = 4, len(SIZES)  # packings are left out in turn, by blocks
 FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance

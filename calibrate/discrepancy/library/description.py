@@ -9,9 +9,9 @@ emulator warps features: large forces scatter in proportion.  Features and stren
 lab's own size (`lab_size`).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.errors import InputError
@@ -28,11 +28,18 @@ from calibrate.discrepancy.library.design import (
 )
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize
-from calibrate.discrepancy.library.machine import LocalMachine
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil
+from calibrate.response.response import (
+    FURTHER,
+    BetweenLags,
+    Discrepancy,
+    Response,
+    asked,
+    linearised,
+)
 from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
 
@@ -163,84 +170,100 @@ class EmulatedLibrary:
         known = len(self.emulator.components), len(self.library.features)
         return self.library.emulator_errors or EmulatorErrors.nothing(*known)
 
-    def at(self, soil_prior: SoilPrior) -> "LocalEmulator":
+    def at(
+        self, soil_prior: SoilPrior, discrepancy: ModelDiscrepancy | None = None
+    ) -> "LocalEmulator":
         """The emulator in the coordinates of a diagnosis."""
-        design = self.library.design
-        return LocalEmulator(
-            self.emulator, soil_prior.offset, design.spread(), design.typical() / limits(design),
-            self.emulator_errors, self.units, self._machine(), self.library.squared,
+        library, design = self.library, self.library.design
+        machine, typical = None, np.zeros((0, len(design.limits)))
+        if library.machine_shift is not None:  # else rows do not tell soil and machine apart
+            machine = library.machine(self.size.force)
+            names = np.array(design.effect_names)
+            typical = (np.array(machine.told)[:, None] == names) * design.typical()
+        first, last = np.arange(len(design.base_names))[SHAPE_COLUMNS].tolist()
+        known = None if discrepancy is None else Discrepancy(
+            jnp.asarray(discrepancy.mean), jnp.asarray(discrepancy.directions),
+            jnp.asarray(self.emulator.scale),
         )  # fmt: skip
-
-    def _machine(self) -> LocalMachine | None:
-        """The machine of a lab of this size; None where rows do not tell soil and machine apart."""
-        library = self.library
-        if library.machine_shift is None:
-            return None
-        machine, design = library.machine(), library.design
-        names = np.array(design.effect_names)
-        told = (np.array(machine.told)[:, None] == names) * design.typical()
-        closing = machine.closing_force / self.size.force
-        return LocalMachine(replace(machine, closing_force=closing), told)
+        response = Response.plain(
+            self.emulator.response, soil_prior.offset, design.spread(),
+            design.typical() / limits(design), library.squared, self.units, (first, last), machine,
+            typical, known,
+        )  # fmt: skip
+        return LocalEmulator(self.emulator, self.emulator_errors, response)
 
 
 @dataclass(frozen=True, eq=False)
 class LocalEmulator:
-    """`linear.Emulator` about a lab's soil: values (m,), slopes (m, p) per delta, (m, k) per
-    typical strength; with a model discrepancy, its directions are further base coordinates.
-    `emulator_errors` are those that cross-validation adds to what it states; units (m,) bring
-    features from the library's size to the lab's; `machine` reads the features of a soil."""
+    """`linear.Emulator` about a lab's soil: the response's values (m,) and slopes (m, p) per delta,
+    (m, k) per typical strength, and where it may be wrong.
+
+    `emulator_errors` are those that cross-validation adds to what the emulator states; recorded:
+    half of what machines differ by (m,) as they record, between lags; free (m, q): directions in
+    which it may be wrong everywhere.
+    """
 
     emulator: FeatureEmulator
-    offset: np.ndarray
-    scale: np.ndarray
-    strength: np.ndarray
     emulator_errors: EmulatorErrors
-    units: np.ndarray
-    machine: LocalMachine | None
-    squared: np.ndarray
-    discrepancy: ModelDiscrepancy | None = None
-    wanted: Sequence[int] | None = None  #: effects whose slopes are needed; None: all
+    response: Response
+    recorded: BetweenLags | None = None
+    free: np.ndarray | None = None
 
-    def __call__(self, delta, strengths):
-        x, s = self._scaled(delta, strengths)
-        values, base, effects = self.emulator(x, s)
-        own = strengths * self.strength
-        steep = np.where(self.squared, 2 * np.abs(own), 1.0) * self.strength
-        found = values, base / self.scale, effects * steep
-        if self.discrepancy is not None:
-            found = self._shifted(self.discrepancy, delta[len(self.offset) :], *found)
-        if self.machine:
-            shape = (self.offset + delta[: len(self.offset)])[SHAPE_COLUMNS]
-            found = self.machine.read(strengths, shape, len(self.offset), *found, self.wanted)
-        values, base, effects = found
-        rows = self.units[:, None]
-        return self.units * values, rows * base, rows * effects
+    def __call__(
+        self, delta: np.ndarray, strengths: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return linearised(self.response, delta, strengths)
 
-    def only(self, wanted):
-        return replace(self, wanted=tuple(wanted))
+    def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        """Directions (m, q) in which the emulator may be wrong at a point."""
+        response, at = self.response, map(jnp.asarray, (delta, strengths))
+        with_all, blind = asked(response, self.recorded or response.recorded, *at)
+        found, tared = self._wrong(with_all), np.asarray(response.tared)
+        if tared.any() and (strengths[np.asarray(response.seen) == 0] != 0).any():
+            found = np.where(tared[:, None], self._wrong(blind), found)
+        return np.vstack([found, np.zeros((FURTHER, found.shape[1]))])
 
-    def wrong(self, delta, strengths):
-        """Directions (m, c) in which the emulator may be wrong at a point."""
-        x, s = self._scaled(delta, strengths)
+    def _wrong(self, there: tuple) -> np.ndarray:
+        """The same where all features see the same strengths: given what `asked` finds there."""
+        x, s, steepness, recorded = map(np.asarray, there)
         roots = self.emulator_errors.of_values(self.emulator, x, s)
-        return (self.units * self.emulator.steepness(x, s))[:, None] * roots
+        found = [steepness[:, None] * roots]
+        if self.recorded is not None:
+            found.append(recorded)
+        if self.free is not None:
+            found.append(self.free)
+        return np.column_stack(found)
 
-    def _scaled(self, delta, strengths):
-        """Where the emulator is asked, scaled: at the stress that the machine reaches."""
-        base = self.offset + delta[: len(self.offset)]
-        base = self.machine.pressed(base, strengths) if self.machine else base
-        own = strengths * self.strength
-        return base / self.scale, np.where(self.squared, own * np.abs(own), own)
+    def recording(
+        self, shifts: BetweenLags, either: BetweenLags, lag: int | None, turn: np.ndarray
+    ) -> "LocalEmulator":
+        """The same of values as a machine records them, one way or the other, and turns (m, q)."""
+        none = jnp.zeros_like(self.response.lag)
+        of_lag = none if lag is None else none.at[lag].set(1.0)
+        response = replace(self.response, recorded=shifts, lag=of_lag)
+        return replace(self, response=response, recorded=either, free=turn)
 
-    def _shifted(self, wrong: ModelDiscrepancy, share, values, base, effects):
-        """The same with the discrepancy added to the warped features."""
-        scale = self.emulator.scale
-        before = values / scale
-        warped = np.arcsinh(before) + wrong.mean + wrong.directions @ share
-        steep = np.cosh(warped)
-        turned = (steep / np.sqrt(1 + before**2))[:, None]
-        base = np.hstack([base * turned, (scale * steep)[:, None] * wrong.directions])
-        return scale * np.sinh(warped), base, effects * turned
+    def taring(self, offset: int, rows: np.ndarray) -> "LocalEmulator":
+        """The same with features (a mask) that do not see the load cell's offset."""
+        seen = self.response.seen.at[offset].set(0.0)
+        return replace(self, response=replace(self.response, tared=jnp.asarray(rows), seen=seen))
+
+    def freed(self, columns: np.ndarray) -> "LocalEmulator":
+        """The same with further directions (m, q) in which it may be wrong."""
+        free = columns if self.free is None else np.hstack([self.free, columns])
+        return replace(self, free=free)
+
+    def longer(self, rows: np.ndarray) -> "LocalEmulator":
+        """The same with further features that depend on effects alone, linearly: rows (q, k), at
+        most FURTHER."""
+        further = self.response.further.at[: len(rows)].set(rows)
+        return replace(self, response=replace(self.response, further=further))
+
+    def under(self, factors: np.ndarray, faster: np.ndarray) -> "LocalEmulator":
+        """The same under a condition: factors (k,) on strengths, and what these add to delta
+        (p, k)."""
+        moved = replace(self.response, factors=jnp.asarray(factors), faster=jnp.asarray(faster))
+        return replace(self, response=moved)
 
 
 def soil_prior_of(
@@ -317,29 +340,24 @@ def _rough(
     emulated: EmulatedLibrary, soil_prior: SoilPrior, discrepancy: ModelDiscrepancy | None
 ) -> Linearised:
     """The frame of a description; everything that depends on the point is filled by `_local`."""
-    library, emulator = emulated.library, emulated.at(soil_prior)
+    library, emulator = emulated.library, emulated.at(soil_prior, discrepancy)
     names, prior = library.design.base_names, soil_prior.prior_sd
     if discrepancy is not None:
-        emulator = replace(emulator, discrepancy=discrepancy)
         extra = discrepancy.directions.shape[1]
         names = (*names, *(f"discrepancy {i + 1}" for i in range(extra)))
         prior = np.concatenate([prior, np.ones(extra)])
-    values, base, effects = emulator(np.zeros(len(prior)), np.zeros(len(library.design.limits)))
-    m = len(values)
+    at = np.zeros(len(prior)), np.zeros(len(library.design.limits))
+    m, centre = len(emulated.units), np.zeros(len(library.design.base_names))
+    values, base, effects = (part[:m] for part in emulator(*at))
     return Linearised(
         features=emulated.size.features, mean=values, base_names=names, base_slopes=base,
         prior_sd=prior,
         effects=emulated.candidates(), effect_slopes=effects,
-        packing_residuals=emulated.units * emulated.specimens(_centre(emulated)),
+        packing_residuals=emulated.units * emulated.specimens(centre),
         mean_specimens=CERTAIN,
         base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
-        wrong=np.zeros((m, 0)), emulator=emulator,
+        wrong=np.zeros((m, 0)), emulator=emulator, rows=np.arange(m),
     )  # fmt: skip
-
-
-def _centre(emulated: EmulatedLibrary) -> np.ndarray:
-    """The scaled point (p,) of the library's centre."""
-    return np.zeros(emulated.emulator.x.shape[1])
 
 
 def _local(

@@ -1,30 +1,29 @@
-"""Values and slopes of features between the simulations of a library: Gaussian processes.
+"""The emulator of a library's runs: its components, its processes, what these leave of the runs.
 
-    asinh(feature/scale) = mean + sum_c loading_c y_c             c: components, by `leading`
-    y_c(x, s) = f_c(x, s) + packing + soil block + rest
-
-x are base coordinates over their spread, s strengths over their limits.  The inverse hyperbolic
-sine makes factors of force and stiffness add up and scatter alike for weak and strong soils
-(Johnson 1949, SU).  Residuals are given for x = 0.  `kernel` has the covariances and their
-hyperparameters.
+Residuals are given for x = 0.  `calibrate.response.process` has the equations; slopes are JAX's.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from jaxtyping import Array
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
-from calibrate.discrepancy.library.kernel import (
-    Blocks,
+from calibrate.discrepancy.library.kernel import Pairs, fit_kernel, scatter_of_pairs
+from calibrate.response.process import (
+    Component,
     Kernel,
+    Means,
+    SoilResponse,
     covariance,
-    fit_kernel,
-    scatter_of_pairs,
 )
+from calibrate.response.response import linearised
 from calibrate.simulation import side_by_side
 
 COMPONENTS = 14
@@ -87,68 +86,6 @@ def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPO
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
-    """One component's process: kernel, weights (n,), lower Cholesky factor (n, n), and
-    what it leaves of the rows (n,)."""
-
-    kernel: Kernel
-    weights: np.ndarray
-    lower: np.ndarray
-    left: np.ndarray
-
-
-class Processes:
-    """All components' processes about the same points x (n, p), s (n, k), evaluated together; what
-    does not depend on the location is worked out once."""
-
-    def __init__(self, components: Sequence[Component], x: np.ndarray, s: np.ndarray):
-        every = Kernel(*map(np.array, zip(*(c.kernel for c in components), strict=True)))
-        self.weights = np.array([c.weights for c in components])
-        self.points, self.wide = np.hstack([x, s]), x.shape[1]
-        self.near = np.exp(-2 * np.hstack([every.length, every.reach]))
-        self.height = 2 * every.curved[:, None] - 0.5 * self.near @ (self.points**2).T
-        linear, self.effect, mixed, bent = (
-            np.exp(2 * part) for part in (every.linear, every.effect, every.interaction, every.bent)
-        )
-        self.linear, self.sum = linear * (self.weights @ x), self.weights.sum(axis=1)
-        self.along = self.effect * (self.weights @ s)
-        self.bent = bent * (self.weights @ s**2)
-        shared = np.einsum("cn,np,nk->cpk", self.weights, x, s, optimize=True) / x.shape[1]
-        self.mixed = mixed[:, None, :] * shared
-        self.local_near = np.exp(-2 * every.local_length)
-        self.local_height = -0.5 * self.local_near @ (x**2).T
-        self.local = np.exp(2 * every.local)
-
-    def __call__(self, at: np.ndarray, strength: np.ndarray):
-        """Values (c,), slopes (c, p) and effects' slopes (c, k) at a point (p,), (k,)."""
-        location, p = np.concatenate([at, strength]), self.wide
-        curved = self._weights_near(location, self.points, self.near, self.height)
-        level = curved.sum(axis=1)
-        slopes = self.near * (curved @ self.points - level[:, None] * location)
-        along = self.along + at @ self.mixed
-        base = self.linear + slopes[:, :p] + self.mixed @ strength
-        effects = along + 2 * self.bent * strength + slopes[:, p:]
-        value = self.sum + self.linear @ at + level + along @ strength + self.bent @ strength**2
-        more, steeper, apart = self._by_soil(at, strength)
-        return value + more, base + steeper, effects + apart
-
-    def _weights_near(self, at, points, near, height) -> np.ndarray:
-        """Weights (c, n) of the points (n, d), less the farther they lie from one (d,)."""
-        pulled = near * at
-        exponent = height - 0.5 * (pulled @ at)[:, None] + pulled @ points.T
-        return np.exp(exponent) * self.weights
-
-    def _by_soil(self, at: np.ndarray, strength: np.ndarray):
-        """The same three of the part e."""
-        x, s = np.split(self.points, [self.wide], axis=1)
-        near = self._weights_near(at, x, self.local_near, self.local_height)
-        apart = self.local * (near @ s)
-        along = near * ((self.local * strength) @ s.T)
-        level = along.sum(axis=1)
-        return level, self.local_near * (along @ x - level[:, None] * at), apart
-
-
-@dataclass(frozen=True, eq=False)
 class FeatureEmulator:
     """Features (m,) and slopes at any point of a library.
 
@@ -168,23 +105,30 @@ class FeatureEmulator:
 
     def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means over packings (m,), slopes (m, p) and effects' (m, k) per scaled coordinate."""
-        values, base, effects = self._processes(x, self._every(s))
-        carried, effects = self.basis.carried, effects[:, : len(s)]
-        lift, steep = self._back(self.basis.mean + carried @ values)
-        return lift, steep[:, None] * (carried @ base), steep[:, None] * (carried @ effects)
+        return linearised(self.response, x, s)
 
-    def _back(self, warped: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean features (m,) whose warped median is given, and their derivative."""
-        scale = self.scale * self._mean_over_median
-        return scale * np.sinh(warped), scale * np.cosh(warped)
+    def along(self, x: np.ndarray, s: np.ndarray, column: int) -> tuple[np.ndarray, np.ndarray]:
+        """Features (n, m) at points (n, p), (n, k), and their slopes with one base coordinate."""
+        direction = np.eye(x.shape[1])[column]
+        values, slopes = _along(self.response, jnp.asarray(x), jnp.asarray(s), direction)
+        return np.asarray(values), np.asarray(slopes)
+
+    @cached_property
+    def response(self) -> SoilResponse:
+        """The same as a function that JAX differentiates."""
+        return SoilResponse(
+            Means.of(self.components, self.x, self.s), jnp.asarray(self.basis.mean),
+            jnp.asarray(self.basis.carried), jnp.asarray(self.scale * self._mean_over_median),
+            jnp.array(self.always, float),
+        )  # fmt: skip
 
     def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
-        return self._back(self.warped(x, s))[1]
+        return np.asarray(_steepness(self.response, x, s))
 
     def warped(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Warped features (m,) at a point."""
-        return self.basis.mean + self.basis.carried @ self.of_components(x, s)
+        return np.asarray(_warped(self.response, x, s))
 
     @property
     def plain(self) -> np.ndarray:
@@ -200,10 +144,12 @@ class FeatureEmulator:
     @cached_property
     def dropped_directions(self) -> np.ndarray:
         """Directions (m, r) of what no component holds of a row without effects, one standard
-        deviation each."""
+        deviation each; largest entries are positive, so that draws along them do not hang on
+        rounding."""
         left = self.without_effects - self.held(self.without_effects)
         _, size, axes = np.linalg.svd(left, full_matrices=False)
-        return axes.T * (size / np.sqrt(len(left)))
+        largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
+        return (np.sign(largest) * axes).T * (size / np.sqrt(len(left)))
 
     def held(self, residuals: np.ndarray) -> np.ndarray:
         """What components hold of warped residuals (n, m)."""
@@ -211,16 +157,17 @@ class FeatureEmulator:
 
     def larger(self, x: np.ndarray) -> np.ndarray:
         """Deviations (c,) of components at a point (p,) over those at x = 0."""
-        return np.array([float(c.kernel.larger(x)) for c in self.components])
+        return np.exp(self._scattering @ x)
+
+    @cached_property
+    def _scattering(self) -> np.ndarray:
+        """Slopes (c, p) of the logarithms of deviations."""
+        return np.array([c.kernel.scattering for c in self.components])
 
     @cached_property
     def _mean_over_median(self) -> np.ndarray:
         """Of the hyperbolic sine of a normal that scatters as features do, shape (m,)."""
         return np.exp(0.5 * self.residuals.var(axis=0))
-
-    @cached_property
-    def _processes(self) -> Processes:
-        return Processes(self.components, self.x, self.s)
 
     def variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variances (c,) of the standardised components' errors at a point."""
@@ -232,8 +179,10 @@ class FeatureEmulator:
 
         @lru_cache(POINTS_KEPT)
         def at(x: bytes, s: bytes) -> np.ndarray:
-            point = np.frombuffer(x), self._every(np.frombuffer(s))
-            found = np.array([_variance(c, self.x, self.s, *point) for c in self.components])
+            point = np.frombuffer(x), np.append(np.frombuffer(s), self.always)
+            known, own = map(np.asarray, _covariances_with(self.response, *point))
+            white = [_whitened(c, cov) for c, cov in zip(self.components, known, strict=True)]
+            found = np.maximum(own - (np.array(white) ** 2).sum(axis=1), 0.0)
             found.flags.writeable = False
             return found
 
@@ -245,10 +194,30 @@ class FeatureEmulator:
 
     def of_components(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Standardised components (c,) at a point."""
-        return self._processes(x, self._every(s))[0]
+        return np.asarray(_of_components(self.response, x, s))
 
-    def _every(self, s: np.ndarray) -> np.ndarray:
-        return np.append(s, self.always)
+
+@jax.jit
+def _along(soil: SoilResponse, x, s, direction):
+    def one(at):
+        return jax.jvp(lambda x: soil(x, at[1]), (at[0],), (direction,))
+
+    return jax.lax.map(one, (x, s))
+
+
+@jax.jit
+def _of_components(soil: SoilResponse, x, s):
+    return soil.components(x, s)
+
+
+@jax.jit
+def _warped(soil: SoilResponse, x, s):
+    return soil.warped(x, s)
+
+
+@jax.jit
+def _steepness(soil: SoilResponse, x, s):
+    return soil.steepness(x, s)
 
 
 def fit_emulator(
@@ -262,17 +231,22 @@ def fit_emulator(
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
-    few, blocks = spread(packing, most_rows), Blocks.of(x, packing)
+    few = spread(packing, most_rows)
     kernels = kernels or side_by_side(
         lambda c: fit_kernel(x[few], s[few], packing[few], scores[few, c]),
         scores.shape[1], Silent(), "", compiles=True,
     )  # fmt: skip
+    factors = np.ones_like(scores) if noise is None else noise
+    at, pairs = (jnp.asarray(x), jnp.asarray(s)), Pairs.of(x, packing)
 
     def component(c: int) -> Component:
-        factor = np.ones(len(x)) if noise is None else noise[:, c]
-        return _component(kernels[c], x, s, blocks, scores[:, c], factor)
+        total, shared = _covariances(kernels[c], at, pairs, factors[:, c])
+        lower = cholesky(np.array(total).T, lower=True, overwrite_a=True, check_finite=False)
+        weights = cho_solve((lower, True), scores[:, c], check_finite=False)
+        left = np.bincount(pairs.row, np.asarray(shared) * weights[pairs.other])
+        return Component(kernels[c], weights, lower.T, left)
 
-    parts = side_by_side(component, len(kernels), Silent(), "")
+    parts = side_by_side(component, len(kernels), Silent(), "", compiles=True)
     left = np.array([_as_large_as_stated(c.kernel, c.left, x) for c in parts])
     dropped = _at_centre(warped - basis.mean - scores @ basis.carried.T, x)
     residuals = dropped + left.T @ basis.carried.T
@@ -283,7 +257,7 @@ def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, x: np.ndarray) ->
     """Residuals (n,) of a component at points (n, p) with the variance that its process gives to
     packings, soils in them and rest at x = 0: those of a fit are smaller, as some of the scatter is
     fitted."""
-    alike = residuals / kernel.larger(x)
+    alike = residuals / np.asarray(kernel.larger(x))
     return alike * np.sqrt(kernel.scatter / max(float(alike.var()), 1e-300))
 
 
@@ -308,21 +282,19 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
     return np.isin(packing, kept)
 
 
-def _component(kernel: Kernel, x, s, blocks: Blocks, y, factor) -> Component:
-    row, other = np.nonzero(blocks.packing)  # other pairs have no scatter in common
-    pairs = row, other
-    shared = scatter_of_pairs(kernel, x, blocks, pairs) * np.sqrt(factor[row] * factor[other])
-    total = covariance(kernel, x, s, x, s)
-    total[pairs] += shared
-    lower = np.linalg.cholesky(total)
-    weights = cho_solve((lower, True), y)
-    left = np.bincount(row, shared * weights[other], minlength=len(x))
-    return Component(kernel, weights, lower, left)
+@jax.jit
+def _covariances(kernel: Kernel, points, pairs: Pairs, factor) -> tuple[Array, Array]:
+    """Covariance (n, n) of rows, and the part of it (q,) that pairs of rows scatter alike."""
+    alike = jnp.sqrt(factor[pairs.row] * factor[pairs.other])
+    shared = scatter_of_pairs(kernel, points[0], pairs) * alike
+    return covariance(kernel, *points, *points).at[pairs.row, pairs.other].add(shared), shared
 
 
-def _variance(c: Component, x, s, at, strength) -> float:
-    point = (at[None], strength[None])
-    cross = covariance(c.kernel, *point, x, s)[0]
-    own = float(covariance(c.kernel, *point, *point)[0, 0])
-    white = solve_triangular(c.lower, cross, lower=True, check_finite=False)
-    return max(own - white @ white, 0.0)
+@jax.jit
+def _covariances_with(soil: SoilResponse, x, s) -> tuple[Array, Array]:
+    return soil.means.covariances(x, s)
+
+
+def _whitened(c: Component, known: np.ndarray) -> np.ndarray:
+    """Covariances (n,) with the runs in units of what these scatter by."""
+    return solve_triangular(c.upper.T, known, lower=True, check_finite=False)

@@ -13,6 +13,7 @@ and surface energy move alike.  Costs are hours of a laboratory technician, a gu
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +22,7 @@ from calibrate.discrepancy.comparison.further import FurtherTest, LinearResponse
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.next_test import Outcome, Proposal
 from calibrate.discrepancy.comparison.noise import Noise
+from calibrate.discrepancy.library.instruments import emulator_of
 from calibrate.discrepancy.library.lab_size import SHAPE_TOLERANCE
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import Lab
@@ -92,42 +94,34 @@ class Varied:
     condition: Condition
 
     def __call__(self, delta: np.ndarray, strengths: np.ndarray):
-        d, decades = self.description, self.condition.decades
-        values, base, effects = d.at(*self._moved(delta, strengths))
-        effects = effects * self._factors
-        if decades and RATE in d.effect_names:
-            per_decade = self._per_strength * base[:, self._forces].sum(axis=1)
-            effects[:, d.effect_names.index(RATE)] += decades * per_decade
+        values, base, effects = self._moved.at(delta, strengths)
         return values[self.rows], base[self.rows], effects[self.rows]
 
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
-        return self.description.wrong_at(*self._moved(delta, strengths))[self.rows]
+        return self._moved.wrong_at(delta, strengths)[self.rows]
 
     def of_rows(self, keep: np.ndarray) -> "Varied":
         """The response of some of the features."""
         return Varied(self.description, self.rows[keep], self.condition)
 
-    def _moved(self, delta, strengths):
-        shift = np.zeros_like(delta)
-        if self.condition.decades and RATE in self.description.effect_names:
-            strength = strengths[self.description.effect_names.index(RATE)]
-            shift[self._forces] = self.condition.decades * self._per_strength * strength
-        return delta + shift, strengths * self._factors
-
-    @property
-    def _factors(self) -> np.ndarray:
-        factors = self.condition.factors
-        return np.array([factors.get(name, 1.0) for name in self.description.effect_names])
-
-    @property
-    def _forces(self) -> list[int]:
-        names = self.description.base_names
-        return [names.index(n) for n in ("shear_modulus", "surface_energy") if n in names]
-
-    @property
-    def _per_strength(self) -> float:
-        d = self.description
-        return d.effects[d.effect_names.index(RATE)].typical
+    @cached_property
+    def _moved(self) -> Linearised:
+        """The description under this condition, its emulator's effects among them."""
+        d, condition = self.description, self.condition
+        factors = np.array([condition.factors.get(name, 1.0) for name in d.effect_names])
+        faster = np.zeros((len(d.prior_sd), len(factors)))
+        if condition.decades and RATE in d.effect_names:
+            rate = d.effect_names.index(RATE)
+            forces = [n in ("shear_modulus", "surface_energy") for n in d.base_names]
+            faster[forces, rate] = condition.decades * d.effects[rate].typical
+        if d.emulator is None:
+            slopes = d.effect_slopes * factors + d.base_slopes @ faster
+            return replace(d, effect_slopes=slopes)
+        if d.on is not None:
+            on, few = d.on, (factors, faster)
+            factors, faster = np.ones(len(on)), np.zeros((len(faster), len(on)))
+            factors[on], faster[:, on] = few
+        return replace(d, emulator=emulator_of(d).under(factors, faster))
 
 
 def menu(

@@ -14,19 +14,17 @@ an untared load cell moves those features alone in which the machine turned by i
 records begin at contact or at a preload, nobody knows it, nor how the seat closed (`left_free`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
-from calibrate.discrepancy.comparison.linear import Emulator, Linearised, focused
+from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.recording import recording, recording_shift
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.discrepancy.library.machine import LAG
+from calibrate.discrepancy.library.description import LocalEmulator
 from calibrate.discrepancy.library.measurements import STRETCHED, Measurements
-from calibrate.discrepancy.library.reading import filtered
 from calibrate.labtests.diagnosis.base import APART, Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.contact import readings_before_contact
 from calibrate.labtests.diagnosis.curves import (
@@ -35,6 +33,9 @@ from calibrate.labtests.diagnosis.curves import (
     feature_values,
     tared_rows,
 )
+from calibrate.response.machine import LAG
+from calibrate.response.reading import filtered
+from calibrate.response.response import LAGS, BetweenLags
 
 FEWEST_BEFORE_SD = 0.05  # N; of the mean before contact, at least
 STEERING = {"largest force": 0.0025, "travel at the top": 0.02}  # of the largest force; mm
@@ -42,9 +43,7 @@ OFFSET, GAP = "load_cell_offset", "seating_gap"
 UNTARED_SD = 5.0  # N, by which the zero of force is off in records that begin at a preload; assumed
 BEGUN_SD = 0.3  # mm, the same of the zero of travel where this counts from a seating force
 SEAT_SD = 1.0  # typical strengths of a loose seating, whose closing such records do not hold
-Interpolator = Callable[..., np.ndarray]
 ON_A_LAG = 30  # recordings
-LAGS = (0.0, 0.2, 0.5, 1.0, 2.5)  # typical ones, for which curves are recorded
 
 
 def with_instruments(
@@ -67,15 +66,31 @@ def with_instruments(
         )
         for lags in (LAGS if lag is not None else ())
     ]  # fmt: skip
-    read = RecordingShift(lag, *_from_none(shift, either, rows))
-    turn = steering(d.features)
+    shifts, halves = _from_none(shift, either, rows)
+    turn, slopes = steering(d.features), np.zeros_like(d.effect_slopes)
+    if lag is not None:
+        slopes[:, lag] = BetweenLags.of(shifts).slope(0.0)
     d = replace(
-        d, mean=d.mean + shift, sensor=d.sensor + sensor,
-        effect_slopes=d.effect_slopes + read.slopes(np.zeros(len(d.effects))),
+        d, mean=d.mean + shift, sensor=d.sensor + sensor, effect_slopes=d.effect_slopes + slopes,
         wrong=np.column_stack([d.wrong, either, turn]),
-        emulator=None if d.emulator is None else RecordedEmulator(d.emulator, read, turn),
+        emulator=None if d.emulator is None else emulator_of(d).recording(
+            BetweenLags.of(among_all(d, shifts.T).T), BetweenLags.of(among_all(d, halves.T).T), lag,
+            among_all(d, turn),
+        ),
     )  # fmt: skip
     return _tared(d, found.tared)
+
+
+def emulator_of(d: Linearised) -> LocalEmulator:
+    """The emulator behind a description of a library."""
+    return cast(LocalEmulator, d.emulator)
+
+
+def among_all(d: Linearised, values: np.ndarray) -> np.ndarray:
+    """Values (m, ...) of a description's features among all of the library, nothing for others."""
+    found = np.zeros((len(emulator_of(d).response.units), *values.shape[1:]), values.dtype)
+    found[d.rows] = values
+    return found
 
 
 def steering(features: Sequence[Feature]) -> np.ndarray:
@@ -122,7 +137,7 @@ def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
     slopes[rows, offset] = 0.0
     return replace(
         d, effect_slopes=slopes,
-        emulator=None if d.emulator is None else TaredEmulator(d.emulator, offset, rows),
+        emulator=None if d.emulator is None else emulator_of(d).taring(offset, among_all(d, rows)),
     )  # fmt: skip
 
 
@@ -205,7 +220,10 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
         packing_residuals=np.hstack([d.packing_residuals, empty]),
         extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
-        emulator=None if d.emulator is None else ExtendedEmulator(d.emulator, rows),
+        emulator=None if d.emulator is None else emulator_of(d).longer(rows),
+        rows=None if d.rows is None or d.emulator is None else np.append(
+            d.rows, len(emulator_of(d).response.units) + np.arange(more)
+        ),
     )  # fmt: skip
 
 
@@ -219,7 +237,7 @@ def left_free(d: Linearised, found: Measurements) -> Linearised:
     columns = np.column_stack([_free(d, test) for test in found.begun])
     d = replace(
         d, wrong=np.hstack([d.wrong, columns]),
-        emulator=None if d.emulator is None else FreedEmulator(d.emulator, columns),
+        emulator=None if d.emulator is None else emulator_of(d).freed(among_all(d, columns)),
     )  # fmt: skip
     if any(f.test not in found.begun and f.kind not in APART for f in d.features):
         return d
@@ -251,148 +269,3 @@ def along_travel(features: Sequence[Feature], mean: np.ndarray) -> list[np.ndarr
                 column[[f.test == test.name and f.unit == "mm" for f in features]] = -1.0
                 found.append(column)
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class FreedEmulator:
-    """An emulator with further directions (m, q) in which it may be wrong."""
-
-    emulator: Emulator
-    columns: np.ndarray
-
-    def __call__(self, delta, strengths):
-        return self.emulator(delta, strengths)
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, wanted))
-
-    def wrong(self, delta, strengths):
-        return np.hstack([self.emulator.wrong(delta, strengths), self.columns])
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingShift:
-    """Shifts (j, m) by recording at LAGS and half of what machines differ by there (j, m); lag: the
-    effect's number, None where there is none."""
-
-    lag: int | None
-    shifts: np.ndarray
-    either: np.ndarray
-
-    def shift(self, strengths: np.ndarray) -> np.ndarray:
-        """Shift (m,) at strengths (k,) in typical ones."""
-        return self._shift(self._lag(strengths))
-
-    def half_difference(self, strengths: np.ndarray) -> np.ndarray:
-        """Half of what machines differ by (m,)."""
-        return self._either(self._lag(strengths))
-
-    def slopes(self, strengths: np.ndarray) -> np.ndarray:
-        """Change of the shift (m, k) per typical strength."""
-        found = np.zeros((self.shifts.shape[1], len(strengths)))
-        if self.lag is not None and strengths[self.lag] < LAGS[-1]:
-            found[:, self.lag] = self._shift(self._lag(strengths), 1)
-        return found
-
-    def _lag(self, strengths: np.ndarray) -> float:
-        return 0.0 if self.lag is None else float(np.clip(strengths[self.lag], LAGS[0], LAGS[-1]))
-
-    @cached_property
-    def _shift(self) -> Interpolator:
-        return _between_lags(self.shifts)
-
-    @cached_property
-    def _either(self) -> Interpolator:
-        return _between_lags(self.either)
-
-
-def _between_lags(rows: np.ndarray) -> Interpolator:
-    """Rows (j, m) at LAGS as a function of the lag; constant where there is one row."""
-    if len(rows) == 1:
-        return lambda lag: rows[0]
-    return PchipInterpolator(LAGS, rows)
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedEmulator:
-    """An emulator of values as a machine records them, one way or the other."""
-
-    emulator: Emulator
-    read: RecordingShift
-    turn: np.ndarray  #: `steering`
-
-    def __call__(self, delta, strengths):
-        values, base, effects = self.emulator(delta, strengths)
-        steep = effects + self.read.slopes(strengths)
-        return values + self.read.shift(strengths), base, steep
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, wanted))
-
-    def wrong(self, delta, strengths):
-        either = self.read.half_difference(strengths)
-        return np.column_stack([self.emulator.wrong(delta, strengths), either, self.turn])
-
-
-@dataclass(frozen=True, eq=False)
-class ExtendedEmulator:
-    """An emulator with further features that depend on effects alone, linearly: rows (q, k)."""
-
-    emulator: Emulator
-    rows: np.ndarray
-
-    def __call__(self, delta, strengths):
-        values, base, effects = self.emulator(delta, strengths)
-        more = np.zeros((len(self.rows), base.shape[1]))
-        return (
-            np.concatenate([values, self.rows @ strengths]),
-            np.concatenate([base, more]),
-            np.concatenate([effects, self.rows]),
-        )
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, wanted))
-
-    def wrong(self, delta, strengths):
-        inner = self.emulator.wrong(delta, strengths)
-        return np.concatenate([inner, np.zeros((len(self.rows), inner.shape[1]))])
-
-
-@dataclass(frozen=True, eq=False)
-class TaredEmulator:
-    """An emulator of which some rows (a mask) do not see the load cell's offset."""
-
-    emulator: Emulator
-    offset: int
-    rows: np.ndarray
-
-    def __call__(self, delta, strengths):
-        found = self.emulator(delta, strengths)
-        if strengths[self.offset]:
-            without = self.emulator(delta, self._without(strengths))
-            found = tuple(
-                np.where(_like(self.rows, a), b, a) for a, b in zip(found, without, strict=True)
-            )
-        values, base, effects = found
-        effects = effects.copy()
-        effects[self.rows, self.offset] = 0.0
-        return values, base, effects
-
-    def only(self, wanted):
-        return replace(self, emulator=focused(self.emulator, wanted))
-
-    def wrong(self, delta, strengths):
-        found = self.emulator.wrong(delta, strengths)
-        if not strengths[self.offset]:
-            return found
-        without = self.emulator.wrong(delta, self._without(strengths))
-        return np.where(_like(self.rows, found), without, found)
-
-    def _without(self, strengths: np.ndarray) -> np.ndarray:
-        changed = np.array(strengths, float)
-        changed[self.offset] = 0.0
-        return changed
-
-
-def _like(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return mask.reshape(-1, *[1] * (values.ndim - 1))

@@ -22,13 +22,15 @@ from calibrate.discrepancy.library.emulator import (
     FeatureEmulator,
     fit_emulator,
 )
-from calibrate.discrepancy.library.filling import DENSITY, Filling
-from calibrate.discrepancy.library.kernel import Column, Kernel
-from calibrate.discrepancy.library.machine import MACHINE, TOLD, Machine
+from calibrate.discrepancy.library.kernel import Column
 from calibrate.io.lab import Lab
 from calibrate.labtests.diagnosis.base import Curves, Feature, UsualSizes
 from calibrate.labtests.diagnosis.curves import TESTS, declare, declare_targets, feature_values
+from calibrate.response.machine import DENSITY, MACHINE, TOLD, Machine, overloads, shifts
+from calibrate.response.mould import Filling
+from calibrate.response.process import Kernel
 from calibrate.simulation import Run
+from jdem.effects.seating import SeatingGap
 from jdem.physics import PHYSICS
 
 ROWS_FOR_MACHINES = 700  # from which the emulator is estimated that says what machines add
@@ -182,12 +184,13 @@ class RunLibrary:
         """Values (n, m) less what the machine adds."""
         return self.values if self.machine_shift is None else self.values - self.machine_shift
 
-    def machine(self) -> Machine:
-        """What its errors do to the features; those that no row has are not told."""
+    def machine(self, force: float = 1.0) -> Machine:
+        """What its errors do to the features; those that no row has are not told.  force: by what a
+        lab's forces are larger than the library's."""
         known = tuple(name for name in self.told if name in self.design.effect_names)
         return Machine(
-            self.features, self.speed, self.crushing_speed, known,
-            filling=self.filling, height=1e3 * self.cylinder.height,
+            self.features, self.speed, self.crushing_speed, known, self.filling,
+            1e3 * self.cylinder.height, SeatingGap().closing_force / force,
         )  # fmt: skip
 
     @property
@@ -253,20 +256,17 @@ class RunLibrary:
         s = s.copy()
         s[:, of_machine] = 0.0
         on = np.flatnonzero(strengths.any(axis=1))
-        shifts = np.zeros_like(self.values)
+        added = np.zeros_like(self.values)
         if len(on):
             s, shape = s[on, : self.strengths.shape[1]], self.base[on][:, SHAPE_COLUMNS]
-            over, x = self.machine().overload(strengths[on], shape), x[on]
-            pressed = x.copy()
-            pressed[:, STRESS] += over / self.design.spread()[STRESS]
-            asked = np.array([emulator(*point)[0] for point in zip(x, s, strict=True)])
-            turned = [emulator(*point) for point in zip(pressed, s, strict=True)]
-            by_stress = np.array([base[:, STRESS] for _, base, _ in turned])
-            by_stress = by_stress / self.design.spread()[STRESS]
-            known = np.array([values for values, *_ in turned])
-            shift = self.machine().shift(known, strengths[on], shape, by_stress)
-            shifts[on] = known + shift - asked
-        return shifts
+            over = overloads(self.machine(), strengths[on], shape)
+            pressed, each = x[on].copy(), self.design.spread()[STRESS]
+            pressed[:, STRESS] += over / each
+            asked = emulator.along(x[on], s, STRESS)[0]
+            known, by_stress = emulator.along(pressed, s, STRESS)
+            given = known, strengths[on], shape, by_stress / each
+            added[on] = known + shifts(self.machine(), *given) - asked
+        return added
 
     def _with_good_machines(self) -> "RunLibrary":
         """The rows whose machine has no errors that are told in closed form."""
@@ -309,8 +309,9 @@ class RunLibrary:
         growth = self.strengths[:, self.design.effect_names.index(DENSITY)]
         on = (growth > 0) & ((self.strengths != 0).sum(axis=1) == 1)
         slender, none = np.exp(self.base[on, SLENDERNESS]), np.zeros(len(self.design.limits))
-        before = np.array([emulator(x, none)[0] for x in self.scaled()[0][on]])
-        known = self.values[on], growth[on, None], 1e3 * self.cylinder.height * slender[:, None]
+        x = self.scaled()[0][on]
+        before = emulator.along(x, np.tile(none, (len(x), 1)), STRESS)[0]
+        known = self.values[on], growth[on], 1e3 * self.cylinder.height * slender
         return Filling.of(self.features, before, *known)
 
     def _soils_repeated(self) -> Repeats | None:

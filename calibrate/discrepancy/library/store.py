@@ -20,11 +20,12 @@ from calibrate.core.errors import InputError
 from calibrate.core.files import whole
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors, Split
 from calibrate.discrepancy.library.design import SETTINGS, SHAPE, Design
-from calibrate.discrepancy.library.filling import Filling
-from calibrate.discrepancy.library.kernel import NOTHING, Column, Kernel
-from calibrate.discrepancy.library.machine import LAG
+from calibrate.discrepancy.library.kernel import NOTHING, Column
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
 from calibrate.labtests.diagnosis.curves import TESTS
+from calibrate.response.machine import LAG
+from calibrate.response.mould import Filling
+from calibrate.response.process import Kernel
 from jdem.materials.conventions import CONVENTIONS
 from jdem.physics import PHYSICS
 

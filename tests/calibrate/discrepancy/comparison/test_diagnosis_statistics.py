@@ -38,10 +38,9 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     ProbabilityCalibration,
     log_probabilities,
 )
-from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project
+from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project, scores
 from calibrate.discrepancy.comparison.refit import best_strengths
 from calibrate.discrepancy.comparison.repeats import Scatter, from_vectors
-from calibrate.discrepancy.comparison.score import scores
 from calibrate.discrepancy.comparison.unspecified_gap import (
     AMPLITUDES,
     kernel_factors,

@@ -1,25 +1,25 @@
 """What recording does to curves: read late (the filter, the shift between lags), by load steps."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from calibrate.discrepancy.comparison.recording import Channel, LoadSteps, recording
-from calibrate.discrepancy.library.instruments import (
-    LAGS,
-    RecordedEmulator,
-    RecordingShift,
-    TaredEmulator,
-    lagged,
-    steering,
-)
+from calibrate.discrepancy.library.description import LocalEmulator
+from calibrate.discrepancy.library.instruments import lagged, steering
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.labtests.diagnosis.base import UsualSizes
 from calibrate.labtests.diagnosis.curves import declare, feature_values
+from calibrate.response.process import SoilResponse
+from calibrate.response.response import LAGS, BetweenLags, Response
 
 FOUND: Any = SimpleNamespace(speeds={"confined": 8.0, "unconfined": 0.01})  # mm/s
 
@@ -63,39 +63,53 @@ def test_a_lagged_recording_loses_less_at_the_turn():
     assert abs(lost[1][at]) < 0.6 * abs(lost[0][at])
 
 
+class Formula(eqx.Module):
+    """A soil of three features that show their errors as they are."""
+
+    formula: Callable = eqx.field(static=True)
+
+    def along(self, x, s, direction):
+        return self.formula(x, s), jnp.zeros(3)
+
+    def steepness(self, x, s):
+        return jnp.ones(3)
+
+
+def local(soil, errors=lambda x, s: np.zeros((3, 0)), effects: int = 2) -> LocalEmulator:
+    """Three features of one soil parameter and some effects by formula, and their errors."""
+    none, one, shown = np.zeros(1), np.ones(1), cast(SoilResponse, Formula(soil))
+    response = Response.plain(
+        shown, none, one, np.ones(effects), np.zeros(effects, bool), np.ones(3), (0, 0), None,
+        np.zeros((0, effects)),
+    )  # fmt: skip
+    emulator: Any = None
+    stated: Any = SimpleNamespace(of_values=lambda emulator, x, s: errors(x, s))
+    return LocalEmulator(emulator, stated, response)
+
+
 def test_shifts_go_smoothly_between_lags_and_slopes_are_theirs():
     rows = np.random.default_rng(1).normal(size=(len(LAGS), 3))
-    read = RecordingShift(1, rows, 2 * rows)
+    between = BetweenLags.of(rows)
+    slope = jax.jacfwd(between)
     for number, lag in enumerate(LAGS):
-        at, beside = (np.array([9.0, lag + step]) for step in (0.0, 1e-9))
-        assert read.shift(at) == pytest.approx(rows[number])
-        assert read.half_difference(at) == pytest.approx(2 * rows[number])
+        assert np.asarray(between(lag)) == pytest.approx(rows[number])
         if lag < LAGS[-1]:
-            assert read.slopes(at) == pytest.approx(read.slopes(beside), abs=1e-5)
-    between = np.array([0.0, 0.7])
-    ahead, back = (read.shift(between + np.array([0.0, step])) for step in (1e-4, -1e-4))
-    assert read.slopes(between)[:, 1] == pytest.approx((ahead - back) / 2e-4, rel=1e-4)
-    assert not read.slopes(between)[:, 0].any()
-    assert not read.slopes(np.array([0.0, 2 * LAGS[-1]])).any()
+            assert np.asarray(slope(lag)) == pytest.approx(np.asarray(slope(lag + 1e-9)), abs=1e-5)
+    ahead, back = (np.asarray(between(0.7 + step)) for step in (1e-4, -1e-4))
+    assert np.asarray(slope(0.7)) == pytest.approx((ahead - back) / 2e-4, rel=1e-4)
+    assert not np.asarray(slope(2 * LAGS[-1])).any()
 
 
 def test_an_emulator_as_recorded_adds_shift_slope_and_half_difference():
-    class Still:
-        def __call__(self, delta, strengths):
-            return np.ones(3), np.zeros((3, 1)), np.zeros((3, 2))
-
-        def wrong(self, delta, strengths):
-            return np.zeros((3, 0))
-
     rows = np.arange(3.0 * len(LAGS)).reshape(len(LAGS), 3)
-    turn = np.array([[0.0], [0.5], [0.0]])
-    read = RecordedEmulator(Still(), RecordingShift(0, rows, rows), turn)
+    turn, shifts = np.array([[0.0], [0.5], [0.0]]), BetweenLags.of(rows)
+    read = local(lambda x, s: jnp.ones(3)).recording(shifts, shifts, 0, turn)
     at = np.array([LAGS[1], 0.0])
-    values, _, effects = read(np.zeros(1), at)
+    values, _, effects = (part[:3] for part in read(np.zeros(1), at))
     assert values == pytest.approx(1 + rows[1])
-    assert effects[:, 0] == pytest.approx(read.read.slopes(at)[:, 0])
+    assert effects[:, 0] == pytest.approx(np.asarray(jax.jacfwd(shifts)(LAGS[1])))
     assert effects[:, 0].all()
-    wrong = read.wrong(np.zeros(1), at)
+    wrong = read.wrong(np.zeros(1), at)[:3]
     assert wrong[:, 0] == pytest.approx(rows[1]) and (wrong[:, 1:] == turn).all()
 
 
@@ -110,36 +124,52 @@ def test_how_a_machine_turns_may_be_another_way():
 
 
 def test_an_effectless_library_has_one_shift():
-    rows = np.array([[1.0, 2.0]])
-    read = RecordingShift(None, rows, rows)
-    assert read.shift(np.zeros(0)) == pytest.approx([1.0, 2.0])
-    assert read.slopes(np.zeros(3)).shape == (2, 3)
+    read = BetweenLags.of(np.array([[1.0, 2.0]]))
+    for lag in (0.0, 0.3, 9.0):
+        assert np.asarray(read(lag)) == pytest.approx([1.0, 2.0])
+        assert not np.asarray(jax.jacfwd(read)(lag)).any()
 
 
-class Affine:
-    """Three features that three effects move together, an offset (1) among them."""
+MOVED = np.arange(9.0).reshape(3, 3) + 1  # three features that three effects move together
 
-    slopes = np.arange(9.0).reshape(3, 3) + 1
 
-    def __call__(self, delta, strengths):
-        return self.slopes @ strengths, np.ones((3, 1)) * strengths[1], self.slopes
-
-    def wrong(self, delta, strengths):
-        return np.full((3, 2), strengths[1])
+def affine(x, s):
+    """The second effect is an offset, on which the slope with the soil depends."""
+    return MOVED @ s + x * s[1]
 
 
 def test_features_of_tared_curves_do_not_see_the_offset():
     rows = np.array([True, False, True])
-    tared, at = TaredEmulator(Affine(), 1, rows), np.array([1.0, 2.0, 3.0])
-    values, base, effects = tared(np.zeros(1), at)
-    without = Affine.slopes @ np.array([1.0, 0.0, 3.0])
-    assert values == pytest.approx(np.where(rows, without, Affine.slopes @ at))
+    known = local(affine, lambda x, s: np.full((3, 2), s[1]), effects=3)
+    tared, at = known.taring(1, rows), np.array([1.0, 2.0, 3.0])
+    values, base, effects = (part[:3] for part in tared(np.zeros(1), at))
+    without = MOVED @ np.array([1.0, 0.0, 3.0])
+    assert values == pytest.approx(np.where(rows, without, MOVED @ at))
     assert base[:, 0].tolist() == [0.0, 2.0, 0.0]
-    assert effects[:, 1].tolist() == [0.0, Affine.slopes[1, 1], 0.0]
-    assert effects[:, [0, 2]] == pytest.approx(Affine.slopes[:, [0, 2]])
-    assert tared.wrong(np.zeros(1), at)[:, 0].tolist() == [0.0, 2.0, 0.0]
-    same = tared(np.zeros(1), np.array([1.0, 0.0, 3.0]))[0]
+    assert effects[:, 1].tolist() == [0.0, MOVED[1, 1], 0.0]
+    assert effects[:, [0, 2]] == pytest.approx(MOVED[:, [0, 2]])
+    assert tared.wrong(np.zeros(1), at)[:3, 0].tolist() == [0.0, 2.0, 0.0]
+    same = tared(np.zeros(1), np.array([1.0, 0.0, 3.0]))[0][:3]
     assert same == pytest.approx(without)
+
+
+def test_further_features_depend_on_effects_alone_and_errors_are_free_beside_them():
+    rows = np.array([[0.0, 5.0, 0.0]])
+    longer = local(affine, effects=3).freed(np.ones((3, 1))).longer(rows)
+    values, base, effects = longer(np.ones(1), np.array([1.0, 2.0, 3.0]))
+    assert values[3] == 10.0 and not base[3].any() and effects[3].tolist() == [0.0, 5.0, 0.0]
+    assert longer.wrong(np.ones(1), np.zeros(3))[:4, 0].tolist() == [1.0, 1.0, 1.0, 0.0]
+
+
+def test_under_another_condition_effects_are_scaled_and_move_the_soil():
+    known, faster = local(affine, effects=3), np.array([[0.0, 0.0, 0.4]])
+    moved = known.under(np.array([1.0, 0.5, 1.0]), faster)
+    at = np.array([1.0, 2.0, 3.0])
+    values, base, effects = moved(np.ones(1), at)
+    there = known(np.array([1.0 + 0.4 * 3.0]), at * [1.0, 0.5, 1.0])
+    assert values == pytest.approx(there[0]) and base == pytest.approx(there[1])
+    expected = there[2] * [1.0, 0.5, 1.0] + there[1] @ faster
+    assert effects == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

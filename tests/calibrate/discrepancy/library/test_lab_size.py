@@ -98,17 +98,20 @@ def test_slopes_in_a_lab_s_own_size_are_derivatives_of_its_values(emulated, lab)
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.1])
-def test_a_description_of_some_effects_says_the_same_of_them(emulated, lab, strength):
+def test_a_description_of_fewer_effects_and_features_says_the_same_of_them(emulated, lab, strength):
     d = described(lab, emulated, 0)[1]
     at, strengths = np.full(len(d.prior_sd), 0.02), np.full(len(d.effects), strength)
+    strengths[0], some = 0.0, np.arange(0, len(d.features), 7)
+    fewer = d.without_effects([d.effect_names[0]]).only_features(some)
+    values, base, effects = fewer.at(at, strengths[1:])
     every = d.at(at, strengths)
-    for wanted in ([], [0], [1, len(d.effects) - 1]):
-        some = d.focused(wanted).at(at, strengths)
-        assert some[0] == pytest.approx(every[0]) and some[1] == pytest.approx(every[1])
-        assert some[2][:, wanted] == pytest.approx(every[2][:, wanted])
-    fewer = d.without_effects([d.effect_names[0]])
-    known = fewer.at(at, strengths[1:])[2]
-    assert fewer.focused([1]).at(at, strengths[1:])[2][:, 1] == pytest.approx(known[:, 1])
+    assert values == pytest.approx(every[0][some]) and base == pytest.approx(every[1][some])
+    assert effects == pytest.approx(every[2][some, 1:])
+    least = fewer.without_effects([d.effect_names[1]])
+    strengths[1] = 0.0
+    assert least.at(at, strengths[2:])[0] == pytest.approx(d.at(at, strengths)[0][some])
+    wrong = d.wrong_at(at, strengths)[some]
+    assert least.wrong_at(at, strengths[2:]) == pytest.approx(wrong)
 
 
 def test_strengths_are_converted_by_their_units():
