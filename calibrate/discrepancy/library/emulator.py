@@ -31,6 +31,7 @@ LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
 MOST_ROWS = 1100  # from which hyperparameters are estimated
 POINTS_KEPT = 256  # at which variances are kept
+BLOCK = 256  # rows of which covariances are worked out at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,10 +241,15 @@ def fit_emulator(
     at, pairs = (jnp.asarray(x), jnp.asarray(s)), Pairs.of(x, packing)
 
     def component(c: int) -> Component:
-        total, shared = _covariances(kernels[c], at, pairs, factors[:, c])
-        lower = cholesky(np.array(total).T, lower=True, overwrite_a=True, check_finite=False)
+        factor = np.sqrt(factors[pairs.row, c] * factors[pairs.other, c])
+        shared = np.asarray(_scatter_of_pairs(kernels[c], at[0], pairs)) * factor
+        total = np.empty((len(x), len(x)), order="F")
+        for rows in _blocks_of_rows(len(x)):
+            total[:, rows] = np.asarray(_covariance(kernels[c], at, x[rows], s[rows])).T
+        total[pairs.row, pairs.other] += shared
+        lower = cholesky(total, lower=True, overwrite_a=True, check_finite=False)
         weights = cho_solve((lower, True), scores[:, c], check_finite=False)
-        left = np.bincount(pairs.row, np.asarray(shared) * weights[pairs.other])
+        left = np.bincount(pairs.row, shared * weights[pairs.other])
         return Component(kernels[c], weights, lower.T, left)
 
     parts = side_by_side(component, len(kernels), Silent(), "", compiles=True)
@@ -282,12 +288,21 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
     return np.isin(packing, kept)
 
 
+_scatter_of_pairs = jax.jit(scatter_of_pairs)
+
+
 @jax.jit
-def _covariances(kernel: Kernel, points, pairs: Pairs, factor) -> tuple[Array, Array]:
-    """Covariance (n, n) of rows, and the part of it (q,) that pairs of rows scatter alike."""
-    alike = jnp.sqrt(factor[pairs.row] * factor[pairs.other])
-    shared = scatter_of_pairs(kernel, points[0], pairs) * alike
-    return covariance(kernel, *points, *points).at[pairs.row, pairs.other].add(shared), shared
+def _covariance(kernel: Kernel, points, x, s) -> Array:
+    """Covariance (l, n) between points (l, p), (l, k) and those of a library."""
+    return covariance(kernel, x, s, *points)
+
+
+def _blocks_of_rows(count: int) -> list[slice]:
+    """Rows in blocks of one size, the last of which may overlap: temporary arrays of all rows at
+    once are so large that the system clears their memory anew for each component."""
+    size = min(BLOCK, count)
+    starts = [min(start, count - size) for start in range(0, count, size)]
+    return [slice(start, start + size) for start in starts]
 
 
 @jax.jit
