@@ -48,7 +48,6 @@ from calibrate.discrepancy.library.description import (
     describe,
     soil_prior_for,
 )
-from calibrate.discrepancy.library.design import FURTHEST
 from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.instruments import (
     left_free,
@@ -57,13 +56,12 @@ from calibrate.discrepancy.library.instruments import (
 )
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
+from calibrate.discrepancy.library.stand_in import beyond
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
 WITHIN = 16  # soils among the library's runs whose stated errors are typical
 LARGE_ERROR = 2.0  # times these, which hardly any soil among the runs reaches
-EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
-CARRYING = 4  # runs beside a soil, from which on the library reaches it
 STATED = "stated error"  # of the library at the best base fit, beside parameters beyond its runs
 Say = Callable[[str], None]
 
@@ -217,12 +215,8 @@ def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tu
     """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie clearly
     farther from the library's centre than its runs, of its design or added about this lab."""
     library = emulated.for_lab(lab).library
-    names, sd = library.design.soil_names, np.array([*library.design.soil_sd.values()])
-    soil = slice(len(names))  # base coordinates begin with the soil's
-    away = (soil_prior_for(lab, library).offset[soil] + delta[soil]) / sd
-    runs = np.sort(library.base[:, soil] / sd * np.sign(away), axis=0)
-    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST) + EDGE
-    return tuple(n for n, by in zip(names, np.abs(away) > reach, strict=True) if by)
+    soil = slice(len(library.design.soil_names))  # base coordinates begin with the soil's
+    return beyond(library, soil_prior_for(lab, library).offset[soil] + delta[soil])
 
 
 def library_error(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> float:

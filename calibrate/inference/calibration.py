@@ -16,15 +16,15 @@ from calibrate.inference.evaluation import (
     Calibration,
     Evaluation,
     Settings,
-    finished_features,
     packing_scatter,
 )
-from calibrate.inference.fit import Fit, descend, finished, fit
+from calibrate.inference.fit import Descent, Fit, descend, finished, fit
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
+from calibrate.inference.on_response import Solved
 from calibrate.inference.parameters import FACTORS, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
-from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
+from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
 from calibrate.inference.slopes import SlopesOfSmallerBeds
 from calibrate.inference.widening import Round, Screened, advised, chosen, compared, widened
 from calibrate.io.lab import Lab
@@ -56,7 +56,7 @@ def calibrate(
     base: SoilParameters,
     seed: int,
     work: AbstractCampaign,
-    coarse: Coarse | None = None,
+    coarse: AbstractCoarse | None = None,
 ) -> "Calibrated":
     """The whole calibration of a lab file; resumes from what `work.folder` holds.
 
@@ -67,7 +67,8 @@ def calibrate(
         base: where it starts; parameters that are not free stay there.
         seed: choice of packings, from 0.
         work: simulates the lab's tests.
-        coarse: the same tests on smaller beds, which it explores with; None: it does not.
+        coarse: the same tests on smaller beds, or a response in their place, which it explores
+            with; None: it does not.
 
     Returns:
         The fit, and everything that result.json says of it (`fit_json`).
@@ -85,7 +86,7 @@ def calibrate(
         free = tuple(screening["free"])
         work.progress.say("free parameters: " + _chosen(screening["alike"]))
     calibration = setup.calibration(free)
-    first = calibration.correction(calibration.space.start(), "both resolutions at the start")
+    first = setup.at_start(calibration)
     rounds = setup.rounds(calibration, first, screened)
     calibration, result = setup.settled(rounds)
     helped = setup.help(Round(calibration, result), screened, rounds)
@@ -121,6 +122,12 @@ class Calibrated:
     named_runs: dict[str, list[Run]]
     help: str
 
+    @property
+    def met(self) -> bool:
+        """Whether the fitted packings meet what was measured."""
+        problem, found = self.setup.problem, self.result
+        return not misses(compared(problem, found.covariance, found.best))
+
 
 @dataclass(frozen=True, eq=False)
 class FitSetup:
@@ -133,7 +140,7 @@ class FitSetup:
     work: AbstractCampaign
     scatter: np.ndarray
     scattered: int
-    coarse: Coarse | None
+    coarse: AbstractCoarse | None
 
     @property
     def simulations(self) -> int:
@@ -159,10 +166,28 @@ class FitSetup:
         """Slopes of all features in every parameter that the lab file does not hold."""
         held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
         every = space(self.lab, tuple(n for n in CANDIDATES if n not in held), self.base)
+        what, start = "sensitivity of every parameter", to_digits(every.start())
+        if self.coarse is not None and self.coarse.near:
+            slopes = self.coarse.slopes(self.problem, every, start)
+            rows = self.coarse.features(self.problem, self.base, self.seeds.fitted, what)
+            assert slopes is not None
+            return Screened(every, slopes, rows.mean(axis=0))
         calibration = self.calibration(every.names, ensemble(every))
-        slopes = calibration.slopes(every.start(), "sensitivity of every parameter")
-        at_start = calibration.evaluate(to_digits(every.start()), "the start")
-        return Screened(every, slopes, at_start.features.mean(axis=0))
+        slopes = calibration.slopes(every.start(), what)
+        return Screened(every, slopes, calibration.evaluate(start, what).features.mean(axis=0))
+
+    def at_start(self, calibration: Calibration) -> Correction:
+        """The ratio of what decides to what explores at the start, where exploring needs it."""
+        if self.coarse is not None and self.coarse.near:
+            return Correction.none(len(self.problem.measured))
+        return calibration.correction(calibration.space.start(), "both resolutions at the start")
+
+    def descend(
+        self, calibration: Calibration, start: np.ndarray | None = None
+    ) -> Descent | Solved:
+        """The way of the solver of what explores."""
+        solver = None if self.coarse is None else self.coarse.solver
+        return descend(calibration, start) if solver is None else solver(calibration, start)
 
     def rounds(
         self, calibration: Calibration, correction: Correction, screened: Screened | None
@@ -174,15 +199,16 @@ class FitSetup:
             return each if self.coarse is None else exploring(each, correction)
 
         start = level(calibration)
-        first = Round(start, descend(start))
+        first = Round(start, self.descend(start))
         if screened is None:
             return [first]
-        return widened(first, screened, lambda names: level(self.calibration(names)))
+        return widened(first, screened, lambda names: level(self.calibration(names)), self.descend)
 
     def settled(self, rounds: Sequence[Round]) -> tuple[Calibration, Fit]:
         """The fit of the round that counts, on the beds that decide, all evaluations before it."""
         kept = chosen(rounds)
         if self.coarse is None:
+            assert not isinstance(kept.descent, Solved)
             result = finished(kept.calibration, kept.descent)
             history = joined([each.descent.history for each in rounds])
             return kept.calibration, replace(result, history=history)
@@ -217,29 +243,23 @@ def scatter_of_packings(
     soil: SoilParameters,
     seeds: Seeds,
     work: AbstractCampaign,
-    coarse: Coarse | None,
+    coarse: AbstractCoarse | None,
 ) -> tuple[np.ndarray, int]:
-    """Covariance (m, m) of one packing's features over their mean, and from how many packings.
+    """Covariance (m, m) of one packing's features over their mean, and from how many packings."""
+    if coarse is not None:
+        return coarse.scatter(problem, soil, seeds, work)
 
-    With smaller beds, few large ones are run, those that the fit needs in any case."""
+    def runs(packings: Sequence[int]) -> list[Run]:
+        return work.runs([soil], packings, "scatter of packings")[0]
 
-    def runs(campaign: AbstractCampaign, packings: Sequence[int]) -> list[Run]:
-        return campaign.runs([soil], packings, "scatter of packings")[0]
-
-    if coarse is None:
-        alone = packing_scatter(problem, lambda packings: runs(work, packings), seeds.scatter)
-        return alone, len(seeds.scatter)
-    large = finished_features(problem, runs(work, seeds.fitted))
-    small = finished_features(problem, runs(coarse.campaign, seeds.scatter))
-    covariance, freedom = pooled(large, small, coarse)
-    return covariance, freedom + 1
+    return packing_scatter(problem, runs, seeds.scatter), len(seeds.scatter)
 
 
 def exploring(calibration: Calibration, correction: Correction) -> Calibration:
     """The same with smaller beds, to targets corrected for them."""
     coarse = calibration.coarse
     assert coarse is not None
-    coarse.campaign.progress.say(f"exploring with {coarse.spheres} spheres")
+    coarse.campaign.progress.say(f"exploring with {coarse.described}")
     return replace(
         calibration,
         problem=corrected(calibration.problem, correction),
@@ -267,8 +287,9 @@ def joined(histories: Sequence[Sequence[dict]]) -> list[dict]:
 
 
 def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -> dict:
-    """Ratio of both sizes' features at the start and at the best point; empty where there is one
-    size.  Says so where they differ by more than their errors."""
+    """Ratio of what decides to what explored, feature by feature, at the start and at the best
+    point; empty where nothing did.  Says so where both of smaller beds differ by more than their
+    errors."""
     coarse = calibration.coarse
     if coarse is None:
         return {}
@@ -276,12 +297,9 @@ def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -
     last = calibration.correction(result.best.values, "both resolutions at the best point")
     changed = disagreement(problem, first, last)
     if changed:
-        calibration.campaign.progress.say(
-            f"beds of {coarse.spheres} and {coarse.large} spheres disagree beyond their errors: "
-            f"their ratio is {'; '.join(changed)} at the start and at the end: slopes of the "
-            "smaller ones may mislead; fit again from here (--set), or with --preset fine"
-        )
+        calibration.campaign.progress.say(coarse.disagreeing(changed))
     return {
+        "explored_with": coarse.described,
         "explored_spheres": coarse.spheres,
         "simulations": coarse.campaign.simulated,
         "ratio": {

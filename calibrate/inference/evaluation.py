@@ -3,26 +3,45 @@
     r(p) = [ L^-1 (measured - mean over packings) ,  (ln p - ln p0)/prior_sd ],   L L' = Sigma
     ln density(p | measured) = -|r|^2 / 2 - ln det L - sum ln prior_sd - (m + p)/2 ln 2 pi
 
-Values are those of the fitted beds; slopes may come from smaller ones, by pairs of runs or by
-derivatives that JAX took.
+Values are those of the fitted beds; slopes may come from smaller ones, by pairs of runs, or by
+derivatives that JAX took of them or of a response in their place.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from calibrate.core.errors import CalibrationError
 from calibrate.inference.parameters import Space, fitting_ensemble, to_digits
-from calibrate.inference.problem import Problem, shrunk_covariance
-from calibrate.inference.resolutions import Coarse, Correction
+from calibrate.inference.problem import Problem, finished_features, shrunk_covariance
+from calibrate.inference.resolutions import AbstractCoarse, Correction
 from calibrate.inference.traced import FirstOrder
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.sensitivity.base import AbstractStrategy, AbstractTraced
+
+
+class Whitened(eqx.Module):
+    """What was measured, and what was known beforehand: measured (m,), whitening (m, m), which is
+    L^-1; centre (p,) and prior_sd (p,) of ln p.  Arrays of numpy or JAX."""
+
+    measured: Any
+    whitening: Any
+    centre: Any
+    prior_sd: Any
+
+    def __call__(self, values, features):
+        """r (m + p,) of parameters (p,) that give these features (m,)."""
+        both = (values, features)
+        numbers: Any = jnp if any(isinstance(given, Array) for given in both) else np
+        data = self.whitening @ (self.measured - features)
+        prior = (numbers.log(values) - self.centre) / self.prior_sd
+        return numbers.concatenate([data, prior])
+
 
 REJECTED = 1e3  # residual of a failed evaluation: larger than any honest one
 A = TypeVar("A", np.ndarray, Array)
@@ -72,8 +91,9 @@ class Calibration:
     """A problem, a space of parameters, and the packings on which both are evaluated.
 
     relative_scatter (m, m) is the covariance of one packing's features over their mean,
-    from `scatter_packings` packings.  With `coarse`, slopes are those of its smaller beds, times
-    the ratio of both sizes' features (`calibrate.inference.resolutions`).
+    from `scatter_packings` packings.  With `coarse`, slopes are those of its smaller beds, or of
+    the response that takes their place, times the ratio of both features
+    (`calibrate.inference.resolutions`).
     """
 
     problem: Problem
@@ -83,15 +103,19 @@ class Calibration:
     relative_scatter: np.ndarray
     scatter_packings: int
     settings: Settings = field(default_factory=Settings)
-    coarse: Coarse | None = None
+    coarse: AbstractCoarse | None = None
 
     def __post_init__(self):
         self.covariance = self.problem.covariance(self.relative_scatter, len(self.seeds))
         self.forward_runs = 0.0  # asked for so far, on each packing
         self.strategy = self.settings.strategy or fitting_ensemble(self.space)
         self._first: FirstOrder | None = None
-        self._whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
-        self._centre = np.log(self.space.start())
+        self.whole = Whitened(
+            self.problem.measured,
+            np.linalg.inv(np.linalg.cholesky(self.covariance)),
+            np.log(self.space.start()),
+            self.space.prior_sd(),
+        )
 
     def probed(self, points: np.ndarray, what: str) -> np.ndarray:
         """Features (k, n, m) at points (k, n, p) of ln p, one for each packing of those that slopes
@@ -142,6 +166,11 @@ class Calibration:
 
     def _measured(self, strategy: AbstractStrategy, values: np.ndarray, what: str) -> np.ndarray:
         """Slopes (m, p) by one strategy on the beds that slopes are taken on; NaN: not known."""
+        known = (
+            None if self.coarse is None else self.coarse.slopes(self.problem, self.space, values)
+        )
+        if known is not None:
+            return known
         packings, cost = len(self.seeds), 1.0 if self.coarse is None else self.coarse.cost
         self.forward_runs += cost * (strategy.runs(len(values), packings) - 1)  # centre: known
         if isinstance(strategy, AbstractTraced):
@@ -168,7 +197,7 @@ class Calibration:
         return Correction.of(large, self.coarse.features(self.problem, soil, self.seeds, what))
 
     def whitened(self, slopes: np.ndarray) -> np.ndarray:
-        return self._whitening @ slopes
+        return self.whole.whitening @ slopes
 
     def jacobian(self, slopes: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Of the residual with respect to y, from slopes per ln p."""
@@ -190,10 +219,7 @@ class Calibration:
             Deviations without unit, the data's first, then the prior's; shape (m + p,).  They are
             independent and of variance 1 where model and prior are right.
         """
-        xp: Any = jnp if any(isinstance(given, Array) for given in (values, features)) else np
-        data = self._whitening @ (self.problem.measured - features)
-        prior = (xp.log(values) - self._centre) / self.space.prior_sd()
-        return xp.concatenate([data, prior])
+        return self.whole(values, features)
 
     def log_density(self, values: A, features: A) -> A:
         """Log prior plus log likelihood: both normal, the prior in ln p.
@@ -210,7 +236,7 @@ class Calibration:
             A number; nats.
         """
         residual = self.residual(values, features)
-        scale = np.log(self.space.prior_sd()).sum() - np.log(np.diag(self._whitening)).sum()
+        scale = np.log(self.whole.prior_sd).sum() - np.log(np.diag(self.whole.whitening)).sum()
         return -0.5 * (residual @ residual) - scale - 0.5 * len(residual) * np.log(2 * np.pi)
 
 
@@ -220,12 +246,3 @@ def packing_scatter(
     """Covariance (m, m) of one packing's features over their mean."""
     features = finished_features(problem, runs(seeds))
     return shrunk_covariance(features / features.mean(axis=0))
-
-
-def finished_features(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
-    """Features (n, m) of the runs that did not fail; refused where most of them failed."""
-    failures = [run.failure for run in runs if run.failure]
-    if len(failures) > len(runs) // 2:
-        repair = "start from another, by [parameters] of the lab file or --set"
-        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}; {repair}")
-    return problem.simulated([run for run in runs if not run.failure])

@@ -100,9 +100,9 @@ def _evaluated(descent: Descent) -> Descent:
     values = to_digits(calibration.space.from_unbounded(np.asarray(descent.solver.y_eval)))
     now = calibration.evaluate(values, f"evaluation {number}")
     best = now if descent.best is None or now.cost < descent.best.cost else descent.best
-    row = _row(calibration, number, now, now is best)
-    calibration.campaign.progress.say(_line(calibration, row))
-    return replace(descent, best=best, at=now, jacobian=None, history=(*descent.history, row))
+    found = row(calibration, number, now, now is best)
+    calibration.campaign.progress.say(said(calibration, found))
+    return replace(descent, best=best, at=now, jacobian=None, history=(*descent.history, found))
 
 
 def _moved(seen: Descent, before: Evaluation | None) -> Descent:
@@ -152,7 +152,8 @@ def _affine(y: Array, local: tuple[Array, Array, Array]) -> tuple[Array, None]:
     return residual + jacobian @ (y - point), None
 
 
-def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
+def row(calibration: Calibration, number: int, evaluation: Evaluation, better: bool) -> dict:
+    """An evaluation for the history of a fit."""
     names = [feature.name for feature in calibration.problem.features]
     status = "failed" if evaluation.failures else ("better" if better else "rejected")
     return {
@@ -166,7 +167,8 @@ def _row(calibration: Calibration, number: int, evaluation: Evaluation, better: 
     }
 
 
-def _line(calibration: Calibration, row: dict) -> str:
+def said(calibration: Calibration, row: dict) -> str:
+    """The same as a line for the terminal."""
     parameters = ", ".join(f"{k} {v:.4g}" for k, v in row["parameters"].items())
     features = list(zip(calibration.problem.features, row["features"].values(), strict=True))
     shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.is_target)

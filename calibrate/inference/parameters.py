@@ -70,25 +70,24 @@ class Space:
 
     def to_unbounded(self, values: np.ndarray) -> np.ndarray:
         """y of the values, which must lie within the bounds."""
-        low, high = self._log_bounds()
+        low, high = self.log_bounds()
         share = (np.log(values) - low) / (high - low)
         share = np.clip(share, _EDGE, 1 - _EDGE)
         return np.log(share / (1 - share))
 
     def from_unbounded(self, y) -> np.ndarray:
         """Values of y."""
-        low, high = self._log_bounds()
-        return np.exp(low + (high - low) / (1 + np.exp(-np.asarray(y))))
+        return within(np.asarray(y), self.log_bounds())
 
     def log_slope(self, y) -> np.ndarray:
         """d ln p / d y, to turn slopes per ln p into slopes per y."""
-        low, high = self._log_bounds()
+        low, high = self.log_bounds()
         share = 1 / (1 + np.exp(-np.asarray(y)))
         return (high - low) * share * (1 - share)
 
     def inside(self, log_values: np.ndarray) -> np.ndarray:
         """ln p moved to the nearest point within the bounds; shape (..., p)."""
-        return np.clip(log_values, *self._log_bounds())
+        return np.clip(log_values, *self.log_bounds())
 
     def bounds(self) -> np.ndarray:
         """Lowest and highest values (p, 2)."""
@@ -100,13 +99,20 @@ class Space:
 
     def at_bound(self, values: np.ndarray) -> list[str]:
         """Names of parameters within one per cent of a bound, in ln p."""
-        low, high = self._log_bounds()
+        low, high = self.log_bounds()
         share = (np.log(values) - low) / (high - low)
         return [n for n, s in zip(self.names, share, strict=True) if s < 0.01 or s > 0.99]
 
-    def _log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """ln of the lowest and of the highest values, each (p,)."""
         low = np.log([entry.low for entry in self.ranges])
         return low, np.log([entry.high for entry in self.ranges])
+
+
+def within(y, log_bounds):
+    """Values (p,) of unbounded y (p,), of numpy or JAX, between the bounds' logarithms."""
+    numbers, (low, high) = y.__array_namespace__(), log_bounds
+    return numbers.exp(low + (high - low) / (1 + numbers.exp(-y)))
 
 
 DIGITS = 12

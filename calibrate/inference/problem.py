@@ -9,12 +9,12 @@ of packings and repeats:
     Sigma = S_packing / n_packings + scatter^2 / repeats    for scalar targets
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.core.errors import InputError
+from calibrate.core.errors import CalibrationError, InputError
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import described
@@ -55,6 +55,15 @@ class Problem:
         both = np.outer(of_curve, of_curve)
         weight = 1 / packings + np.where(both, 1 / np.maximum(self.repeats, 1), 0.0)
         return scatter * weight + np.diag(self.target_variance)
+
+
+def finished_features(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
+    """Features (n, m) of the runs that did not fail; refused where most of them failed."""
+    failures = [run.failure for run in runs if run.failure]
+    if len(failures) > len(runs) // 2:
+        repair = "start from another, by [parameters] of the lab file or --set"
+        raise CalibrationError(f"the starting soil cannot be simulated: {failures[0]}; {repair}")
+    return problem.simulated([run for run in runs if not run.failure])
 
 
 Row = tuple[AbstractFeature, float, float, int]  # feature, mean, variance of a target, repeats

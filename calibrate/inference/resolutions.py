@@ -10,13 +10,17 @@ steps, and rho is measured anew at each point where slopes are.  Scatter of pack
 both: a specimen's relative scatter goes with N^-1/2, as that of a mean over independent parts.
 """
 
-from collections.abc import Sequence
+import abc
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
-from calibrate.inference.problem import Problem, shrunk_covariance
+from calibrate.inference.parameters import Space
+from calibrate.inference.problem import Problem, finished_features, shrunk_covariance
 from calibrate.simulation.joint import AbstractCampaign
+from calibrate.simulation.specimens import Seeds
 from jdem.materials.soil import SoilParameters
 
 WIDEST = 3.0  # a feature whose ratio is beyond it, or negative, is not scaled: it has another sign
@@ -57,8 +61,55 @@ def _relative_variance(features: np.ndarray) -> np.ndarray:
     return (features.std(axis=0, ddof=1) / features.mean(axis=0)) ** 2 / len(features)
 
 
+class AbstractCoarse(abc.ABC):
+    """What a fit explores with and takes its slopes from, before the beds that decide: their tests
+    at less cost, right but for a ratio of the features."""
+
+    campaign: AbstractCampaign
+    spheres: int  # of one bed
+    near: ClassVar[bool] = False  # so near to the large beds that it explores as it is
+
+    @property
+    @abc.abstractmethod
+    def cost(self) -> float:
+        """Of a run over a run of the beds that decide."""
+
+    @property
+    @abc.abstractmethod
+    def described(self) -> str:
+        """In words: what explores."""
+
+    @abc.abstractmethod
+    def disagreeing(self, changed: Sequence[str]) -> str:
+        """One sentence, where ratios of these features (with numbers) at the start and at the end
+        differ beyond their errors."""
+
+    def features(
+        self, problem: Problem, soil: SoilParameters, seeds: Sequence[int], what: str
+    ) -> np.ndarray:
+        """Features (n, m) of one soil on these packings."""
+        return problem.simulated(self.campaign.runs([soil], seeds, what)[0])
+
+    @abc.abstractmethod
+    def slopes(self, problem: Problem, space: Space, values: np.ndarray) -> np.ndarray | None:
+        """Slopes (m, p) of the mean features per unit of ln p at parameters (p,); None: they have
+        to be measured, by pairs of runs."""
+
+    @property
+    def solver(self) -> Callable[..., Any] | None:
+        """Of a fit on it; None: a descent by evaluations."""
+        return None
+
+    @abc.abstractmethod
+    def scatter(
+        self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign
+    ) -> tuple[np.ndarray, int]:
+        """Covariance (m, m) of one large packing's features over their mean, and from how many
+        packings."""
+
+
 @dataclass(frozen=True, eq=False)
-class Coarse:
+class Coarse(AbstractCoarse):
     """The same tests on beds of fewer spheres than the `large` ones that are fitted."""
 
     campaign: AbstractCampaign
@@ -67,14 +118,32 @@ class Coarse:
 
     @property
     def cost(self) -> float:
-        """Of a run over a run of large beds: time steps go with the diameter, so with N^(4/3)."""
+        """Time steps go with the diameter, so with N^(4/3) of all spheres."""
         return (self.spheres / self.large) ** (4 / 3)
 
-    def features(
-        self, problem: Problem, soil: SoilParameters, seeds: Sequence[int], what: str
-    ) -> np.ndarray:
-        """Features (n, m) of one soil on these packings."""
-        return problem.simulated(self.campaign.runs([soil], seeds, what)[0])
+    @property
+    def described(self) -> str:
+        return f"{self.spheres} spheres"
+
+    def disagreeing(self, changed: Sequence[str]) -> str:
+        return (
+            f"beds of {self.spheres} and {self.large} spheres disagree beyond their errors: "
+            f"their ratio is {'; '.join(changed)} at the start and at the end: slopes of the "
+            "smaller ones may mislead; fit again from here (--set), or with --preset fine"
+        )
+
+    def slopes(self, problem: Problem, space: Space, values: np.ndarray) -> None:
+        return None
+
+    def scatter(
+        self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign
+    ) -> tuple[np.ndarray, int]:
+        """Of few large packings, those that the fit needs in any case, and more small ones."""
+        what = "scatter of packings"
+        few = finished_features(problem, large.runs([soil], seeds.fitted, what)[0])
+        many = finished_features(problem, self.campaign.runs([soil], seeds.scatter, what)[0])
+        covariance, freedom = pooled(few, many, self)
+        return covariance, freedom + 1
 
 
 def pooled(large: np.ndarray, small: np.ndarray, coarse: Coarse) -> tuple[np.ndarray, int]:

@@ -20,8 +20,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from calibrate.inference.evaluation import Calibration, Evaluation
-from calibrate.inference.fit import Descent, Fit, descend
+from calibrate.inference.fit import Descent, Fit
 from calibrate.inference.misfit import misses
+from calibrate.inference.on_response import Solved
 from calibrate.inference.parameters import Space, to_digits
 from calibrate.inference.problem import Problem
 from calibrate.io.lab import Lab
@@ -165,7 +166,7 @@ class Round:
     """One choice of free parameters and where its fit went, or ended."""
 
     calibration: Calibration
-    descent: Descent | Fit
+    descent: Descent | Fit | Solved
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -202,9 +203,13 @@ def advice(last: Round, screened: Screened) -> Advice | None:
 
 
 def widened(
-    first: Round, screened: Screened, calibration_of: Callable[[tuple[str, ...]], Calibration]
+    first: Round,
+    screened: Screened,
+    calibration_of: Callable[[tuple[str, ...]], Calibration],
+    descend: Callable[[Calibration, np.ndarray], Descent | Solved],
 ) -> list[Round]:
-    """The first round and those that free more, until nothing is missed or nothing helps."""
+    """The first round and those that free more, until nothing is missed or nothing helps; each
+    descends from where it begins."""
     rounds = [first]
     while len(rounds) <= ROUNDS:
         last = rounds[-1]

@@ -49,9 +49,13 @@ class AbstractFeature(abc.ABC):
     unit: str
     test: str
 
-    @abc.abstractmethod
     def of(self, observables: Mapping[str, float], curves: Mapping[str, np.ndarray]) -> float:
         """This feature of a specimen; curves by test have shape (points, 2), in mm and N."""
+        return float(self.read(observables, curves))
+
+    @abc.abstractmethod
+    def read(self, observables: Mapping[str, Any], curves: Mapping[str, Any]) -> Any:
+        """The same of numpy or JAX, which can differentiate it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class ScalarTarget(AbstractFeature):
 
     is_target = True
 
-    def of(self, observables: Mapping[str, float], curves: Mapping[str, np.ndarray]) -> float:
+    def read(self, observables: Mapping[str, Any], curves: Mapping[str, Any]) -> Any:
         return observables[self.name]
 
 
@@ -68,8 +72,8 @@ class ScalarTarget(AbstractFeature):
 class AbstractCurveFeature(AbstractFeature):
     """A number read off the curve of one test."""
 
-    def of(self, observables: Mapping[str, float], curves: Mapping[str, np.ndarray]) -> float:
-        return float(self.of_curve(*curves[self.test].T))
+    def read(self, observables: Mapping[str, Any], curves: Mapping[str, Any]) -> Any:
+        return self.of_curve(*curves[self.test].T)
 
     @abc.abstractmethod
     def of_curve(self, displacement_mm, force_n) -> Any:

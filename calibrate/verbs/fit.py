@@ -13,9 +13,10 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from calibrate.core.files import write_json, write_text
+from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, calibrate, fit_json
 from calibrate.inference.parameters import RANGES, checked_free
-from calibrate.inference.resolutions import Coarse
+from calibrate.inference.resolutions import AbstractCoarse, Coarse
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
@@ -26,6 +27,7 @@ from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from jdem.materials.soil import SoilParameters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,6 +165,10 @@ def fit(
     preset: options.PresetName = "quick",
     seed: options.Seed = 0,
     prepare_with_soil: options.Preparation = False,
+    runs_alone: Annotated[
+        bool,
+        typer.Option("--runs-alone", help="Explore with smaller beds, not with a library."),
+    ] = False,
     out: options.Out = "results/fit",
     dask: options.Dask = None,
 ) -> FitResult:
@@ -181,6 +187,7 @@ def fit(
         preset: "quick", "standard" or "fine": how many spheres and packings.
         seed: choice of packings, from 0.
         prepare_with_soil: beds settle with the soil under test, not with a slippery one.
+        runs_alone: explores with smaller beds, not with the bundled library of runs.
         out: folder for results.
         dask: address of a Dask cluster that simulates; None: this machine.
 
@@ -201,18 +208,37 @@ def fit(
     base = session.soil(parameter_values(values))
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
-    work, spheres = session.campaign(folder, preparation), session.preset.explored
-    coarse = None
-    if spheres is not None:
-        smaller = session.resized(spheres).campaign(folder, preparation)
-        coarse = Coarse(smaller, spheres, session.preset.spheres)
-    done = calibrate(session.lab, session.preset, names, base, seed, work, coarse)
-    return kept(session, done)
+    work = session.campaign(folder, preparation)
+
+    def fitted(coarse: AbstractCoarse | None) -> Calibrated:
+        return calibrate(session.lab, session.preset, names, base, seed, work, coarse)
+
+    done, why = None, "it was asked for none" if runs_alone else ""
+    if not why:
+        response, why = served(session.lab, session.preset, names, work)
+        if response is not None:
+            done = fitted(response)
+            why = "" if done.met else "the fit that it led to missed the data"
+    if done is None or why:
+        session.progress.say(f"the library of runs does not explore: {why}")
+        done = fitted(_smaller(session, preparation))
+    return kept(session, done, why)
 
 
-def kept(session: Session, done: Calibrated) -> FitResult:
-    """The result, with result.json, history.csv and a figure in the session's folder."""
+def _smaller(session: Session, preparation: SoilParameters | None) -> Coarse | None:
+    """The smaller beds of the session's preset, if it explores with any."""
+    spheres = session.preset.explored
+    if spheres is None:
+        return None
+    beds = session.resized(spheres).campaign(session.out, preparation)
+    return Coarse(beds, spheres, session.preset.spheres)
+
+
+def kept(session: Session, done: Calibrated, why: str = "") -> FitResult:
+    """The result, with result.json, history.csv and a figure in the session's folder; why the
+    library of runs did not explore."""
     content = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
+    content["without_library"] = why
     found = FitResult(session.lab, session.out, content)
     write_json(session.out / "result.json", content)
     write_text(session.out / "history.csv", _table_of(content["history"]))

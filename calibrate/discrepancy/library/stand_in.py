@@ -1,0 +1,129 @@
+"""The library of runs in the place of simulations at a preset: what a fit explores with.
+
+A lab is served if its tests on soil are the library's two, its specimen is among the shapes that
+the library has, and the preset's beds grow, as the library's do.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.core.errors import InputError
+from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.design import FURTHEST, SETTINGS, SHAPE, SOIL, SPEEDS
+from calibrate.discrepancy.library.run_library import RunLibrary
+from calibrate.discrepancy.library.store import bundled_library, load
+from calibrate.inference.on_response import OnResponse, ResponseCampaign
+from calibrate.inference.problem import pose
+from calibrate.io.lab import Lab
+from calibrate.labtests.diagnosis.curves import TARGETS
+from calibrate.response.beds import Beds
+from calibrate.simulation.joint import AbstractCampaign
+from calibrate.simulation.resolution import Preset, specimen
+from jdem.materials.soil import SoilParameters
+
+EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
+CARRYING = 4  # runs beside a soil, from which on the library reaches it
+
+
+def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None) -> str:
+    """Why the library cannot stand for a lab's simulations when these parameters are free (None:
+    the program chooses), as far as this is known before it is read; "" where it can."""
+    if not preset.grown:
+        return f"the preset {preset.name} has coarse beds that fall, and the library's grow"
+    others = [name for name in free or () if name not in SOIL]
+    if others:
+        return f"no run of the library varies {', '.join(others)}"
+    called = [test.called for test in lab.tests]
+    features = pose(lab).features
+    lacking = [f.name for f in features if f.is_target and f.name not in TARGETS]
+    if lacking:
+        return f"the library does not have the number {', '.join(lacking)}"
+    if len(called) > len(TARGETS):
+        return f"no run of the library has the test {', '.join(called[len(TARGETS) :])}"
+    return ""
+
+
+def stands_in(
+    lab: Lab, preset: Preset, emulated: EmulatedLibrary, work: AbstractCampaign
+) -> OnResponse:
+    """The library in the place of a lab's beds at a preset.  `InputError` where the lab has other
+    tests on soil or a shape too far from the library's, or none of its runs follow the lab's
+    conventions."""
+    emulated = emulated.for_lab(lab)
+    library, design = emulated.library, emulated.library.design
+    pair = lab.pair()
+    centre = np.log([design.centre[name] for name in design.soil_names])
+    beds = Beds(
+        soil=emulated.emulator.response,
+        centre=jnp.asarray(centre),
+        settings=jnp.asarray(_settings(lab, preset, emulated)),
+        spread=jnp.asarray(design.spread()),
+        none=jnp.zeros(len(design.limits)),
+        units=jnp.asarray(emulated.units),
+        names=design.soil_names,
+        features=emulated.size.features,
+        called=(pair.compression.called, pair.crushing.called),
+    )
+    smaller = np.sqrt(design.spheres / preset.spheres)  # scatter of means over independent parts
+
+    def too_far(soil: SoilParameters) -> tuple[str, ...]:
+        logs = np.log([float(getattr(soil, name)) for name in design.soil_names])
+        return beyond(library, logs - centre)
+
+    def specimens(soil: SoilParameters) -> np.ndarray:
+        x, none = np.asarray(beds.scaled(soil)), np.zeros(len(design.limits))
+        steep = emulated.units * emulated.emulator.steepness(x, none)
+        return smaller * steep * emulated.specimens(x)
+
+    campaign = ResponseCampaign(beds, too_far, work.folder, work.progress, work.apparatus)
+    return OnResponse(campaign, specimens, preset.spheres)
+
+
+def beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
+    """Soil parameters, at ln p of `offset` (q,) from the library's centre, that lie clearly farther
+    from it than its runs, of its design or added about a lab."""
+    sd = np.array([*library.design.soil_sd.values()])
+    away = offset / sd
+    runs = np.sort(library.base[:, : len(sd)] / sd * np.sign(away), axis=0)
+    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST) + EDGE
+    names = library.design.soil_names
+    return tuple(n for n, by in zip(names, np.abs(away) > reach, strict=True) if by)
+
+
+def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float]:
+    """Base coordinates of the beds of a preset, in the order of SETTINGS."""
+    shape = dict(zip(SHAPE, emulated.size.shape.tolist(), strict=True))
+    found = {
+        "smoothing": 0.0,
+        "porosity": _denser(lab, preset),
+        "pace": preset.rate_in_mould / SPEEDS[0],
+        "sphere_size": emulated.library.design.sphere_size(
+            round(preset.spheres / np.exp(shape["slenderness"]))
+        ),
+        **shape,
+    }
+    return [found[name] for name in SETTINGS]
+
+
+def _denser(lab: Lab, preset: Preset) -> float:
+    """Porosity of a lab's beds over the usual one."""
+    own = specimen(lab, preset).porosity
+    usual = specimen(replace(lab, particles=replace(lab.particles, porosity=None)), preset).porosity
+    return 0.0 if own is None or usual is None else own - usual
+
+
+def served(
+    lab: Lab, preset: Preset, free: Sequence[str] | None, work: AbstractCampaign
+) -> tuple[OnResponse | None, str]:
+    """The bundled library in the place of a lab's beds, or why it cannot be."""
+    try:
+        lab.pair()
+        reason = why_not(lab, preset, free)
+        if reason:
+            return None, reason
+        return stands_in(lab, preset, EmulatedLibrary.of(load(bundled_library())), work), ""
+    except InputError as refused:
+        return None, str(refused)

@@ -1,0 +1,228 @@
+"""Fits on a response: a function that says at once what runs would give on average.
+
+    r(y) = whitened(p(y), features(response(p(y))))         y: unbounded parameters (`Space`)
+
+It is one function of arrays, of which JAX takes the derivative that Optimistix' solver asks for.
+It explores in the place of smaller beds, so that no run is spent on slopes.  Beds that decide
+correct it by the ratio of both features (`calibrate.inference.resolutions`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax import Array
+
+from calibrate.core.progress import AbstractProgress
+from calibrate.inference.evaluation import Calibration, Evaluation, Whitened
+from calibrate.inference.fit import SOLVER, row, said
+from calibrate.inference.parameters import Space, to_digits, within
+from calibrate.inference.problem import Problem, shrunk_covariance
+from calibrate.inference.resolutions import AbstractCoarse
+from calibrate.io.soil import with_values
+from calibrate.labtests.features import AbstractFeature
+from calibrate.response.beds import Beds
+from calibrate.simulation.joint import AbstractCampaign
+from calibrate.simulation.run import Run
+from calibrate.simulation.specimens import Seeds
+from jdem.apparatus.base import AbstractApparatus
+from jdem.materials.soil import SoilParameters
+
+MOST_STEPS = 200  # of the solver
+
+
+class FeaturesOfBeds(eqx.Module):
+    """A problem's features (m,) of free parameters (p,), SI; the others as in `base`."""
+
+    beds: Beds
+    base: SoilParameters
+    names: tuple[str, ...] = eqx.field(static=True)
+    features: tuple[AbstractFeature, ...] = eqx.field(static=True)
+
+    @staticmethod
+    def of(beds: Beds, problem: Problem, space: Space) -> "FeaturesOfBeds":
+        return FeaturesOfBeds(beds, space.base, space.names, problem.features)
+
+    def __call__(self, values: Array) -> Array:
+        return self.read(self.beds.values(self.soil(values)))
+
+    def soil(self, values: Array) -> SoilParameters:
+        """The soil with these parameters."""
+        return with_values(self.base, dict(zip(self.names, values, strict=True)))
+
+    def read(self, values: Array) -> Array:
+        """The same of the beds' features."""
+        shown = self.beds.shown(values)
+        return jnp.stack([feature.read(*shown) for feature in self.features])
+
+
+class Residual(eqx.Module):
+    """r (m + p,) of unbounded parameters y (p,); log_bounds are those of `Space`."""
+
+    features: FeaturesOfBeds
+    whitened: Whitened
+    log_bounds: tuple[Any, Any]
+
+    @staticmethod
+    def of(beds: Beds, calibration: Calibration) -> "Residual":
+        """That of a calibration, whose runs the beds stand for."""
+        features = FeaturesOfBeds.of(beds, calibration.problem, calibration.space)
+        return Residual(features, calibration.whole, calibration.space.log_bounds())
+
+    def values(self, y: Array) -> Array:
+        """Parameters (p,), SI."""
+        return within(y, self.log_bounds)
+
+    def __call__(self, y: Array, args: None = None) -> Array:
+        values = self.values(y)
+        return self.whitened(values, self.features(values))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Where a solver ended on a response, with the slopes (m, p) there per unit of ln p."""
+
+    best: Evaluation
+    slopes: np.ndarray
+    history: tuple[dict, ...]
+    stopped: str
+
+
+def solved(
+    campaign: "ResponseCampaign", calibration: Calibration, start: np.ndarray | None = None
+) -> Solved:
+    """The best fit on a response from `start` (p,), by default the base soil's values."""
+    space = calibration.space
+    begin = space.start() if start is None else np.asarray(start, float)
+    residual = Residual.of(campaign.beds, calibration)
+    y, steps, good = _solution(residual, jnp.asarray(space.to_unbounded(begin)))
+    points = [to_digits(begin), to_digits(space.from_unbounded(np.asarray(y)))]
+    first, last = (calibration.evaluate(values, "on the library of runs") for values in points)
+    better = last.cost < first.cost
+    history = row(calibration, 1, first, True), row(calibration, 2, last, better)
+    for each in history:
+        calibration.campaign.progress.say(said(calibration, each))
+    best = last if better else first
+    stopped = f"{int(steps)} steps of the solver" + ("" if good else ", which did not converge")
+    return Solved(best, slopes_of(residual.features, best.values), history, stopped)
+
+
+@eqx.filter_jit
+def _solution(residual: Residual, y: Array) -> tuple[Array, Array, Array]:
+    found = optx.least_squares(residual, SOLVER, y, max_steps=MOST_STEPS, throw=False)
+    return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
+
+
+def slopes_of(features: FeaturesOfBeds, values: np.ndarray) -> np.ndarray:
+    """Slopes (m, p) of features per unit of ln p at parameters (p,)."""
+    return np.asarray(_slopes(features, jnp.log(jnp.asarray(values))))
+
+
+@eqx.filter_jit
+def _slopes(features: FeaturesOfBeds, logs: Array) -> Array:
+    return jax.jacfwd(lambda logs: features(jnp.exp(logs)))(logs)
+
+
+# ---------------------------------------------------------------- in the place of smaller beds
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseCampaign:
+    """A response in the place of a campaign: every packing shows the mean over packings.
+
+    `beyond` names the parameters of a soil that lie beyond what the response knows; there its runs
+    fail.
+    """
+
+    beds: Beds
+    beyond: Callable[[SoilParameters], tuple[str, ...]]
+    folder: Path
+    progress: AbstractProgress
+    apparatus: tuple[AbstractApparatus, ...]
+    simulated: ClassVar[int] = 0
+
+    def runs(
+        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """Every soil on every packing."""
+        return [[self._run(soil)] * len(seeds) for soil in soils]
+
+    def each(
+        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
+    ) -> list[list[Run]]:
+        """Rows of soils, one for each packing."""
+        return [[self._run(soil) for soil in row] for row in soils]
+
+    def _run(self, soil: SoilParameters) -> Run:
+        observables, curves = _shown(self.beds, soil)
+        far = ", ".join(self.beyond(soil))
+        return Run(
+            {name: float(value) for name, value in observables.items()},
+            {test: np.asarray(curve) for test, curve in curves.items()},
+            {},
+            f"{far} beyond the library's runs" if far else "",
+        )
+
+
+@eqx.filter_jit
+def _shown(beds: Beds, soil: SoilParameters):
+    return beds.shown(beds.values(soil))
+
+
+@dataclass(frozen=True, eq=False)
+class OnResponse(AbstractCoarse):
+    """A response of beds as large as those that decide; `specimens` gives the deviations (n, l) of
+    single packings from the mean features of its beds at a soil."""
+
+    campaign: ResponseCampaign
+    specimens: Callable[[SoilParameters], np.ndarray]
+    spheres: int
+    near: ClassVar[bool] = True
+
+    @property
+    def cost(self) -> float:
+        """It costs no run."""
+        return 0.0
+
+    @property
+    def described(self) -> str:
+        return "the library of runs"
+
+    def disagreeing(self, changed: Sequence[str]) -> str:
+        return (
+            f"at the best point the simulations differ from the library of runs beyond their "
+            f"errors, and count: {'; '.join(changed)} (ratio 1 was taken at first)"
+        )
+
+    @property
+    def solver(self) -> Callable[..., Solved]:
+        return partial(solved, self.campaign)
+
+    def slopes(self, problem: Problem, space: Space, values: np.ndarray) -> np.ndarray:
+        """By JAX."""
+        return slopes_of(FeaturesOfBeds.of(self.campaign.beds, problem, space), values)
+
+    def scatter(
+        self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign
+    ) -> tuple[np.ndarray, int]:
+        """As the library's packings scatter, at this soil and size."""
+        features = FeaturesOfBeds(self.campaign.beds, soil, (), problem.features)
+        means, slopes = _read(features, soil)
+        deviations = self.specimens(soil)
+        return shrunk_covariance(deviations @ np.asarray(slopes / means[:, None]).T), len(
+            deviations
+        )
+
+
+@eqx.filter_jit
+def _read(features: FeaturesOfBeds, soil: SoilParameters) -> tuple[Array, Array]:
+    """A problem's features (m,) of a soil, and their slopes (m, l) with those of the beds."""
+    values = features.beds.values(soil)
+    return features.read(values), jax.jacfwd(features.read)(values)

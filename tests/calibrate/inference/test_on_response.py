@@ -1,0 +1,325 @@
+"""Fits on a response: derivatives by JAX, closed-form optima, beds that correct it.
+
+The response is a soil of formulas without scatter; the beds that decide scatter about it, and
+differ from it by a ratio.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibrate.core.progress import Silent
+from calibrate.discrepancy.library.stand_in import served
+from calibrate.inference.calibration import calibrate, fit_json
+from calibrate.inference.evaluation import Calibration
+from calibrate.inference.on_response import (
+    FeaturesOfBeds,
+    OnResponse,
+    Residual,
+    ResponseCampaign,
+    slopes_of,
+    solved,
+)
+from calibrate.inference.parameters import space
+from calibrate.inference.problem import Problem, pose
+from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import with_values
+from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
+from calibrate.labtests.features import DisplacementOnLoading, ScalarTarget
+from calibrate.labtests.reading import Zero
+from calibrate.response.beds import Beds
+from calibrate.simulation.resolution import PRESETS
+from tests.support.formulas import BASE, LAB, Formulas
+from tests.support.toy_library import library
+
+NAMES = ("shear_modulus", "surface_energy")
+TARGETS_ONLY = (ScalarTarget(TARGETS[0], "mm", ""), ScalarTarget(TARGETS[1], "N", ""))
+RISE = DisplacementOnLoading("displacement at 300 N", "mm", "confined", 300.0, Zero(100.0))
+SEEDS = range(4)
+
+
+class FormulaBeds(eqx.Module):
+    """`formulas.shape` without the luck of packings, in JAX."""
+
+    def values(self, soil):
+        def shift(name):
+            return jnp.log(getattr(soil, name) / getattr(BASE, name))
+
+        stiff, plastic, adhesion, friction = map(
+            shift, ("shear_modulus", "plasticity_ratio", "surface_energy", "static_friction")
+        )
+        shifts = [
+            -0.8 * stiff + 0.3 * plastic,
+            0.4 * friction,
+            0.6 * adhesion + 0.2 * friction + 0.1 * adhesion**2,
+            -0.3 * stiff,
+        ]
+        return jnp.array([6.0, 0.7, 200.0, 1.0]) * jnp.exp(jnp.stack(shifts))
+
+    def shown(self, values):
+        depth, exponent, strength, scale = values
+        force = jnp.linspace(0, 400, 201)
+        confined = jnp.column_stack([depth * (force / 400) ** exponent, force])
+        observables = depth * (1 - 0.5**exponent), strength * -jnp.expm1(-12 / scale)
+        return dict(zip(TARGETS, observables, strict=True)), {"confined": confined}
+
+
+def campaign(beyond=lambda soil: ()):
+    return ResponseCampaign(FormulaBeds(), beyond, Path(), Silent(), ())
+
+
+def on_response(spread=(0.03, 0.02, 0.05, 0.03), **options):
+    """Packings deviate by these shares of the four values."""
+    luck = np.random.default_rng(0).normal(size=(40, 4)) * spread
+
+    def specimens(soil):
+        return luck * np.asarray(FormulaBeds().values(soil))
+
+    return OnResponse(campaign(**options), specimens, 2000)
+
+
+def case(work, features=TARGETS_ONLY, truth=(1.5, 0.6), names=NAMES, measured=None):
+    """Numbers that the response shows of the true soil, known to one per cent."""
+    known = space(LAB, names, BASE)
+    reading = FeaturesOfBeds(FormulaBeds(), BASE, names, features)
+    if measured is None:
+        measured = np.asarray(reading(known.start() * np.asarray(truth)))
+    problem = Problem(features, measured, (0.01 * measured) ** 2, np.zeros(len(measured), int))
+    return Calibration(problem, known, work, SEEDS, np.zeros((len(measured),) * 2), 8)
+
+
+def known_to(share, calibration):
+    """The same with measured numbers that are known to a share of their values."""
+    variance = (share * calibration.problem.measured) ** 2
+    return replace(calibration, problem=replace(calibration.problem, target_variance=variance))
+
+
+# ------------------------------------------------------------------ derivatives
+
+
+@pytest.mark.parametrize("features", [TARGETS_ONLY, (*TARGETS_ONLY, RISE)], ids=["two", "curve"])
+def test_the_solver_s_jacobian_is_that_of_the_residual_by_jax(features):
+    """As Optimistix takes it, against differences of the residual itself."""
+    residual = Residual.of(FormulaBeds(), case(campaign(), features))
+    y = jnp.array([0.3, -0.7])
+    found, step = jax.jacfwd(residual)(y), 1e-5
+    for column, way in enumerate(np.eye(2)):
+        apart = np.asarray(residual(y + step * way) - residual(y - step * way))
+        assert found[:, column] == pytest.approx(apart / (2 * step), rel=1e-6, abs=1e-6)
+
+
+def test_the_residual_is_that_of_the_calibration():
+    calibration = case(campaign(), (*TARGETS_ONLY, RISE))
+    residual, y = Residual.of(FormulaBeds(), calibration), jnp.array([0.3, -0.7])
+    values = calibration.space.from_unbounded(y)
+    features = np.asarray(residual.features(values))
+    assert np.asarray(residual(y)) == pytest.approx(calibration.residual(values, features))
+    assert calibration.evaluate(values, "").residual == pytest.approx(np.asarray(residual(y)))
+
+
+def test_slopes_are_those_of_the_formulas():
+    known = space(LAB, NAMES, BASE)
+    features = FeaturesOfBeds.of(FormulaBeds(), case(campaign()).problem, known)
+    found = slopes_of(features, known.start())
+    depth = 6.0 * (1 - 0.5**0.7)
+    assert found[0] == pytest.approx([-0.8 * depth, 0.0])
+    force = 200 * -np.expm1(-12.0)
+    assert found[1] == pytest.approx([0.3 * 200 * 12 * np.exp(-12.0), 0.6 * force])
+
+
+# ------------------------------------------------------------------ the best point
+
+
+def test_it_ends_at_the_soil_that_the_response_shows():
+    calibration = case(campaign())
+    truth = calibration.space.start() * [1.5, 0.6]
+    tight = replace(
+        calibration,
+        problem=replace(
+            calibration.problem, target_variance=1e-10 * calibration.problem.measured**2
+        ),
+    )
+    found = solved(campaign(), tight)
+    assert found.best.values == pytest.approx(truth, rel=1e-4)
+    assert found.best.cost < 2.0  # of the prior alone
+    assert [row["status"] for row in found.history] == ["better", "better"]
+    assert found.history[0]["parameters"] == dict(zip(NAMES, tight.space.start(), strict=True))
+
+
+def test_a_prior_holds_what_the_data_hardly_see():
+    """Residuals are linear in ln p here, so the best point is that of a linear regression."""
+    calibration = case(campaign(), TARGETS_ONLY[:1], names=("shear_modulus",), truth=(1.5,))
+    loose = replace(
+        calibration,
+        problem=replace(
+            calibration.problem, target_variance=0.64 * calibration.problem.measured**2
+        ),
+    )
+    found = solved(campaign(), loose)
+    away = np.log(found.best.values / loose.space.start())[0]
+    assert 0.1 < away < np.log(1.5) - 0.05
+    slope = 0.8 * loose.problem.measured[0] / np.sqrt(loose.covariance[0, 0])
+    gradient = -slope * found.best.residual[0] * np.exp(-0.8 * (away - np.log(1.5))) * -1
+    assert gradient == pytest.approx(-found.best.residual[1] / loose.space.prior_sd()[0], abs=0.02)
+
+
+def test_it_stays_within_the_bounds():
+    strong = case(campaign(), measured=np.array([2.3, 1e6]))
+    found = solved(campaign(), strong)
+    low, high = strong.space.bounds().T
+    assert np.all(found.best.values > low) and np.all(found.best.values <= high)
+    assert found.best.values[1] > 0.9 * high[1]
+
+
+# ------------------------------------------------------------------ in the place of smaller beds
+
+
+@dataclass
+class Larger(Formulas):
+    """The beds that decide: 3 % deeper and 6 % weaker than the response."""
+
+    def _run(self, soil, seed):
+        run = super()._run(soil, seed)
+        ratio = dict(zip(TARGETS, (1.03, 0.94), strict=True))
+        values = {name: ratio[name] * value for name, value in run.observables.items()}
+        return replace(run, observables=values)
+
+
+def test_a_fit_takes_no_run_for_slopes_and_few_to_meet_its_targets():
+    work, asked = Larger(), []
+    runs = work.runs
+    work.runs = lambda soils, seeds, what: asked.append(what) or runs(soils, seeds, what)
+    done = calibrate(LAB, PRESETS["standard"], NAMES, BASE, 0, work, on_response())
+    assert done.met
+    fitted = {what for what in asked if what.startswith("evaluation")}
+    assert 1 <= len(fitted) <= 3
+    assert not [what for what in asked if "slopes" in what and "best point" not in what]
+    content = fit_json(done)
+    assert content["resolutions"]["explored_with"] == "the library of runs"
+    ratio = content["resolutions"]["ratio"]
+    assert ratio["depression_depth_mm"]["end"] == pytest.approx(1.03, rel=0.05)
+    assert ratio["crushing_force_n"]["end"] == pytest.approx(0.94, rel=0.08)
+    assert content["history"][0]["parameters"]["shear_modulus"] == float(BASE.shear_modulus)
+
+
+def test_it_chooses_what_to_free_without_a_run():
+    work = Formulas()
+    done = calibrate(LAB, PRESETS["standard"], None, BASE, 0, work, on_response())
+    assert set(done.screening["free"]) == {"shear_modulus", "surface_energy"}
+    assert done.met
+
+
+def test_scatter_is_that_of_the_response_s_packings():
+    work = Formulas()
+    explorer = on_response(spread=(0.03, 0.0, 0.05, 0.0))
+    problem = case(work).problem
+    found, packings = explorer.scatter(problem, BASE, None, work)
+    assert (work.simulated, packings) == (0, 40)
+    assert np.sqrt(np.diag(found)) == pytest.approx([0.03, 0.05], rel=0.3)
+
+
+def test_beyond_the_runs_it_leads_nowhere():
+    """Every run of it fails there, and the beds that decide begin at the start."""
+    explorer = on_response(beyond=lambda soil: ("surface_energy",))
+    (run,) = explorer.campaign.runs([BASE], [0], "")[0]
+    assert run.failure == "surface_energy beyond the library's runs"
+    found = solved(explorer.campaign, case(explorer.campaign))
+    assert found.best.failures
+
+
+# ------------------------------------------------------------------ beds of a library
+
+
+def test_curves_of_beds_give_back_the_features_that_they_are_made_of():
+    """Of a smooth press and crush, read at the library's displacements and forces."""
+    features = library().features
+    force = np.concatenate([np.linspace(0, 400, 801), np.linspace(400, 0, 801)[1:]])
+    up = 6.0 * (force[:801] / 400) ** 0.7
+    down = 6.0 - 2.0 * (1 - force[800:] / 400)
+    travel = np.linspace(0, 12, 1201)
+    curves = {
+        TESTS[0]: (np.append(up, down[1:]), force),
+        TESTS[1]: (travel, 200 * travel / 4 * np.exp(1 - travel / 4)),
+    }
+    values = feature_values(features, curves, dict(zip(TARGETS, (2.3, 200.0), strict=True)))
+    beds = Beds(None, None, None, None, None, None, (), features, TESTS)
+    observables, shown = beds.shown(jnp.asarray(values))
+    assert {k: float(v) for k, v in observables.items()} == {TARGETS[0]: 2.3, TARGETS[1]: 200.0}
+    again = feature_values(features, {t: tuple(np.asarray(c).T) for t, c in shown.items()})
+    known = np.isfinite(again) & np.isfinite(values)
+    of_curves = np.array([f.test == TESTS[0] for f in features]) & known
+    assert of_curves.sum() > 20
+    assert again[of_curves] == pytest.approx(values[of_curves], abs=0.06)
+
+
+# ------------------------------------------------------------------ the bundled library
+
+
+@dataclass(frozen=True)
+class Nowhere:
+    """A campaign that simulates nothing."""
+
+    folder: Path = Path()
+    progress: Silent = field(default_factory=Silent)
+    apparatus: tuple = ()
+
+
+def standing_in(spheres=2000):
+    found, why = served(LAB, replace(PRESETS["standard"], spheres=spheres), None, Nowhere())
+    assert why == ""
+    return found
+
+
+@pytest.mark.slow
+def test_the_bundled_library_shows_what_beds_of_2000_spheres_show():
+    """Means over four packings, that `calibrate fit --preset standard` simulated on its way: H
+    scatters by 1.3 % and F by 7 % from packing to packing."""
+    found, problem = standing_in(), pose(LAB)
+    simulated = {
+        (4.587541722e6, 17.158, 0.651698498132): (3.33033, 208.147),
+        (4.538852234e6, 17.158, 0.648473173255): (3.35896, 205.973),
+        (4.5227e6, 11.08, 0.7): (3.366, 209.8),
+    }
+    for values, (depth, force) in simulated.items():
+        names = ("shear_modulus", "surface_energy", "plasticity_ratio")
+        soil = with_values(BASE, dict(zip(names, values, strict=True)))
+        shown = found.features(problem, soil, [0], "")[0]
+        assert shown[0] == pytest.approx(depth, rel=0.01)
+        assert shown[1] == pytest.approx(force, rel=0.06)
+
+
+@pytest.mark.slow
+def test_slopes_of_the_bundled_library_are_those_of_the_audit_s_reference():
+    """Regressions over +-20 % on eight packings of 1000 spheres (verification/results/audit.md).
+    Force with the plasticity ratio is not among them: it bends where adhesion is capped, and the
+    library has 430 N for the reference's 320."""
+    reference = {
+        "shear_modulus": (-1.95, -110), "rolling_friction": (-0.110, 137),
+        "tangential_multiplier": (-0.278, -26), "surface_energy": (None, 148),
+        "static_friction": (None, 30),
+    }  # fmt: skip
+    known = space(LAB, tuple(reference), BASE)
+    slopes = standing_in(1000).slopes(pose(LAB), known, known.start())
+    for (depth, force), found in zip(reference.values(), slopes.T, strict=True):
+        assert depth is None or found[0] == pytest.approx(depth, rel=0.15)
+        assert found[1] == pytest.approx(force, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"preset": "quick"}, "coarse beds that fall"),
+        ({"free": ["wall_friction"]}, "no run of the library varies wall_friction"),
+        ({"lab": "trumao_oedometer"}, "of type oedometer"),
+    ],
+)
+def test_where_the_library_does_not_serve_it_says_why(change, why):
+    lab = load_lab(bundled_lab(change["lab"])) if "lab" in change else LAB
+    preset = PRESETS[change.get("preset", "standard")]
+    found, said = served(lab, preset, change.get("free"), Nowhere())
+    assert found is None and why in said
