@@ -56,7 +56,7 @@ from calibrate.discrepancy.library.instruments import (
 )
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
-from calibrate.discrepancy.library.stand_in import beyond
+from calibrate.discrepancy.library.stand_in import parameters_beyond
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions
@@ -216,7 +216,7 @@ def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tu
     farther from the library's centre than its runs, of its design or added about this lab."""
     library = emulated.for_lab(lab).library
     soil = slice(len(library.design.soil_names))  # base coordinates begin with the soil's
-    return beyond(library, soil_prior_for(lab, library).offset[soil] + delta[soil])
+    return parameters_beyond(library, soil_prior_for(lab, library).offset[soil] + delta[soil])
 
 
 def library_error(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> float:

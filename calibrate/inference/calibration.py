@@ -18,10 +18,10 @@ from calibrate.inference.evaluation import (
     Settings,
     packing_scatter,
 )
-from calibrate.inference.fit import Descent, Fit, descend, finished, fit
+from calibrate.inference.fit import Descent, Fit, descend, finished, fit, joined
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
-from calibrate.inference.on_response import Solved
+from calibrate.inference.on_response import DIGITS, Solved
 from calibrate.inference.parameters import FACTORS, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
@@ -76,6 +76,47 @@ def calibrate(
     Raises:
         CalibrationError: nothing could be simulated.
     """
+    explored = explore(lab, preset, free, base, seed, work, coarse)
+    setup, rounds = explored.setup, explored.rounds
+    calibration, result = setup.settled(rounds)
+    helped = setup.help(Round(calibration, result), explored.screened, rounds)
+    soil = calibration.space.soil(result.best.values)
+    return Calibrated(
+        setup=setup,
+        calibration=calibration,
+        result=result,
+        rounds=rounds,
+        screening=explored.screening,
+        first=explored.first,
+        fitted_runs=work.runs([soil], setup.seeds.fitted, "fitted packings")[0],
+        fresh_runs=work.runs([soil], setup.seeds.fresh, "fresh packings")[0],
+        named_runs=setup.named_runs(),
+        help=helped,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """Before the beds that decide: what was screened, the ratio of both sizes of beds at the start,
+    and the rounds of fits on what explores."""
+
+    setup: "FitSetup"
+    screened: Screened | None
+    screening: dict
+    first: Correction
+    rounds: list[Round]
+
+
+def explore(
+    lab: Lab,
+    preset: Preset,
+    free: tuple[str, ...] | None,
+    base: SoilParameters,
+    seed: int,
+    work: AbstractCampaign,
+    coarse: AbstractCoarse | None = None,
+) -> Explored:
+    """The first half of `calibrate`, whose arguments it takes: which parameters, and from where."""
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     setup = FitSetup(lab, problem, base, seeds, work, scatter, scattered, coarse)
@@ -87,22 +128,7 @@ def calibrate(
         work.progress.say("free parameters: " + _chosen(screening["alike"]))
     calibration = setup.calibration(free)
     first = setup.at_start(calibration)
-    rounds = setup.rounds(calibration, first, screened)
-    calibration, result = setup.settled(rounds)
-    helped = setup.help(Round(calibration, result), screened, rounds)
-    soil = calibration.space.soil(result.best.values)
-    return Calibrated(
-        setup=setup,
-        calibration=calibration,
-        result=result,
-        rounds=rounds,
-        screening=screening,
-        first=first,
-        fitted_runs=work.runs([soil], seeds.fitted, "fitted packings")[0],
-        fresh_runs=work.runs([soil], seeds.fresh, "fresh packings")[0],
-        named_runs=setup.named_runs(),
-        help=helped,
-    )
+    return Explored(setup, screened, screening, first, setup.rounds(calibration, first, screened))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +151,7 @@ class Calibrated:
     @property
     def met(self) -> bool:
         """Whether the fitted packings meet what was measured."""
-        problem, found = self.setup.problem, self.result
-        return not misses(compared(problem, found.covariance, found.best))
+        return not misses(compared(self.setup.problem, self.result.covariance, self.result.best))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +183,15 @@ class FitSetup:
             seeds=self.seeds.fitted,
             relative_scatter=self.scatter,
             scatter_packings=self.scattered,
-            settings=replace(Settings() if self.coarse is None else THRIFTY, strategy=strategy),
+            settings=replace(self._settings, strategy=strategy),
             coarse=self.coarse,
         )
+
+    @property
+    def _settings(self) -> Settings:
+        if self.coarse is None:
+            return Settings()
+        return replace(THRIFTY, digits=DIGITS) if self.coarse.near else THRIFTY
 
     def screened(self) -> Screened:
         """Slopes of all features in every parameter that the lab file does not hold."""
@@ -275,15 +306,6 @@ def fit_from(calibration: Calibration, smaller: Evaluation | None, slopes: np.nd
     if smaller is None or smaller.failures:
         return fit(calibration)
     return fit(calibration, smaller.values, SlopesOfSmallerBeds(slopes))
-
-
-def joined(histories: Sequence[Sequence[dict]]) -> list[dict]:
-    """Rows of one history after the other, evaluations and forward runs counted on."""
-    rows: list[dict] = []
-    for history in histories:
-        shift = {k: rows[-1][k] if rows else 0 for k in ("evaluation", "forward_runs")}
-        rows += [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in history]
-    return rows
 
 
 def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -> dict:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from calibrate.inference.parameters import Space, fitting_ensemble, to_digits
+from calibrate.inference.parameters import DIGITS, Space, fitting_ensemble, to_digits
 from calibrate.inference.problem import Problem, finished_features, shrunk_covariance
 from calibrate.inference.resolutions import AbstractCoarse, Correction
 from calibrate.inference.traced import FirstOrder
@@ -58,12 +58,15 @@ class Settings:
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
     `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
+    Points are rounded to `digits`, fewer than those in which what leads to them may differ from
+    start to start, so that a fit that is started again finds its simulations.
     """
 
     evaluations: int = 24
     patience: int = 6
     tolerance: float = 0.15
     strategy: AbstractStrategy | None = None
+    digits: int = DIGITS
     stopping: tuple[Callable[[Any], str], ...] | None = None
 
 

@@ -10,7 +10,7 @@ its best iterate kept, and, because every simulation is cached, killed at any mo
 again with the same end.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -97,7 +97,8 @@ def step(descent: Descent) -> Descent:
 def _evaluated(descent: Descent) -> Descent:
     """After the evaluation that the solver asks for."""
     calibration, number = descent.calibration, len(descent.history) + 1
-    values = to_digits(calibration.space.from_unbounded(np.asarray(descent.solver.y_eval)))
+    asked = calibration.space.from_unbounded(np.asarray(descent.solver.y_eval))
+    values = to_digits(asked, calibration.settings.digits)
     now = calibration.evaluate(values, f"evaluation {number}")
     best = now if descent.best is None or now.cost < descent.best.cost else descent.best
     found = row(calibration, number, now, now is best)
@@ -174,6 +175,15 @@ def said(calibration: Calibration, row: dict) -> str:
     shown = ", ".join(f"{f.name} {v:.4g}" for f, v in features if f.is_target)
     begin = f"  {row['evaluation']:2d} {row['status']:8s} cost {row['cost']:9.4g}"
     return f"{begin}  {parameters}  {shown}"
+
+
+def joined(histories: Sequence[Sequence[dict]]) -> list[dict]:
+    """Rows of one history after the other, evaluations and forward runs counted on."""
+    rows: list[dict] = []
+    for history in histories:
+        shift = {k: rows[-1][k] if rows else 0 for k in ("evaluation", "forward_runs")}
+        rows += [{**row, **{k: row[k] + n for k, n in shift.items()}} for row in history]
+    return rows
 
 
 # ---------------------------------------------------------------- when it stops

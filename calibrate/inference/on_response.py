@@ -36,6 +36,7 @@ from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
 
 MOST_STEPS = 200  # of the solver
+DIGITS = 6  # of a point that a response leads to; its round-off depends on the number of threads
 
 
 class FeaturesOfBeds(eqx.Module):
@@ -103,7 +104,7 @@ def solved(
     begin = space.start() if start is None else np.asarray(start, float)
     residual = Residual.of(campaign.beds, calibration)
     y, steps, good = _solution(residual, jnp.asarray(space.to_unbounded(begin)))
-    points = [to_digits(begin), to_digits(space.from_unbounded(np.asarray(y)))]
+    points = [to_digits(begin), to_digits(space.from_unbounded(np.asarray(y)), DIGITS)]
     first, last = (calibration.evaluate(values, "on the library of runs") for values in points)
     better = last.cost < first.cost
     history = row(calibration, 1, first, True), row(calibration, 2, last, better)
@@ -178,11 +179,13 @@ def _shown(beds: Beds, soil: SoilParameters):
 
 @dataclass(frozen=True, eq=False)
 class OnResponse(AbstractCoarse):
-    """A response of beds as large as those that decide; `specimens` gives the deviations (n, l) of
-    single packings from the mean features of its beds at a soil."""
+    """A response of beds as large as those that decide.  At a soil, `specimens` gives deviations
+    (n, l) of single packings from the mean features of its beds, and `errors` those (n, l) of its
+    own, one deviation each."""
 
     campaign: ResponseCampaign
     specimens: Callable[[SoilParameters], np.ndarray]
+    errors: Callable[[SoilParameters], np.ndarray]
     spheres: int
     near: ClassVar[bool] = True
 
@@ -213,12 +216,20 @@ class OnResponse(AbstractCoarse):
         self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign
     ) -> tuple[np.ndarray, int]:
         """As the library's packings scatter, at this soil and size."""
+        means, deviations = self._deviating(problem, soil, self.specimens)
+        return shrunk_covariance(deviations / means), len(deviations)
+
+    def error(self, problem: Problem, soil: SoilParameters) -> np.ndarray:
+        """Its own deviation of each feature (m,) at a soil."""
+        return np.sqrt((self._deviating(problem, soil, self.errors)[1] ** 2).sum(axis=0))
+
+    def _deviating(
+        self, problem: Problem, soil: SoilParameters, rows: Callable[[SoilParameters], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A problem's features (m,) at a soil, and their deviations (n, m)."""
         features = FeaturesOfBeds(self.campaign.beds, soil, (), problem.features)
-        means, slopes = _read(features, soil)
-        deviations = self.specimens(soil)
-        return shrunk_covariance(deviations @ np.asarray(slopes / means[:, None]).T), len(
-            deviations
-        )
+        means, slopes = map(np.asarray, _read(features, soil))
+        return means, rows(soil) @ slopes.T
 
 
 @eqx.filter_jit

@@ -118,9 +118,9 @@ def within(y, log_bounds):
 DIGITS = 12
 
 
-def to_digits(values: np.ndarray) -> np.ndarray:
+def to_digits(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
     """Values rounded so that a point taken to ln p or y and back is the same, simulated once."""
-    return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"), otypes=[float])(values)
+    return np.vectorize(lambda value: float(f"{value:.{digits}g}"), otypes=[float])(values)
 
 
 PROBE = 0.2  # usual step in ln p; about 20 %

@@ -139,7 +139,8 @@ def answer(json: Path | None, work: Callable[[], "AbstractResult"]) -> None:
             console.print(part, soft_wrap=not console.is_terminal and isinstance(part, Text))
         if found.written():
             *first, last = found.written()
-            print(f"{', '.join(first)} and {last} are in {found.folder}")
+            named = f"{', '.join(first)} and {last} are" if first else f"{last} is"
+            print(f"{named} in {found.folder}")
     if error is not None:
         raise error
 

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +12,11 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
+from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.library.stand_in import served
-from calibrate.inference.calibration import Calibrated, calibrate, fit_json
+from calibrate.inference.calibration import Calibrated, calibrate, explore, fit_json
+from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.parameters import RANGES, checked_free
 from calibrate.inference.resolutions import AbstractCoarse, Coarse
 from calibrate.io.lab import Lab
@@ -23,10 +25,18 @@ from calibrate.labtests.composite import label
 from calibrate.records.base import record
 from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import observables_table, warned_of_observables
+from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import (
+    AbstractDrawnResult,
+    AbstractResult,
+    line,
+    listed,
+    parameter_values,
+    verb,
+)
 from jdem.materials.soil import SoilParameters
 
 
@@ -94,7 +104,8 @@ class FitResult(AbstractDrawnResult):
             "fresh packings": found["fresh_packings"],
         }
         yield observables_table(self.lab, groups)
-        yield self._parameters()
+        both = {name: (self.record.start(name), self.parameters[name]) for name in self.free}
+        yield parameters_table(both, self.interval_95)
         yield from map(line, [*self._verification(), *self._conclusions()])
         yield from warned_of_observables(found)
 
@@ -102,16 +113,6 @@ class FitResult(AbstractDrawnResult):
     def drawn(self) -> tuple[FitRecord]:
         """The record of the fit."""
         return (self.record,)
-
-    def _parameters(self) -> Table:
-        table = Table(title="free parameters", title_justify="left")
-        for column in ("", "start", "fitted", "95 % interval", "unit"):
-            table.add_column(column)
-        for name in self.free:
-            low, high = self.interval_95[name]
-            cells = [f"{x:.4g}" for x in (self.record.start(name), self.parameters[name])]
-            table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
-        return table
 
     def _verification(self) -> Iterator[str]:
         """How far fresh packings' means are from what was measured, and a publication's error."""
@@ -144,6 +145,70 @@ class FitResult(AbstractDrawnResult):
         yield from (f"warning: {sentence}" for sentence in self.warnings)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class EstimateResult(AbstractResult):
+    """Parameters by the library of runs alone: nothing was simulated.
+
+    Attributes:
+        lab: the soil.
+        folder: where estimate.json is.
+        content: everything, with the keys of estimate.json.
+    """
+
+    files = ("estimate.json",)
+    lab: Lab
+    folder: Path
+    content: dict
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name, SI; those that were not free at their starting values."""
+        return self.content["parameters"]
+
+    @property
+    def interval_95(self) -> dict[str, list[float]]:
+        """95 % intervals of the free parameters, SI."""
+        return self.content["identifiability"]["interval_95"]
+
+    @property
+    def met(self) -> bool:
+        """Whether the library of runs meets what was measured."""
+        return self.content["met"]
+
+    def words(self) -> Iterator[RenderableType]:
+        start = self.content["start"]
+        table = parameters_table({n: (start[n], self.parameters[n]) for n in self.content["free"]},
+                                 self.interval_95)  # fmt: skip
+        yield line(
+            "NOT SIMULATED: an estimate by the bundled library of runs, as specimens of "
+            f"{self.content['spheres']} spheres would give it; calibrate fit checks it"
+        )
+        yield table
+        for name, row in self.content["features"].items():
+            yield line(
+                f"{name}: {row['simulated']:.4g} estimated (the library's own error: "
+                f"{row['library_sd']:.2g}), {row['measured']:.4g} measured; their difference is "
+                f"known to ± {row['sd']:.2g}"
+            )
+        yield from (line(f"{name} ended at its bound") for name in self.content["at_bound"])
+        if not self.met:
+            yield line("warning: the library of runs does not meet the data")
+
+
+def parameters_table(
+    values: Mapping[str, tuple[float, float]], intervals: Mapping[str, Sequence[float]]
+) -> Table:
+    """Free parameters by name: start, fitted value and interval."""
+    table = Table(title="free parameters", title_justify="left")
+    for column in ("", "start", "fitted", "95 % interval", "unit"):
+        table.add_column(column)
+    for name, both in values.items():
+        low, high = intervals[name]
+        cells = [f"{x:.4g}" for x in both]
+        table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
+    return table
+
+
 VERDICTS = {
     "fixed": "fixed by the data",
     "left open": "LEFT OPEN by the data",
@@ -169,9 +234,12 @@ def fit(
         bool,
         typer.Option("--runs-alone", help="Explore with smaller beds, not with a library."),
     ] = False,
+    no_runs: Annotated[
+        bool, typer.Option("--no-runs", help="Estimate by the library alone; not simulated.")
+    ] = False,
     out: options.Out = "results/fit",
     dask: options.Dask = None,
-) -> FitResult:
+) -> FitResult | EstimateResult:
     """Fits the parameters that the data can fix, and says which those are.
 
     Simulations are kept in `out`; a second call with the same arguments goes on where the first
@@ -188,12 +256,14 @@ def fit(
         seed: choice of packings, from 0.
         prepare_with_soil: beds settle with the soil under test, not with a slippery one.
         runs_alone: explores with smaller beds, not with the bundled library of runs.
+        no_runs: estimates the parameters by the library of runs alone, in seconds, as for the
+            preset "standard" unless a finer one is given; nothing is simulated.
         out: folder for results.
         dask: address of a Dask cluster that simulates; None: this machine.
 
     Returns:
         Parameters with intervals, the check on fresh packings, warnings; result.json, history.csv
-        and fit.png in `out`.
+        and fit.png in `out`.  With `no_runs` an estimate instead, in estimate.json.
 
     Raises:
         InputError: the lab file or an argument is wrong.
@@ -204,11 +274,16 @@ def fit(
         >>> fitted.parameters["shear_modulus"], fitted.interval_95["shear_modulus"]
     """
     folder = Path(out)
+    if no_runs and preset == "quick":
+        preset = "standard"  # the library's beds are not as coarse
     session = Session.open(lab, preset, folder, dask, conventions)
     base = session.soil(parameter_values(values))
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
     work = session.campaign(folder, preparation)
+
+    if no_runs:
+        return _estimate(session, names, base, seed, work)
 
     def fitted(coarse: AbstractCoarse | None) -> Calibrated:
         return calibrate(session.lab, session.preset, names, base, seed, work, coarse)
@@ -223,6 +298,26 @@ def fit(
         session.progress.say(f"the library of runs does not explore: {why}")
         done = fitted(_smaller(session, preparation))
     return kept(session, done, why)
+
+
+def _estimate(
+    session: Session,
+    free: tuple[str, ...] | None,
+    base: SoilParameters,
+    seed: int,
+    work: AbstractCampaign,
+) -> EstimateResult:
+    """The estimate by the library of runs, with estimate.json; refused where it does not serve."""
+    response, why = served(session.lab, session.preset, free, work)
+    if response is None:
+        repair = "leave it out: simulations are needed"
+        raise InputError(COMMAND_LINE, "--no-runs", f"the library of runs does not serve: {why}",
+                         repair)  # fmt: skip
+    explored = explore(session.lab, session.preset, free, base, seed, work, response)
+    found = estimate_json(estimated(explored, response))
+    content = {**origin_of(session), "spheres": session.preset.spheres, **found}
+    write_json(session.out / "estimate.json", content)
+    return EstimateResult(session.lab, session.out, content)
 
 
 def _smaller(session: Session, preparation: SoilParameters | None) -> Coarse | None:

@@ -67,22 +67,30 @@ def stands_in(
         features=emulated.size.features,
         called=(pair.compression.called, pair.crushing.called),
     )
+    none = np.zeros(len(design.limits))
     smaller = np.sqrt(design.spheres / preset.spheres)  # scatter of means over independent parts
 
     def too_far(soil: SoilParameters) -> tuple[str, ...]:
         logs = np.log([float(getattr(soil, name)) for name in design.soil_names])
-        return beyond(library, logs - centre)
+        return parameters_beyond(library, logs - centre)
+
+    def steep(x: np.ndarray) -> np.ndarray:
+        return emulated.units * emulated.emulator.steepness(x, none)
 
     def specimens(soil: SoilParameters) -> np.ndarray:
-        x, none = np.asarray(beds.scaled(soil)), np.zeros(len(design.limits))
-        steep = emulated.units * emulated.emulator.steepness(x, none)
-        return smaller * steep * emulated.specimens(x)
+        x = np.asarray(beds.scaled(soil))
+        return smaller * steep(x) * emulated.specimens(x)
+
+    def errors(soil: SoilParameters) -> np.ndarray:
+        x = np.asarray(beds.scaled(soil))
+        directions = emulated.emulator_errors.of_values(emulated.emulator, x, none)
+        return steep(x) * directions.T
 
     campaign = ResponseCampaign(beds, too_far, work.folder, work.progress, work.apparatus)
-    return OnResponse(campaign, specimens, preset.spheres)
+    return OnResponse(campaign, specimens, errors, preset.spheres)
 
 
-def beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
+def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
     """Soil parameters, at ln p of `offset` (q,) from the library's centre, that lie clearly farther
     from it than its runs, of its design or added about a lab."""
     sd = np.array([*library.design.soil_sd.values()])

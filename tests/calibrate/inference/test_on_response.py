@@ -4,6 +4,7 @@ The response is a soil of formulas without scatter; the beds that decide scatter
 differ from it by a ratio.
 """
 
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,9 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library.stand_in import served
-from calibrate.inference.calibration import calibrate, fit_json
+from calibrate.inference.calibration import calibrate as calibrated
+from calibrate.inference.calibration import explore, fit_json
+from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.evaluation import Calibration
 from calibrate.inference.on_response import (
     FeaturesOfBeds,
@@ -80,7 +84,10 @@ def on_response(spread=(0.03, 0.02, 0.05, 0.03), **options):
     def specimens(soil):
         return luck * np.asarray(FormulaBeds().values(soil))
 
-    return OnResponse(campaign(**options), specimens, 2000)
+    def errors(soil):
+        return np.diag(0.01 * np.asarray(FormulaBeds().values(soil)))
+
+    return OnResponse(campaign(**options), specimens, errors, 2000)
 
 
 def case(work, features=TARGETS_ONLY, truth=(1.5, 0.6), names=NAMES, measured=None):
@@ -194,7 +201,7 @@ def test_a_fit_takes_no_run_for_slopes_and_few_to_meet_its_targets():
     work, asked = Larger(), []
     runs = work.runs
     work.runs = lambda soils, seeds, what: asked.append(what) or runs(soils, seeds, what)
-    done = calibrate(LAB, PRESETS["standard"], NAMES, BASE, 0, work, on_response())
+    done = calibrated(LAB, PRESETS["standard"], NAMES, BASE, 0, work, on_response())
     assert done.met
     fitted = {what for what in asked if what.startswith("evaluation")}
     assert 1 <= len(fitted) <= 3
@@ -209,7 +216,7 @@ def test_a_fit_takes_no_run_for_slopes_and_few_to_meet_its_targets():
 
 def test_it_chooses_what_to_free_without_a_run():
     work = Formulas()
-    done = calibrate(LAB, PRESETS["standard"], None, BASE, 0, work, on_response())
+    done = calibrated(LAB, PRESETS["standard"], None, BASE, 0, work, on_response())
     assert set(done.screening["free"]) == {"shear_modulus", "surface_energy"}
     assert done.met
 
@@ -230,6 +237,30 @@ def test_beyond_the_runs_it_leads_nowhere():
     assert run.failure == "surface_energy beyond the library's runs"
     found = solved(explorer.campaign, case(explorer.campaign))
     assert found.best.failures
+
+
+def test_an_estimate_takes_no_run_and_is_as_unsure_as_the_response():
+    """One per cent of each of its values; depth is one of them, and force nearly so."""
+    work, explorer = Formulas(), on_response()
+    explored = explore(LAB, PRESETS["standard"], NAMES, BASE, 0, work, explorer)
+    found = estimated(explored, explorer)
+    content = estimate_json(found)
+    assert work.simulated == 0 and content["simulated"] is False and content["met"]
+    depth, force = content["features"].values()
+    assert force["library_sd"] == pytest.approx(0.01 * force["simulated"], rel=1e-3)
+    assert 0.01 < depth["library_sd"] / depth["simulated"] < 0.02  # of D, and of the exponent
+    sure = replace(explorer, errors=lambda soil: np.zeros((1, 4)))
+    narrower = estimated(explored, sure).identifiability
+    assert np.all(found.identifiability.sd_log > narrower.sd_log)
+    low, high = content["identifiability"]["interval_95"]["shear_modulus"]
+    assert low < content["parameters"]["shear_modulus"] < high
+
+
+def test_there_is_no_estimate_beyond_the_runs():
+    explorer = on_response(beyond=lambda soil: ("surface_energy",))
+    explored = explore(LAB, PRESETS["standard"], NAMES, BASE, 0, Formulas(), explorer)
+    with pytest.raises(CalibrationError, match=r"surface_energy beyond .* leave out --no-runs"):
+        estimated(explored, explorer)
 
 
 # ------------------------------------------------------------------ beds of a library
@@ -323,3 +354,24 @@ def test_where_the_library_does_not_serve_it_says_why(change, why):
     preset = PRESETS[change.get("preset", "standard")]
     found, said = served(lab, preset, change.get("free"), Nowhere())
     assert found is None and why in said
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_no_runs_is_refused_where_the_library_does_not_serve(calibrate, tmp_path):
+    status, _, error = calibrate("fit", "--no-runs", "--free", "wall_friction")
+    assert status == 2 and error.count("\n") == 1
+    assert "no run of the library varies wall_friction" in error and "--no-runs" in error
+    assert not list(tmp_path.rglob("estimate.json"))
+
+
+@pytest.mark.slow
+def test_no_runs_answers_without_a_simulation(calibrate, tmp_path):
+    status, out, error = calibrate("fit", "--no-runs", "--out", "o")
+    assert (status, error) == (0, "") or "error" not in error
+    assert "NOT SIMULATED" in out and "estimate.json is in o" in out
+    content = json.loads((tmp_path / "o/estimate.json").read_text())
+    assert content["simulated"] is False and content["preset"] == "standard"
+    assert content["free"] == ["shear_modulus", "surface_energy"] and content["met"]
+    assert not list((tmp_path / "o").rglob("*.npz"))
