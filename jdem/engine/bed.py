@@ -28,7 +28,7 @@ class Numerics(eqx.Module):
     """Choices of the method, not of the soil.
 
     safety (-) is the time step over the longest at which one contact is stable; a sphere has
-    several, and beds are unstable from 0.55 on (docs/decisions/2026-11-25-servo-and-step.md).
+    several, and beds are unstable from 0.55 on (docs/decisions/2026-11-21-contact-law.md).
     sample_time (s) is the interval of output and of list rebuilds; skin (-) is the listing
     distance over the mean diameter; pairs_per_sphere (None: `usual_pairs`), wall_layer (wall
     contacts = wall_layer x spheres x diameter / width) and per_cell set list capacities; dtype is
