@@ -31,7 +31,8 @@ def check_writable(path: Path | None) -> None:
         return
     if path.is_dir():
         raise InputError(COMMAND_LINE, "--json", f"{path} is a folder", "give the name of a file")
-    make_folder(path.parent, "--json")
+    if not _special(path):
+        make_folder(path.parent, "--json")
 
 
 @contextmanager
@@ -40,7 +41,11 @@ def whole(path: Path, suffix: str = "") -> Iterator[Path]:
 
     Every writer gets a name of its own, so that two processes, or two threads, may write the same
     file at once: the last one's stays.  `suffix` is for writers that go by the end of a name.
+    A device or a pipe, such as /dev/null, is written to as it is: nothing may take its place.
     """
+    if _special(path):
+        yield path
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     part = part_of(path, suffix)
     try:
@@ -48,6 +53,11 @@ def whole(path: Path, suffix: str = "") -> Iterator[Path]:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _special(path: Path) -> bool:
+    """Whether a path is there and is neither a file nor a folder, but a device or a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def part_of(path: Path, suffix: str = "") -> Path:

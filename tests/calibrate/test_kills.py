@@ -167,6 +167,18 @@ def test_what_fails_leaves_nothing_and_spoils_nothing(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
 
 
+def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path):
+    """As /dev/null and /dev/stdout are: a file that took their place would break the machine."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with ThreadPoolExecutor(1) as pool:
+        read = pool.submit(path.read_text)
+        files.check_writable(path)
+        write_json(path, {"a": 1})
+        assert json.loads(read.result(timeout=30)) == {"a": 1}
+    assert path.is_fifo() and [each.name for each in tmp_path.iterdir()] == ["pipe"]
+
+
 def test_the_first_of_several_is_the_one_that_stays(tmp_path):
     write_once(tmp_path / "plan", "first")
     write_once(tmp_path / "plan", "second")
