@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.core.errors import CalibrationError
 from calibrate.inference.evaluation import (
     Calibration,
     Evaluation,
@@ -67,8 +68,7 @@ def calibrate(
         base: where it starts; parameters that are not free stay there.
         seed: choice of packings, from 0.
         work: simulates the lab's tests.
-        coarse: the same tests on smaller beds, or a response in their place, which it explores
-            with; None: it does not.
+        coarse: what it explores with, smaller beds or a response; None: nothing.
 
     Returns:
         The fit, and everything that result.json says of it (`fit_json`).
@@ -97,8 +97,7 @@ def calibrate(
 
 @dataclass(frozen=True, eq=False)
 class Explored:
-    """Before the beds that decide: what was screened, the ratio of both sizes of beds at the start,
-    and the rounds of fits on what explores."""
+    """Before the beds that decide: screening, ratio of features at the start, rounds of fits."""
 
     setup: "FitSetup"
     screened: Screened | None
@@ -238,6 +237,8 @@ class FitSetup:
     def settled(self, rounds: Sequence[Round]) -> tuple[Calibration, Fit]:
         """The fit of the round that counts, on the beds that decide, all evaluations before it."""
         kept = chosen(rounds)
+        if self.coarse is not None and self.coarse.near and kept.best is None:
+            raise CalibrationError("the soil that fits best lies beyond the library's runs")
         if self.coarse is None:
             assert not isinstance(kept.descent, Solved)
             result = finished(kept.calibration, kept.descent)
@@ -310,8 +311,7 @@ def fit_from(calibration: Calibration, smaller: Evaluation | None, slopes: np.nd
 
 def resolutions_json(calibration: Calibration, first: Correction, result: Fit) -> dict:
     """Ratio of what decides to what explored, feature by feature, at the start and at the best
-    point; empty where nothing did.  Says so where both of smaller beds differ by more than their
-    errors."""
+    point; empty where nothing did.  Says so where both differ by more than their errors."""
     coarse = calibration.coarse
     if coarse is None:
         return {}

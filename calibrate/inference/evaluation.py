@@ -58,8 +58,7 @@ class Settings:
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
     `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
-    Points are rounded to `digits`, fewer than those in which what leads to them may differ from
-    start to start, so that a fit that is started again finds its simulations.
+    Points are rounded to `digits`, so that a fit that is started again finds its simulations.
     """
 
     evaluations: int = 24

@@ -36,7 +36,7 @@ from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
 
 MOST_STEPS = 200  # of the solver
-DIGITS = 6  # of a point that a response leads to; its round-off depends on the number of threads
+DIGITS = 6  # of a point that a response leads to: a last digit that differs moves no simulation
 
 
 class FeaturesOfBeds(eqx.Module):

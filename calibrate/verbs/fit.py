@@ -12,13 +12,13 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, calibrate, explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.parameters import RANGES, checked_free
-from calibrate.inference.resolutions import AbstractCoarse, Coarse
+from calibrate.inference.resolutions import Coarse
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
@@ -273,6 +273,9 @@ def fit(
         >>> fitted = calibrate.fit(preset="quick")
         >>> fitted.parameters["shear_modulus"], fitted.interval_95["shear_modulus"]
     """
+    if no_runs and runs_alone:
+        problem = "one asks for simulations alone, the other for none"
+        raise InputError(COMMAND_LINE, "--no-runs, --runs-alone", problem, "give one of them")
     folder = Path(out)
     if no_runs and preset == "quick":
         preset = "standard"  # the library's beds are not as coarse
@@ -281,23 +284,35 @@ def fit(
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
     work = session.campaign(folder, preparation)
-
     if no_runs:
         return _estimate(session, names, base, seed, work)
-
-    def fitted(coarse: AbstractCoarse | None) -> Calibrated:
-        return calibrate(session.lab, session.preset, names, base, seed, work, coarse)
-
-    done, why = None, "it was asked for none" if runs_alone else ""
-    if not why:
-        response, why = served(session.lab, session.preset, names, work)
-        if response is not None:
-            done = fitted(response)
-            why = "" if done.met else "the fit that it led to missed the data"
-    if done is None or why:
+    done, why = None, "--runs-alone was given"
+    if not runs_alone:
+        done, why = _on_library(session, names, base, seed, work)
+    if done is None:
         session.progress.say(f"the library of runs does not explore: {why}")
-        done = fitted(_smaller(session, preparation))
+        done = calibrate(
+            session.lab, session.preset, names, base, seed, work, _smaller(session, preparation)
+        )
     return kept(session, done, why)
+
+
+def _on_library(
+    session: Session,
+    free: tuple[str, ...] | None,
+    base: SoilParameters,
+    seed: int,
+    work: AbstractCampaign,
+) -> tuple[Calibrated | None, str]:
+    """A fit that explores on the library of runs, or why there is none that meets the data."""
+    response, why = served(session.lab, session.preset, free, base, work)
+    if response is None:
+        return None, why
+    try:
+        done = calibrate(session.lab, session.preset, free, base, seed, work, response)
+    except CalibrationError as failed:
+        return None, str(failed)
+    return (done, "") if done.met else (None, "the fit that it led to missed the data")
 
 
 def _estimate(
@@ -308,7 +323,7 @@ def _estimate(
     work: AbstractCampaign,
 ) -> EstimateResult:
     """The estimate by the library of runs, with estimate.json; refused where it does not serve."""
-    response, why = served(session.lab, session.preset, free, work)
+    response, why = served(session.lab, session.preset, free, base, work)
     if response is None:
         repair = "leave it out: simulations are needed"
         raise InputError(COMMAND_LINE, "--no-runs", f"the library of runs does not serve: {why}",

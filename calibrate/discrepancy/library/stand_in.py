@@ -12,30 +12,38 @@ import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.description import EmulatedLibrary
-from calibrate.discrepancy.library.design import FURTHEST, SETTINGS, SHAPE, SOIL, SPEEDS
+from calibrate.discrepancy.library.design import FURTHEST, POROSITIES, SETTINGS, SHAPE, SOIL, SPEEDS
 from calibrate.discrepancy.library.run_library import RunLibrary
 from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.inference.on_response import OnResponse, ResponseCampaign
 from calibrate.inference.problem import pose
-from calibrate.io.lab import Lab
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil
 from calibrate.labtests.diagnosis.curves import TARGETS
 from calibrate.response.beds import Beds
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset, specimen
+from calibrate.simulation.specimens import soil_json
 from jdem.materials.soil import SoilParameters
 
 EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
 CARRYING = 4  # runs beside a soil, from which on the library reaches it
+POROUS = 0.005  # of porosity beyond its beds, up to which they still carry
 
 
-def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None) -> str:
+def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None, base: SoilParameters) -> str:
     """Why the library cannot stand for a lab's simulations when these parameters are free (None:
-    the program chooses), as far as this is known before it is read; "" where it can."""
+    those of the lab file, or the program chooses) and the others as in `base`, as far as this is
+    known before it is read; "" where it can."""
     if not preset.grown:
         return f"the preset {preset.name} has coarse beds that fall, and the library's grow"
-    others = [name for name in free or () if name not in SOIL]
+    stated = [name for name, choice in lab.parameters.items() if choice.free]
+    others = [name for name in free or stated if name not in SOIL]
     if others:
         return f"no run of the library varies {', '.join(others)}"
+    held = [name for name, value in _held(base).items() if not np.isclose(*value, atol=0)]
+    if held:
+        return f"no run of the library has this value of {', '.join(held)}"
     called = [test.called for test in lab.tests]
     features = pose(lab).features
     lacking = [f.name for f in features if f.is_target and f.name not in TARGETS]
@@ -44,6 +52,12 @@ def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None) -> str:
     if len(called) > len(TARGETS):
         return f"no run of the library has the test {', '.join(called[len(TARGETS) :])}"
     return ""
+
+
+def _held(base: SoilParameters) -> dict[str, tuple[float, float]]:
+    """Parameters that all runs of the library have in common: a soil's value, and theirs."""
+    own, theirs = soil_json(base), soil_json(base_soil(load_lab(bundled_lab())))
+    return {name: (own[name], theirs[name]) for name in theirs if name not in SOIL}
 
 
 def stands_in(
@@ -106,7 +120,7 @@ def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float
     shape = dict(zip(SHAPE, emulated.size.shape.tolist(), strict=True))
     found = {
         "smoothing": 0.0,
-        "porosity": _denser(lab, preset),
+        "porosity": _looser(lab, preset),
         "pace": preset.rate_in_mould / SPEEDS[0],
         "sphere_size": emulated.library.design.sphere_size(
             round(preset.spheres / np.exp(shape["slenderness"]))
@@ -116,20 +130,29 @@ def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float
     return [found[name] for name in SETTINGS]
 
 
-def _denser(lab: Lab, preset: Preset) -> float:
-    """Porosity of a lab's beds over the usual one."""
+def _looser(lab: Lab, preset: Preset) -> float:
+    """Porosity of a lab's beds over the usual one; `InputError` where no bed of the library is as
+    dense or as loose."""
     own = specimen(lab, preset).porosity
     usual = specimen(replace(lab, particles=replace(lab.particles, porosity=None)), preset).porosity
-    return 0.0 if own is None or usual is None else own - usual
+    looser = 0.0 if own is None or usual is None else own - usual
+    if not min(POROSITIES) - POROUS <= looser <= max(POROSITIES) + POROUS:
+        problem = f"{own:.3g} is {looser:+.3f} from the usual porosity, beyond the library's beds"
+        raise InputError(lab.file, "particles.porosity", problem, "leave it out for the usual one")
+    return looser
 
 
 def served(
-    lab: Lab, preset: Preset, free: Sequence[str] | None, work: AbstractCampaign
+    lab: Lab,
+    preset: Preset,
+    free: Sequence[str] | None,
+    base: SoilParameters,
+    work: AbstractCampaign,
 ) -> tuple[OnResponse | None, str]:
     """The bundled library in the place of a lab's beds, or why it cannot be."""
     try:
         lab.pair()
-        reason = why_not(lab, preset, free)
+        reason = why_not(lab, preset, free, base)
         if reason:
             return None, reason
         return stands_in(lab, preset, EmulatedLibrary.of(load(bundled_library())), work), ""

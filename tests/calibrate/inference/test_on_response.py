@@ -31,7 +31,7 @@ from calibrate.inference.on_response import (
 )
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem, pose
-from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.lab import ParameterChoice, bundled_lab, load_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.labtests.features import DisplacementOnLoading, ScalarTarget
@@ -231,12 +231,14 @@ def test_scatter_is_that_of_the_response_s_packings():
 
 
 def test_beyond_the_runs_it_leads_nowhere():
-    """Every run of it fails there, and the beds that decide begin at the start."""
+    """Every run of it fails there, and so does a fit on it: smaller beds have to explore."""
     explorer = on_response(beyond=lambda soil: ("surface_energy",))
     (run,) = explorer.campaign.runs([BASE], [0], "")[0]
     assert run.failure == "surface_energy beyond the library's runs"
     found = solved(explorer.campaign, case(explorer.campaign))
     assert found.best.failures
+    with pytest.raises(CalibrationError, match="beyond the library's runs"):
+        calibrated(LAB, PRESETS["standard"], NAMES, BASE, 0, Formulas(), explorer)
 
 
 def test_an_estimate_takes_no_run_and_is_as_unsure_as_the_response():
@@ -301,7 +303,7 @@ class Nowhere:
 
 
 def standing_in(spheres=2000):
-    found, why = served(LAB, replace(PRESETS["standard"], spheres=spheres), None, Nowhere())
+    found, why = served(LAB, replace(PRESETS["standard"], spheres=spheres), None, BASE, Nowhere())
     assert why == ""
     return found
 
@@ -347,12 +349,22 @@ def test_slopes_of_the_bundled_library_are_those_of_the_audit_s_reference():
         ({"preset": "quick"}, "coarse beds that fall"),
         ({"free": ["wall_friction"]}, "no run of the library varies wall_friction"),
         ({"lab": "trumao_oedometer"}, "of type oedometer"),
+        ({"base": {"wall_friction": 0.6}}, "has this value of wall_friction"),
+        ({"base": {"reference_diameter": 1e-3}}, "has this value of reference_diameter"),
+        ({"stated": "wall_friction"}, "no run of the library varies wall_friction"),
+        ({"porosity": 0.3}, "beyond the library's beds"),
     ],
 )
 def test_where_the_library_does_not_serve_it_says_why(change, why):
     lab = load_lab(bundled_lab(change["lab"])) if "lab" in change else LAB
+    if "stated" in change:
+        choice = ParameterChoice(0.1, None, None, None, True)
+        lab = replace(lab, parameters={**lab.parameters, change["stated"]: choice})
+    if "porosity" in change:
+        lab = replace(lab, particles=replace(lab.particles, porosity=change["porosity"]))
     preset = PRESETS[change.get("preset", "standard")]
-    found, said = served(lab, preset, change.get("free"), Nowhere())
+    base = with_values(BASE, change.get("base", {}))
+    found, said = served(lab, preset, change.get("free"), base, Nowhere())
     assert found is None and why in said
 
 
@@ -364,6 +376,11 @@ def test_no_runs_is_refused_where_the_library_does_not_serve(calibrate, tmp_path
     assert status == 2 and error.count("\n") == 1
     assert "no run of the library varies wall_friction" in error and "--no-runs" in error
     assert not list(tmp_path.rglob("estimate.json"))
+
+
+def test_simulations_alone_and_none_at_once_are_refused(calibrate):
+    status, _, error = calibrate("fit", "--no-runs", "--runs-alone")
+    assert status == 2 and "give one of them" in error
 
 
 @pytest.mark.slow
