@@ -8,7 +8,7 @@ campaign's threads are quicker.
 
     python benchmarks/accelerator.py --batches 1 32 256 1024      5 minutes on an H100
 
-Writes benchmarks/results/accelerator.md.
+Writes a section of benchmarks/results/README.md.
 """
 
 import argparse
@@ -102,7 +102,7 @@ def markdown(found: list[Batch], origin: dict) -> str:
     device = jax.devices()[0].device_kind
     compiled = " to ".join(f"{f(b.compiled_s for b in found):.0f}" for f in (min, max))
     return (
-        f"# Batches on an accelerator\n\nBoth tests, {SPHERES} spheres, single precision, on one "
+        f"## Batches on an accelerator\n\nBoth tests, {SPHERES} spheres, single precision, on one "
         f"{device}; compiling ({compiled} s a size) not counted.\n\n"
         + reporting.table(HEADER, [b.cells() for b in found])
         + reporting.footer(origin)
@@ -123,7 +123,7 @@ def main() -> None:
         numbers = range(count)
         given = [beds[k % len(beds)] for k in numbers], [soil(lab, k) for k in numbers]
         found.append(simulated(work.lab, *given))
-        reporting.write_page("accelerator", markdown(found, reporting.provenance()))
+        reporting.write_page(markdown(found, reporting.provenance()))
 
 
 if __name__ == "__main__":

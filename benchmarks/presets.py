@@ -5,7 +5,7 @@
 One packing and one run of the bundled soil for each preset with one worker, so processor
 time is about what an idle core would take; tracing and loading the program (some seconds)
 is included, and with a cold compilation cache compiling it (ten more).  Quick and standard
-take two minutes, fine about five.  Writes benchmarks/results/presets.json and .md;
+take two minutes, fine about five.  Writes a section of benchmarks/results/README.md;
 presets that were not asked for keep their rows.  Memory is the largest of the process so far.
 """
 
@@ -93,7 +93,7 @@ def _markdown(rows: dict, origin: dict) -> str:
         )
         for name, row in rows.items()
     ]
-    return "# Presets\n\n" + reporting.table(HEADER, cells) + reporting.footer(origin)
+    return "## Presets\n\n" + reporting.table(HEADER, cells) + reporting.footer(origin)
 
 
 if __name__ == "__main__":

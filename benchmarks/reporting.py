@@ -14,18 +14,25 @@ from studies.reporting import (
 )
 
 __all__ = ["CACHE", "configure", "earlier", "footer", "provenance", "table", "write", "write_page"]
-RESULTS = Path(__file__).parent / "results"  # what is committed
+PAGE = Path(__file__).parent / "results" / "README.md"  # what is committed
 
 
-def write(name: str, content: dict, markdown: str) -> None:
-    """The result's JSON in CACHE and benchmarks/results/<name>.md; says where they are."""
+def write(name: str, content: dict, section: str) -> None:
+    """The result's JSON in CACHE and a section of the page of speed; says where they are."""
     keep_content(CACHE / f"{name}.json", content)
-    write_page(name, markdown)
+    write_page(section)
 
 
-def write_page(name: str, markdown: str) -> None:
-    """benchmarks/results/<name>.md alone, where it says all that was measured."""
-    keep_page(RESULTS / f"{name}.md", markdown)
+def write_page(section: str) -> None:
+    """A section of benchmarks/results/README.md, in the place of the one with the same title."""
+    page = PAGE.read_text(encoding="utf-8")
+    title = section.partition("\n")[0]
+    before, found, rest = page.partition(f"{title}\n")
+    _, _, after = rest.partition("\n## ")
+    kept = f"\n## {after}" if after else ""
+    keep_page(
+        PAGE, f"{before if found else before.rstrip() + 2 * chr(10)}{section.rstrip()}\n{kept}"
+    )
 
 
 def earlier(name: str, key: str) -> dict:

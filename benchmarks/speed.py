@@ -11,7 +11,7 @@ own packing is used and the peer is reported as not measured.
 
 Cores that other work keeps busy are noted before every measurement; --wait gives it some
 time to end.  Where it does not end, compare rates per second of processor time.
-Writes benchmarks/results/speed.md.
+Writes a section of benchmarks/results/README.md.
 """
 
 import argparse
@@ -274,7 +274,8 @@ def markdown(content: dict) -> str:
         for entry in content["ours"]
     ]
     return (
-        f"# Speed\n\n{content['spheres']} spheres ({content['bed']}) in confined compression "
+        "## Particle-steps a second\n\n"
+        f"{content['spheres']} spheres ({content['bed']}) in confined compression "
         f"from 100 N to 400 N, dt {TIME_STEP:g} s; M particle-steps/s, median and range of "
         f"{content['rounds']} rounds measured in turn. {content['peer']}\n\n"
         + reporting.table(
@@ -347,7 +348,7 @@ def main() -> None:
         ],
         "measured": measured,
     }
-    reporting.write_page("speed", markdown(content))
+    reporting.write_page(markdown(content))
 
 
 if __name__ == "__main__":

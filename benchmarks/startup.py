@@ -8,7 +8,7 @@ Each round takes the command through three states of a home folder of its own:
     programs kept        compiled programs are in the user's cache, results go to a new folder
     packings kept too    another soil in the same folder
 
-Writes benchmarks/results/startup.json and .md.
+Writes a section of benchmarks/results/README.md.
 """
 
 import argparse
@@ -62,7 +62,7 @@ def markdown(content: dict) -> str:
         for state, found in content["seconds"].items()
     ]  # fmt: skip
     lines = [
-        "# Start-up",
+        "## Start-up",
         "",
         f"`calibrate {' '.join(COMMAND)}` from start to exit, s; median and range of "
         f"{content['rounds']} rounds.",

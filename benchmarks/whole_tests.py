@@ -9,7 +9,7 @@ apart without the mould.  Rates count spheres times steps over all of the time f
 
     python benchmarks/whole_tests.py --rounds 2          some 8 minutes on two idle cores
 
-Writes benchmarks/results/whole_tests.md.
+Writes a section of benchmarks/results/README.md.
 """
 
 import argparse
@@ -133,7 +133,7 @@ def markdown(found: list[dict], origin: dict) -> str:
         for row in found
     ]  # fmt: skip
     return (
-        "# Whole tests\n\nBoth tests, 2000 spheres, two cores, everything in the time. A specimen "
+        "## Whole tests\n\nBoth tests, 2000 spheres, two cores, everything in the time. A specimen "
         "that falls apart without the mould (F near 0) is cheap to crush: its rate does not "
         "compare.\n\n"
         + reporting.table(HEADER, rows)
@@ -181,7 +181,7 @@ def main() -> None:
             )
             found += [{"round": number, **row} for row in rows]
             origin = reporting.provenance()
-            reporting.write_page("whole_tests", markdown(found, origin))
+            reporting.write_page(markdown(found, origin))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""The audit of the gradients that `fit` and screening use, on two sets of packings.
+"""The audit of the derivatives that fits use, on two sets of packings.
 
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
-+-20 %, one parameter at a time, against those of both strategies, on the same packings; then all
-of it again on others.
++-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same
+packings; then all of it again on others.
 Runs are kept in results/benchmarks; a second call resumes.  Writes after
 every seed notebooks/data/audit.json, verification/results/audit.md and docs/images/audit*.png.
 """
@@ -16,30 +16,40 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.progress import for_terminal
+from calibrate.discrepancy.library.stand_in import served
 from calibrate.figures import save
 from calibrate.figures.audit import audit_figure, curve_slopes_figure
 from calibrate.inference.audit import Audit, audit, audit_json, judged
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.io.soil import base_soil
 from calibrate.records.audit import AuditSlopes
 from calibrate.records.base import record
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from verification import reporting
 
-STRATEGIES = {"fit": "As fits take them", "ensemble": "All parameters in groups"}
+STRATEGIES = {
+    "response": "Of the library of runs, by JAX",
+    "fit": "By pairs of runs, as fits take them where the library does not serve",
+    "ensemble": "All parameters in groups",
+}
 
 
 def audited(spheres: int, seeds: range, folder: Path) -> Audit:
     lab = load_lab(bundled_lab())
     preset = replace(PRESETS["standard"], spheres=spheres)
     work = Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, for_terminal())
-    return audit(space(lab, (*FACTORS, "shear_modulus")), work, seeds, list(STRATEGIES))
+    base = base_soil(lab)
+    library, why = served(lab, preset, None, base, work)
+    assert library is not None, why
+    audited = space(lab, (*FACTORS, "shear_modulus"), base)
+    return audit(audited, work, seeds, list(STRATEGIES), library)
 
 
 def markdown(audits: dict[str, dict], spheres: int, packings: int, origin: dict) -> str:
     begin = (
-        f"# Audit of gradients\n\nBundled soil, {spheres} spheres, {packings} "
+        f"# Audit of derivatives\n\nBundled soil, {spheres} spheres, {packings} "
         "packings a seed. Slopes per unit of ln p with standard errors. Passed: the reference's "
         "sign, within 15 % (H, mm) or 25 % (F, N) of it; slopes below three standard errors are "
         "not judged. What fits move alone is moved as in the reference, so it agrees.\n\n"
@@ -53,8 +63,7 @@ def _section(strategy: str, audits: dict[str, dict], packings: int) -> str:
     each = {seed: found["strategies"][strategy] for seed, found in audits.items()}
     cost = next(iter(each.values()))
     tables = [
-        f"## {STRATEGIES[strategy]}\n\n{cost['forward_runs']:.0f} forward runs a packing, the one "
-        f"at the point among them ({cost['described']}).\n"
+        f"## {STRATEGIES[strategy]}\n\n{_cost(cost['forward_runs'])} ({cost['described']}).\n"
     ]
     for seed, found in each.items():
         tables.append(
@@ -65,6 +74,12 @@ def _section(strategy: str, audits: dict[str, dict], packings: int) -> str:
         together = f"All {len(each) * packings} packings together, {tally(rows)}"
         tables.append(f"{together}:\n\n" + _table(rows))
     return "\n".join(tables)
+
+
+def _cost(runs: float) -> str:
+    if not runs:
+        return "No run"
+    return f"{runs:.0f} forward runs a packing, the one at the point among them"
 
 
 def tally(rows: list[dict]) -> str:

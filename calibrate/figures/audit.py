@@ -15,6 +15,7 @@ from calibrate.records.base import Observable
 MARKS = {
     "regression": ("^", DARK, "-."),
     "fit": ("o", MIDDLE, "-"),
+    "response": ("X", DARK, "-"),
     "ensemble": ("P", LIGHT, "--"),
     "pathwise": ("x", "0.5", ":"),
     "blend": ("s", LIGHT, "--"),

@@ -22,12 +22,13 @@ from jax import Array
 
 from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, suggestion
 from calibrate.inference.curve_points import CurvePoints
+from calibrate.inference.on_response import OnResponse
 from calibrate.inference.parameters import Space, ensemble, fitting_ensemble
 from calibrate.inference.traced import Certificate, traced_slopes
 from calibrate.labtests.composite import described
 from calibrate.simulation import Campaign
 from calibrate.simulation.joint import AbstractCampaign
-from jdem.sensitivity.base import AbstractStrategy, AbstractTraced, Sensitivity
+from jdem.sensitivity.base import AbstractStrategy, AbstractTraced, Sensitivity, forward_mode
 from jdem.sensitivity.composite import Blend, blended
 from jdem.sensitivity.overdamped import Overdamped
 from jdem.sensitivity.pathwise import Pathwise
@@ -55,9 +56,25 @@ def _blend(name: str, precise: Callable[[], AbstractStrategy]) -> Strategy:
     return Strategy(doc, lambda space: Blend(precise(), ensemble(space)), blend_of=name)
 
 
-# By name; a blend stands below the two that it is made of.  docs/gradients.md has the same table.
+class OfRuns(AbstractStrategy):
+    """Slopes of a response that was learned from runs: JAX takes them, and nothing is simulated."""
+
+    def __call__(self, response: Callable, point: Array, packings: int) -> Sensitivity:
+        return forward_mode(response, point, packings)
+
+    def runs(self, parameters: int, packings: int) -> float:
+        return 0.0
+
+    def describe(self) -> str:
+        return "library of runs, its slopes by JAX at the point itself"
+
+
+RESPONSE = "response"
+
+# By name; a blend stands below the two that it is made of.  docs/derivatives.md has the same table.
 STRATEGIES = {
     "fit": Strategy("pairs of runs, some parameters alone: what fits use", fitting_ensemble, True),
+    RESPONSE: Strategy("library of runs, by JAX: what fits explore with", lambda _: OfRuns(), True),
     "ensemble": Strategy("pairs of runs, parameters in groups: the screening's", ensemble, True),
     "regression": Strategy(
         "pairs of runs, one parameter at a time", lambda _: Regression((0.25,)), True
@@ -150,9 +167,14 @@ def traces(names: Sequence[str]) -> bool:
 
 
 def audit(
-    space: Space, work: AbstractCampaign, seeds: Sequence[int], names: Sequence[str]
+    space: Space,
+    work: AbstractCampaign,
+    seeds: Sequence[int],
+    names: Sequence[str],
+    library: OnResponse | None = None,
 ) -> Audit:
-    """Reference and estimates at the space's base soil, on the packings `seeds`."""
+    """Reference and estimates at the space's base soil, on the packings `seeds`.  `library` stands
+    behind the strategy "response"."""
     point, count = jnp.log(jnp.asarray(space.start())), len(seeds)
     points = CurvePoints.of(work)
     simulated = simulated_response(space, work, seeds, points)
@@ -165,6 +187,9 @@ def audit(
         precise = STRATEGIES[name].blend_of
         if precise:
             estimates[name] = blended(estimates[precise], estimates["ensemble"])
+        elif name == RESPONSE:
+            assert library is not None
+            estimates[name] = library.sensitivity(space, points.shown)
         elif STRATEGIES[name].simulated:
             estimates[name] = made[name](simulated(name), point, count)
         else:

@@ -4,6 +4,7 @@ force that a test has to reach:  displacements (mm) at shares of it on loading
 no such force:                   forces (N) at shares of the platen's stroke
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -84,6 +85,13 @@ class CurvePoints:
             return np.full(len(self.called) + POINTS * len(self.readings), np.nan)
         values = [run.observables[name] for name in self.observables]
         return np.concatenate([values, *(r.read(run.curves[r.test]) for r in self.readings)])
+
+    def shown(self, observables: Mapping[str, Array], curves: Mapping[str, Array]) -> Array:
+        """The same numbers of a response's observables and curves (rows, 2), traced by JAX; NaN:
+        it does not have the number."""
+        values = [jnp.asarray(observables.get(name, jnp.nan)) for name in self.observables]
+        read = [each.feature().of_curve(*curves[each.test].T) for each in self.readings]
+        return jnp.concatenate([jnp.stack(values), *read])
 
     def traced(self, outcome: Outcome) -> Array:
         """The same numbers as `read`, traced by JAX."""

@@ -57,7 +57,7 @@ class Settings:
     `stopping` are rules of your own in place of these (`calibrate.inference.fit`).
     Slopes come from `strategy` in ln p, by default the ensemble, with parameters that the audit
     could not confirm in groups moved alone; a strategy that differentiates the run itself, as
-    `Overdamped`, is for tests in which no specimen stands free (docs/gradients.md).
+    `Overdamped`, is for tests in which no specimen stands free (docs/derivatives.md).
     Points are rounded to `digits`, so that a fit that is started again finds its simulations.
     """
 

@@ -34,6 +34,7 @@ from calibrate.simulation.run import Run
 from calibrate.simulation.specimens import Seeds
 from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
+from jdem.sensitivity.base import Sensitivity
 
 MOST_STEPS = 200  # of the solver
 DIGITS = 6  # of a point that a response leads to: a last digit that differs moves no simulation
@@ -180,12 +181,14 @@ def _shown(beds: Beds, soil: SoilParameters):
 @dataclass(frozen=True, eq=False)
 class OnResponse(AbstractCoarse):
     """A response of beds as large as those that decide.  At a soil, `specimens` gives deviations
-    (n, l) of single packings from the mean features of its beds, and `errors` those (n, l) of its
-    own, one deviation each."""
+    (n, l) of single packings from the mean features of its beds, `errors` those (n, l) of its own,
+    one deviation each, and `slope_errors` those (n, l, q) of the slopes of features per unit of
+    ln p, p being the parameters of the beds."""
 
     campaign: ResponseCampaign
     specimens: Callable[[SoilParameters], np.ndarray]
     errors: Callable[[SoilParameters], np.ndarray]
+    slope_errors: Callable[[SoilParameters], np.ndarray]
     spheres: int
     near: ClassVar[bool] = True
 
@@ -223,6 +226,17 @@ class OnResponse(AbstractCoarse):
         """Its own deviation of each feature (m,) at a soil."""
         return np.sqrt((self._deviating(problem, soil, self.errors)[1] ** 2).sum(axis=0))
 
+    def sensitivity(self, space: Space, read: Callable) -> Sensitivity:
+        """Numbers that `read` takes of observables and curves, at the space's base soil, their
+        slopes per unit of ln p by JAX and the slopes' own errors; NaN beyond the runs."""
+        beds, start = self.campaign.beds, jnp.asarray(space.start())
+        values, slopes, by_beds = _read_slopes(beds, space.soil, read, start)
+        errors = np.einsum("ml,nlq->nmq", by_beds, self.slope_errors(space.base))
+        known = [beds.names.index(name) if name in beds.names else -1 for name in space.names]
+        error = np.where(np.array(known) < 0, 0.0, np.sqrt((errors**2).sum(axis=0))[:, known])
+        far = self.campaign.beyond(space.base)
+        return Sensitivity(values[None], *(jnp.where(far, jnp.nan, x) for x in (slopes, error)))
+
     def _deviating(
         self, problem: Problem, soil: SoilParameters, rows: Callable[[SoilParameters], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -230,6 +244,20 @@ class OnResponse(AbstractCoarse):
         features = FeaturesOfBeds(self.campaign.beds, soil, (), problem.features)
         means, slopes = map(np.asarray, _read(features, soil))
         return means, rows(soil) @ slopes.T
+
+
+@eqx.filter_jit
+def _read_slopes(beds: Beds, soil: Callable, read: Callable, start: Array) -> tuple:
+    """Numbers (m,), slopes (m, p) per unit of ln p, and slopes (m, l) with the beds' features."""
+
+    def of_beds(values: Array) -> Array:
+        return read(*beds.shown(values))
+
+    def of(logs: Array) -> Array:
+        return of_beds(beds.values(soil(jnp.exp(logs))))
+
+    values = beds.values(soil(start))
+    return of_beds(values), jax.jacfwd(of)(jnp.log(start)), jax.jacfwd(of_beds)(values)
 
 
 @eqx.filter_jit

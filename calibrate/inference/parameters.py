@@ -135,7 +135,7 @@ def probing_steps(space: Space) -> tuple[float, ...]:
 
 # What matters most to depth and force, spread over three groups when dealt out in turn: with the
 # modulus go parameters that hardly change the depth, with the plasticity ratio, and with
-# rolling friction, such that do not act through the same term (docs/gradients.md).
+# rolling friction, such that do not act through the same term (docs/derivatives.md).
 DEALT = (
     "shear_modulus",
     "plasticity_ratio",

@@ -152,6 +152,21 @@ class Means(eqx.Module):
 
         return jax.vmap(one)(self.every)
 
+    def covariances_of_slopes(self, x: Array, s: Array) -> tuple[Array, Array]:
+        """Of the slopes of processes with x, at a point (p,), (k,): with the processes at their own
+        points (c, n, p), and with each other (c, p, p) before any run is known."""
+
+        def one(kernel: Kernel) -> tuple[Array, Array]:
+            def with_runs(x):
+                return covariance(kernel, x[None], s[None], self.x, self.s)[0]
+
+            def with_itself(x, x2):
+                return covariance(kernel, x[None], s[None], x2[None], s[None])[0, 0]
+
+            return jax.jacfwd(with_runs)(x), jax.jacfwd(jax.grad(with_itself), 1)(x, x)
+
+        return jax.vmap(one)(self.every)
+
 
 def _mean(of: tuple, x, s, points, strengths):
     """The mean of one component."""

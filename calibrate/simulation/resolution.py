@@ -6,7 +6,7 @@
 | standard | 2000 | 10.6 | results |
 | fine | 10000 | 17.9 | checks of resolution |
 
-What a run costs stands in benchmarks/results/presets.md.
+What a run costs stands in benchmarks/results/README.md.
 """
 
 from dataclasses import dataclass

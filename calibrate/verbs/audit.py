@@ -11,16 +11,21 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
+from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import write_json
-from calibrate.inference.audit import Audit, audit_json, checked_strategies, traces
+from calibrate.discrepancy.library.stand_in import served
+from calibrate.inference.audit import RESPONSE, Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
+from calibrate.inference.on_response import OnResponse
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.records.audit import AuditRecord
 from calibrate.records.base import record
+from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from jdem.materials.soil import SoilParameters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,7 +110,7 @@ def audit(
         str | Sequence[str],
         typer.Option(
             "--strategy",
-            help="fit (what fits use; default), ensemble, regression, pathwise, blend, "
+            help="fit (what fits use; default), response, ensemble, regression, pathwise, blend, "
             "overdamped, overdamped_blend, virtual_power, virtual_power_blend; may be given "
             "several times.",
         ),
@@ -124,7 +129,9 @@ def audit(
 
     Args:
         lab: a lab file's path, or what `load_lab` returned; None: the bundled soil.
-        strategies: ways to a derivative, by name ("fit": the one that fits take).
+        strategies: ways to a derivative, by name ("fit": pairs of runs as fits take them;
+            "response": JAX's derivative of the bundled library of runs, with which fits explore;
+            it takes a preset that the library serves, "standard" or "fine").
         values: parameters in place of the lab file's, by name, in SI units or with a unit.
         spheres: number of spheres of a packing.
         packings: number of packings.
@@ -150,9 +157,24 @@ def audit(
     audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
     seeds = range(100 * seed, 100 * seed + packings)
     campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
-    slopes = slopes_of(audited, campaign(folder), seeds, names)
+    work = campaign(folder)
+    slopes = slopes_of(audited, work, seeds, names, _library(session, base, work, names))
     settings = {"spheres": spheres, "seeds": list(seeds), "parameters": soil_json(base)}
     found = AuditResult(slopes, folder, {**origin_of(session), **settings, **audit_json(slopes)})
     write_json(folder / "audit.json", found.content)
     found.save_figures()
+    return found
+
+
+def _library(
+    session: Session, base: SoilParameters, work: AbstractCampaign, names: Sequence[str]
+) -> OnResponse | None:
+    """What stands behind the strategy "response", where it is asked for."""
+    if RESPONSE not in names:
+        return None
+    found, why = served(session.lab, session.preset, None, base, work)
+    if found is None:
+        problem = f"the library of runs does not serve: {why}"
+        repair = "give --preset standard, or leave this strategy out"
+        raise InputError(COMMAND_LINE, f"--strategy {RESPONSE}", problem, repair)
     return found

@@ -6,7 +6,7 @@ Semi-implicit Euler: velocities first, positions with the new velocities.  Backg
 damping acts on the motion relative to the affine motion that the platen imposes, and
 rolling resistance is applied implicitly: it can stop a spin, never reverse it.  Spheres
 that carry next to no load are damped more: they rattle between their neighbours, which
-leaves the specimen's force unchanged and makes its derivatives chaotic (docs/gradients.md).
+leaves the specimen's force unchanged and makes its derivatives chaotic (docs/derivatives.md).
 """
 
 from collections.abc import Callable

@@ -14,8 +14,8 @@ a time, and the number of runs is that of the groups, not of the parameters.
 Two errors grow with the size of a group: third orders (a slope that depends on another
 parameter's square) bias it, and a packing's own slope in one parameter leaks into the others.
 Parameters that matter should therefore stand in different groups: the coordinates come in
-the order in which they are dealt out, the first into the first group, and so on (docs/gradients.md
-measures both errors for one group of all parameters).
+the order in which they are dealt out, the first into the first group, and so on
+(docs/derivatives.md has the errors of both).
 
 Common random numbers and antithetic steps: Glasserman 2003, Monte Carlo Methods in
 Financial Engineering, section 7.1; foldover and group screening designs: Box, Hunter and

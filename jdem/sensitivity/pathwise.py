@@ -2,7 +2,7 @@
 
 Exact for the simulation as computed.  Where the motion is chaotic (crushing of small
 beds) the exact derivative of one path is not the slope of the response: see
-docs/gradients.md, and `ensemble`.
+docs/derivatives.md, and `ensemble`.
 """
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jdem.sensitivity.base import AbstractTraced
 class Pathwise(AbstractTraced):
     """One tangent a parameter, all in one pass; the response must be traceable by JAX.
 
-    cost is that of one tangent in forward runs (benchmarks/results/speed.md).
+    cost is that of one tangent in forward runs (benchmarks/results/README.md).
     """
 
     cost: float = eqx.field(static=True, default=1.5)

@@ -16,7 +16,7 @@ them.  (A derivative of a plastic overlap beside an overlap without one is a for
 of the stiffness.)  Carried derivatives come with a stiffness and are balanced only while no contact
 opens or yields; measured, they swamp the slopes of the crushing force.  Hence dropped by default.
 
-Bias: a parameter also changes how the bed moves (docs/gradients.md).  For a rigid-plastic body it
+Bias: a parameter also changes how the bed moves (docs/derivatives.md).  For a rigid-plastic body it
 would not matter, as the collapse mechanism makes the dissipation stationary (upper bound theorem:
 Drucker, Prager and Greenberg 1952, Quarterly of Applied Mathematics 9, 381).
 """

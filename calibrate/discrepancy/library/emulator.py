@@ -189,6 +189,13 @@ class FeatureEmulator:
 
         return at
 
+    def slope_variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Variances (c, p) of the standardised components' slopes with x, at a point."""
+        point = jnp.asarray(x), jnp.append(jnp.asarray(s), jnp.array(self.always))
+        known, own = map(np.asarray, _covariances_of_slopes(self.response, *point))
+        white = [_whitened(c, cov) for c, cov in zip(self.components, known, strict=True)]
+        return np.maximum(np.einsum("cpp->cp", own) - (np.array(white) ** 2).sum(axis=1), 0.0)
+
     def __getstate__(self) -> dict:
         """Without the kept points, so that it goes to other processes."""
         return {name: value for name, value in self.__dict__.items() if name != "_variances"}
@@ -310,6 +317,11 @@ def _covariances_with(soil: SoilResponse, x, s) -> tuple[Array, Array]:
     return soil.means.covariances(x, s)
 
 
+@jax.jit
+def _covariances_of_slopes(soil: SoilResponse, x, s) -> tuple[Array, Array]:
+    return soil.means.covariances_of_slopes(x, s)
+
+
 def _whitened(c: Component, known: np.ndarray) -> np.ndarray:
-    """Covariances (n,) with the runs in units of what these scatter by."""
+    """Covariances (n, ...) with the runs in units of what these scatter by."""
     return solve_triangular(c.upper.T, known, lower=True, check_finite=False)

@@ -100,8 +100,18 @@ def stands_in(
         directions = emulated.emulator_errors.of_values(emulated.emulator, x, none)
         return steep(x) * directions.T
 
+    def slope_errors(soil: SoilParameters) -> np.ndarray:
+        x = np.asarray(beds.scaled(soil))
+        stated = emulated.emulator_errors.widening[:, None] * emulated.emulator.slope_variances(
+            x, none
+        )
+        count = len(design.soil_names)  # the first coordinates are those of the soil
+        sd = np.sqrt(stated[:, :count]) / design.spread()[:count]
+        carried = steep(x)[:, None] * emulated.emulator.basis.carried
+        return carried.T[:, :, None] * sd[:, None, :]
+
     campaign = ResponseCampaign(beds, too_far, work.folder, work.progress, work.apparatus)
-    return OnResponse(campaign, specimens, errors, preset.spheres)
+    return OnResponse(campaign, specimens, errors, slope_errors, preset.spheres)
 
 
 def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:

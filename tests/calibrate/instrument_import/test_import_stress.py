@@ -25,8 +25,8 @@ from calibrate.instrument_import.steps import ends_of_steps, turning_rows
 from calibrate.instrument_import.vocabulary import TESTS, kind_of
 from calibrate.instrument_import.vocabulary import test_named_in as named_in
 from calibrate.io.lab import load_lab
-from tests.support.accidents import spoiled_bytes
 from tests.support.machine_files import EXPORTS, curves, only, written
+from tests.support.malformed import spoiled_bytes
 
 TRUMAO = Path(package.__file__).parent / "soils" / "trumao_2021"
 AREA = np.pi / 4 * 0.05**2  # m2; of 50 mm

@@ -235,7 +235,7 @@ def test_depth_has_its_exact_derivative(packing):
     that begin one time step earlier or later: for rolling friction they are off by 0.03 at
     3e-6, 5e-4 at 1e-7 and 1e-4 mm at 3e-8, 6e-4 of the derivative.  Round-off in H is up to
     2e-12 mm, so 3e-5 mm per unit of ln p at 3e-8.  Numerics and damping are the defaults, and
-    the bed is no special one (docs/gradients.md).
+    the bed is no special one (docs/derivatives.md).
     """
     time_step, size = 0.8 * PRESSED.time_step(packing, SOIL), 3e-8
     found, expected = [], []

@@ -220,13 +220,13 @@ def test_every_strategy_is_made_named_recorded_and_drawn():
     assert set(STRATEGIES) == set(MARKS)
     recorded = TypeAdapter(StrategyName)
     assert [recorded.validate_python(name) for name in STRATEGIES] == list(STRATEGIES)
-    with pytest.raises(ValueError, match="should be 'fit', 'ensemble'"):
+    with pytest.raises(ValueError, match="should be 'fit', 'response'"):
         recorded.validate_python("reference")
     stated = inspect.unwrap(audit_verb.audit).__annotations__["strategies"]
     (option,) = (each for each in stated.__metadata__ if hasattr(each, "help"))
     offered, _, _ = re.sub(r" \(.*?\)", "", option.help).partition(";")
     assert offered.split(", ") == list(STRATEGIES)
-    page = (Path(calibrate.__file__).parents[1] / "docs/gradients.md").read_text(encoding="utf-8")
+    page = (Path(calibrate.__file__).parents[1] / "docs/derivatives.md").read_text(encoding="utf-8")
     for name, each in STRATEGIES.items():
         assert f"| `{name}` | {each.doc} |" in page
 

@@ -4,7 +4,7 @@ Two spheres side by side between two platens, half way up, without gravity and s
 forces at both ends are equal, and their centres move at half the platen's speed whatever the
 parameters are.  There frozen motion is no approximation, and the derivative must be the slope of
 the response, through loading, unloading and reload.  What freezing costs in a bed is the
-audit's business (docs/gradients.md).
+audit's business (docs/derivatives.md).
 """
 
 import equinox as eqx

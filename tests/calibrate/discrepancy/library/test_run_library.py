@@ -54,6 +54,7 @@ from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
 from calibrate.io.lab import bundled_lab, load_lab
+from calibrate.response.process import covariance
 from jdem.physics import PHYSICS
 from tests.support import toy_library
 from tests.support.formulas import LAB
@@ -182,6 +183,23 @@ def test_slopes_are_derivatives_of_values(emulator):
     for k in range(K):
         ahead, back = (emulator(x, s + sign * step * np.eye(K)[k])[0] for sign in (1, -1))
         assert effects[:, k] == pytest.approx((ahead - back) / (2 * step), rel=1e-4, abs=1e-6)
+
+
+def test_errors_of_slopes_are_those_of_differences_of_values(emulator):
+    """The difference of a process at two near points has the variance that their covariance says;
+    slopes are known less surely far from the runs."""
+    x, s, step = np.array([0.3, -0.5, 0.2, 0.1]), np.array([0.2, 0.1]), 1e-3
+    found = emulator.slope_variances(x, s)
+    assert np.all(emulator.slope_variances(4 * np.ones(P), s) > found)
+    for number, component in enumerate(emulator.components):
+        ends = x[None] + step * np.vstack([np.eye(P), -np.eye(P)])
+        at = ends, np.repeat(s[None], len(ends), axis=0)
+        own = np.asarray(covariance(component.kernel, *at, *at))
+        known = np.asarray(covariance(component.kernel, *at, emulator.x, emulator.s))
+        left = own - known @ np.linalg.solve(component.upper.T @ component.upper, known.T)
+        ahead, back = np.diag(left)[:P], np.diag(left)[P:]
+        apart = (ahead + back - 2 * np.diag(left[:P, P:])) / (2 * step) ** 2
+        assert found[number] == pytest.approx(apart, rel=1e-3)
 
 
 def test_slopes_agree_with_the_formula_though_packings_scatter(emulator):
