@@ -234,7 +234,7 @@ class OnResponse(AbstractCoarse):
         errors = np.einsum("ml,nlq->nmq", by_beds, self.slope_errors(space.base))
         known = [beds.names.index(name) if name in beds.names else -1 for name in space.names]
         error = np.where(np.array(known) < 0, 0.0, np.sqrt((errors**2).sum(axis=0))[:, known])
-        far = self.campaign.beyond(space.base)
+        far = bool(self.campaign.beyond(space.base))
         return Sensitivity(values[None], *(jnp.where(far, jnp.nan, x) for x in (slopes, error)))
 
     def _deviating(

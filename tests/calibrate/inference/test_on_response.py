@@ -50,6 +50,8 @@ SEEDS = range(4)
 class FormulaBeds(eqx.Module):
     """`formulas.shape` without the luck of packings, in JAX."""
 
+    names: tuple[str, ...] = eqx.field(static=True, default=NAMES)
+
     def values(self, soil):
         def shift(name):
             return jnp.log(getattr(soil, name) / getattr(BASE, name))
@@ -87,8 +89,8 @@ def on_response(spread=(0.03, 0.02, 0.05, 0.03), **options):
     def errors(soil):
         return np.diag(0.01 * np.asarray(FormulaBeds().values(soil)))
 
-    def slope_errors(soil):
-        return np.zeros((1, 4, 0))
+    def slope_errors(soil):  # of the strength alone, with the second of NAMES: 0.02 of it
+        return np.zeros((1, 4, 2)) + np.outer([0, 0, 4.0, 0], [0, 1])
 
     return OnResponse(campaign(**options), specimens, errors, slope_errors, 2000)
 
@@ -140,6 +142,23 @@ def test_slopes_are_those_of_the_formulas():
     assert found[0] == pytest.approx([-0.8 * depth, 0.0])
     force = 200 * -np.expm1(-12.0)
     assert found[1] == pytest.approx([0.3 * 200 * 12 * np.exp(-12.0), 0.6 * force])
+
+
+def test_slopes_for_an_audit_come_with_errors_and_not_beyond_the_runs():
+    known = space(LAB, (*NAMES, "static_friction"), BASE)
+
+    def read(observables, curves):
+        return jnp.stack([observables[name] for name in TARGETS])
+
+    found = on_response().sensitivity(known, read)
+    beds = FeaturesOfBeds.of(FormulaBeds(), case(campaign()).problem, known)
+    assert np.asarray(found.slopes) == pytest.approx(slopes_of(beds, known.start()))
+    full = -np.expm1(-12.0)  # of the strength, F is as much
+    assert np.asarray(found.standard_error) == pytest.approx(
+        np.array([[0, 0, 0], [0, 4 * full, 0]])
+    )
+    far = on_response(beyond=lambda soil: ("surface_energy",)).sensitivity(known, read)
+    assert np.isnan(far.slopes).all() and np.isnan(far.standard_error).all()
 
 
 # ------------------------------------------------------------------ the best point
@@ -333,7 +352,7 @@ def test_the_bundled_library_shows_what_beds_of_2000_spheres_show():
 def test_slopes_of_the_bundled_library_are_those_of_the_audit_s_reference():
     """Regressions over +-20 % on eight packings of 1000 spheres (verification/results/audit.md).
     Force with the plasticity ratio is not among them: it bends where adhesion is capped, and the
-    library has 430 N for the reference's 320."""
+    library has 430 N for the reference's 320.  Both errors tell how far they may be apart."""
     reference = {
         "shear_modulus": (-1.95, -110), "rolling_friction": (-0.110, 137),
         "tangential_multiplier": (-0.278, -26), "surface_energy": (None, 148),
@@ -344,6 +363,19 @@ def test_slopes_of_the_bundled_library_are_those_of_the_audit_s_reference():
     for (depth, force), found in zip(reference.values(), slopes.T, strict=True):
         assert depth is None or found[0] == pytest.approx(depth, rel=0.15)
         assert found[1] == pytest.approx(force, rel=0.25)
+    errors = {"shear_modulus": (0.02, 9), "rolling_friction": (0.011, 16),
+              "tangential_multiplier": (0.011, 5), "surface_energy": (None, 14),
+              "static_friction": (None, 6)}  # fmt: skip
+
+    def read(observables, curves):
+        return jnp.stack([observables[name] for name in TARGETS])
+
+    audited = standing_in(1000).sensitivity(known, read)
+    for column, name in enumerate(reference):
+        for row, (true, error) in enumerate(zip(reference[name], errors[name], strict=True)):
+            stated = float(audited.standard_error[row, column])
+            apart = 0.0 if true is None else float(audited.slopes[row, column]) - true
+            assert abs(apart) < 3 * np.hypot(stated, error or 0.0)
 
 
 @pytest.mark.parametrize(
