@@ -73,7 +73,7 @@ RESPONSE = "response"
 
 # By name; a blend stands below the two that it is made of.  docs/derivatives.md has the same table.
 STRATEGIES = {
-    "fit": Strategy("pairs of runs, some parameters alone: what fits use", fitting_ensemble, True),
+    "fit": Strategy("pairs of runs, some parameters alone: as in fits", fitting_ensemble, True),
     RESPONSE: Strategy("library of runs, by JAX: what fits explore with", lambda _: OfRuns(), True),
     "ensemble": Strategy("pairs of runs, parameters in groups: the screening's", ensemble, True),
     "regression": Strategy(

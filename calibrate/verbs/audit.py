@@ -110,7 +110,7 @@ def audit(
         str | Sequence[str],
         typer.Option(
             "--strategy",
-            help="fit (what fits use; default), response, ensemble, regression, pathwise, blend, "
+            help="fit (pairs of runs; default), response, ensemble, regression, pathwise, blend, "
             "overdamped, overdamped_blend, virtual_power, virtual_power_blend; may be given "
             "several times.",
         ),
