@@ -46,7 +46,6 @@ from calibrate.discrepancy.library.description import (
     EmulatedLibrary,
     ModelDiscrepancy,
     describe,
-    soil_prior_for,
 )
 from calibrate.discrepancy.library.further_tests import menu, outcomes
 from calibrate.discrepancy.library.instruments import (
@@ -54,6 +53,7 @@ from calibrate.discrepancy.library.instruments import (
     with_forces_before_contact,
     with_instruments,
 )
+from calibrate.discrepancy.library.lab_size import soil_prior_for
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
 from calibrate.discrepancy.library.stand_in import parameters_beyond

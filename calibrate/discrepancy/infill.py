@@ -19,12 +19,7 @@ from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.discrepancy.comparison.compare import Comparison, compare
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
-from calibrate.discrepancy.library.description import (
-    EmulatedLibrary,
-    ModelDiscrepancy,
-    SoilPrior,
-    soil_prior_for,
-)
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import (
     POROSITIES,
     SETTINGS,
@@ -32,6 +27,7 @@ from calibrate.discrepancy.library.design import (
     SMOOTHING,
     SPEEDS,
 )
+from calibrate.discrepancy.library.lab_size import SoilPrior, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
 from calibrate.io.conventions import HELD

@@ -2,7 +2,7 @@
 
     response(delta, strengths) -> features          delta = ln p - ln p0,  strengths in typical ones
 
-    soil's processes -> model discrepancy -> machine -> lab's size -> recording -> tare -> more
+    soil's processes -> model discrepancy -> machine -> lab's size -> recording -> more
 
 All parts are there at once and do nothing where nothing is known of them, so that one compiled
 program serves all labs of the same features.  `linearised` gives values and all slopes.
@@ -75,10 +75,8 @@ class Response(eqx.Module):
     kept; typical (e, k): strengths, SI, of a machine's errors; units (m,): from the library's size
     to the lab's; shape: numbers of the coordinates that are the specimen's shape, the largest
     stress last.  What recording adds, between lags, and lag (k,): what of strengths is the lag, in
-    typical ones; tared (m,): features that do not see some of the strengths, the load cell's
-    offset: seen (k,) is 0 for it and 1 for others; further (FURTHER, k): features that depend on
-    strengths alone.  Under another condition: factors (k,) on strengths, and what these add to
-    delta, faster (p, k).
+    typical ones; further (FURTHER, k): features that depend on strengths alone.  Under another
+    condition: factors (k,) on strengths, and what these add to delta, faster (p, k).
     """
 
     soil: SoilResponse
@@ -93,8 +91,6 @@ class Response(eqx.Module):
     discrepancy: Discrepancy | None
     recorded: BetweenLags
     lag: Array
-    tared: Array
-    seen: Array
     further: Array
     factors: Array
     faster: Array
@@ -112,22 +108,12 @@ class Response(eqx.Module):
             soil, *map(jnp.asarray, parts), shape=shape, machine=machine,
             typical=jnp.asarray(typical), discrepancy=discrepancy,
             recorded=BetweenLags.of(np.zeros((1, m))), lag=jnp.zeros(k),
-            tared=jnp.zeros(m, bool), seen=jnp.ones(k), further=jnp.zeros((FURTHER, k)),
-            factors=jnp.ones(k), faster=jnp.zeros((p, k)),
+            further=jnp.zeros((FURTHER, k)), factors=jnp.ones(k), faster=jnp.zeros((p, k)),
         )  # fmt: skip
 
     def __call__(self, delta: Array, strengths: Array) -> Array:
         delta, strengths = self.moved(delta, strengths)
-        blind = strengths * self.seen
-
-        def shown(times: Array, found: Array) -> Array:
-            first = times == 0
-            values = self._shown(delta, jnp.where(first, strengths, blind))
-            return jnp.where(first | self.tared, values, found)
-
-        # Where nothing is tared once is enough, and what is compiled is the same.
-        found = jax.lax.fori_loop(0, 1 + self.tared.any(), shown, jnp.zeros_like(self.units))
-        return jnp.append(found, self.further @ strengths)
+        return jnp.append(self._shown(delta, strengths), self.further @ strengths)
 
     def moved(self, delta: Array, strengths: Array) -> tuple[Array, Array]:
         """The point (p,), (k,) at which a test under another condition is asked."""
@@ -170,20 +156,15 @@ def linearised(
     response: Callable[[Array, Array], Array], delta: np.ndarray, strengths: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values (m,) of a response and its slopes (m, p), (m, k), all from JAX."""
-    values, base, effects = _linearised(response, jnp.asarray(delta), jnp.asarray(strengths))
-    return np.asarray(values), np.asarray(base), np.asarray(effects)
+    values, base, effects = map(np.asarray, _linearised(response, delta, strengths))
+    return values, base, effects
 
 
 @jax.jit
 def asked(response: Response, recorded: BetweenLags, delta: Array, strengths: Array):
     """Where the soil is asked, scaled (p,), (k,); what a warped feature's error does to the
-    features (m,); half of what machines differ by (m,): with all strengths, and with those that
-    tared features see."""
+    features (m,); half of what machines differ by (m,)."""
     delta, strengths = response.moved(delta, strengths)
-
-    def seen(strengths: Array) -> tuple[Array, Array, Array, Array]:
-        x, s = response.scaled(delta, strengths)
-        steepness = response.units * response.soil.steepness(x, s)
-        return x, s, steepness, recorded(response.lag @ strengths)
-
-    return seen(strengths), seen(strengths * response.seen)
+    x, s = response.scaled(delta, strengths)
+    steepness = response.units * response.soil.steepness(x, s)
+    return x, s, steepness, recorded(response.lag @ strengths)

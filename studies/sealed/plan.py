@@ -18,13 +18,9 @@ from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.comparison.refit import refit, start_at
-from calibrate.discrepancy.library.description import (
-    EmulatedLibrary,
-    ModelDiscrepancy,
-    describe,
-    soil_prior_of,
-)
+from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy, describe
 from calibrate.discrepancy.library.design import CENTRE, LIMITS, SOIL_PRIOR_SD
+from calibrate.discrepancy.library.lab_size import soil_prior_of
 from calibrate.discrepancy.library.simulate import resized
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from studies.sealed.outside import OUTSIDE

@@ -201,7 +201,7 @@ def _left(prepared, kernel: Factors, found: Evidence, refits):
             fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance
         )
         shapes = projected(kernel, design.operator)
-        left = statistics_after(design, list(key), d.one_sided, shapes)
+        left = statistics_after(design, np.array(key), d.one_sided, shapes)
         p_values.append(prepared.null.after.p_value(left))
     return best, max(p_values)
 

@@ -58,6 +58,19 @@ class SampleGenerator:
         gap: np.ndarray | None = None,
     ) -> Measured:
         """A sample with effects of given strengths (k,) and any other gap (m,)."""
+        return self.sample(self.specimens(rng, strengths, gap))
+
+    def sample(self, specimens: np.ndarray) -> Measured:
+        """That of specimens (..., s, m): one, or many."""
+        return robust(from_vectors(self.description.features, specimens), self._outlier_scatter)
+
+    def specimens(
+        self,
+        rng: np.random.Generator,
+        strengths: np.ndarray | None = None,
+        gap: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """The specimens (s, m) of such a sample, NaN where a feature is not measured."""
         d = self.description
         delta = d.prior_sd * rng.standard_normal(len(d.prior_sd))
         given = np.zeros(len(d.effects)) if strengths is None else strengths
@@ -67,9 +80,7 @@ class SampleGenerator:
         count = len(self.plan)
         packings = self._amplitude(rng) * self._packings(rng, count)
         values = mean + packings + normal(rng, self.other_root, count)
-        return robust(
-            from_vectors(d.features, np.where(self.plan, values, np.nan)), self._outlier_scatter
-        )
+        return np.where(self.plan, values, np.nan)
 
     @cached_property
     def _outlier_scatter(self) -> np.ndarray:
@@ -79,9 +90,13 @@ class SampleGenerator:
     def _amplitude(self, rng: np.random.Generator) -> np.ndarray:
         """By how much more than simulated ones packings scatter (m,): one draw of the amplitudes'
         prior for each test, as laboratories and numbers of spheres differ."""
-        tests = tests_of(self.description.features)
-        drawn = {t: np.exp(PRIOR_SD_LN_AMPLITUDE * rng.standard_normal()) for t in TESTS}
-        return np.array([drawn[test] for test in tests])
+        drawn = [np.exp(PRIOR_SD_LN_AMPLITUDE * rng.standard_normal()) for _ in TESTS]
+        return np.array(drawn)[self._test]
+
+    @cached_property
+    def _test(self) -> np.ndarray:
+        """Which of TESTS each feature is of (m,)."""
+        return np.array([TESTS.index(test) for test in tests_of(self.description.features)])
 
     def simulated(self, rng: np.random.Generator) -> np.ndarray:
         """As many residuals (n, m) of simulated specimens as the description has."""
@@ -91,11 +106,17 @@ class SampleGenerator:
     def _packings(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Residuals (count, m) of specimens: simulated ones and normal ones, mixed in a share that
         is the larger, the fewer there are for the number of features."""
-        rows = self.description.packing_residuals - self.description.packing_residuals.mean(axis=0)
+        rows = self._residuals
         normal_share = min(rows.shape[1] / len(rows), 1.0)
         drawn = rows[rng.integers(len(rows), size=count)]
         smooth = normal(rng, self.packing_root, count)
         return np.sqrt(1 - normal_share) * drawn + np.sqrt(normal_share) * smooth
+
+    @cached_property
+    def _residuals(self) -> np.ndarray:
+        """Of simulated specimens, centred (n, m)."""
+        residuals = self.description.packing_residuals
+        return residuals - residuals.mean(axis=0)
 
     def snr(self, signatures: np.ndarray) -> np.ndarray:
         """Projected signal-to-noise of changes of features (m, k)."""

@@ -8,14 +8,15 @@ draws specimens, simulated ones too, re-estimates covariance and amplitudes, pro
 Therefore it holds its rate although the covariance is known from few specimens only.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calibrate.discrepancy.comparison.generated import SampleGenerator
+from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Shape, best_shape, estimate
 from calibrate.discrepancy.comparison.projection import Projected, admissible, lengths, project
-from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.unspecified_gap import (
     Factors,
     kernel_factors,
@@ -61,76 +62,95 @@ def null_distribution(draws: np.ndarray) -> NullDistribution:
 def statistics(
     residual: np.ndarray, effects: np.ndarray, one_sided: np.ndarray, kernel: Factors
 ) -> np.ndarray:
-    """The three statistics of a projected residual (m,): effects (m, k), kernels' factors."""
-    z = effects.T @ residual / lengths(effects)
-    largest = admissible(z, one_sided).max(initial=0.0)
-    return np.array([residual @ residual, largest, kernel_scores(kernel, residual).max()])
+    """The three statistics (..., 3) of a projected residual (..., m): effects (..., m, k), kernels'
+    factors."""
+    score = admissible(_scores(residual, effects), one_sided)
+    return _together(residual, score, kernel)
+
+
+def _scores(residual: np.ndarray, effects: np.ndarray) -> np.ndarray:
+    """z (..., k) of projected effects."""
+    return np.vecmat(residual, effects) / lengths(effects)
+
+
+def _together(residual: np.ndarray, score: np.ndarray, kernel: Factors) -> np.ndarray:
+    smooth = kernel_scores(kernel, residual).max(axis=-1)
+    largest = score.max(axis=-1, initial=0.0)
+    return np.stack([np.vecdot(residual, residual), largest, smooth], axis=-1)
 
 
 def statistics_after(
-    design: Projected, chosen: list[int], one_sided: np.ndarray, kernel: Factors
+    design: Projected, chosen: np.ndarray, one_sided: np.ndarray, kernel: Factors
 ) -> np.ndarray:
-    """The same after the best strengths of the chosen effects have been taken off."""
-    basis, _ = np.linalg.qr(design.effects[:, chosen])
-    rest = np.array([k for k in range(design.effects.shape[1]) if k not in chosen], int)
-    others = _off(design.effects[:, rest], basis)
-    left = _off(design.residual, basis)
-    visible = lengths(others) > 1e-6 * np.maximum(lengths(design.effects[:, rest]), 1e-9)
-    without = [_off(factor, basis) for factor in kernel]
-    return statistics(left, others[:, visible], one_sided[rest][visible], without)
+    """The same after the best strengths of the chosen effects (..., q) have been taken off."""
+    basis, _ = np.linalg.qr(np.take_along_axis(design.effects, chosen[..., None, :], axis=-1))
+    others = _off(design.effects, basis)
+    left = _off(design.residual[..., None], basis)[..., 0]
+    visible = lengths(others) > 1e-6 * np.maximum(lengths(design.effects), 1e-9)
+    np.put_along_axis(visible, chosen, False, axis=-1)
+    score = np.where(visible, admissible(_scores(left, others), one_sided), 0.0)
+    return _together(left, score, [_off(factor, basis) for factor in kernel])
 
 
 def simulate(generator: SampleGenerator, seed: int, draws: int = DRAWS) -> NullDistributions:
     """The null distributions for a description and a plan of measurement."""
-    rng = np.random.default_rng(seed)
-    d = generator.description
+    rng, d = np.random.default_rng(seed), generator.description
     residuals = d.packing_residuals - d.packing_residuals.mean(axis=0)
-    shape = best_shape(residuals)
-    before, after, squares = [], [], []
+    shape, snr = best_shape(residuals), generator.snr(d.effect_slopes)
+    plain, changed = [], []
     for _ in range(draws):
-        design, kernel = _analysed(generator, shape, rng, generator.measured(rng))
-        before.append(statistics(design.residual, design.effects, d.one_sided, kernel))
-        squares.append(_mean_square(design))
+        plain.append(_drawn(generator, shape, rng, None))
         if d.effects:
-            design, kernel = _analysed(generator, shape, rng, _with_an_effect(generator, rng))
-            z = design.effects.T @ design.residual / lengths(design.effects)
-            best = int(np.argmax(admissible(z, d.one_sided)))
-            after.append(statistics_after(design, [best], d.one_sided, kernel))
-    return NullDistributions(
-        null_distribution(np.array(before)),
-        null_distribution(np.array(after or before)),
-        float(np.mean(squares)),
-    )
+            gap = _gap_of_an_effect(d, snr, rng)
+            changed.append(_drawn(generator, shape, rng, gap))
+    design, kernel = _analysed(generator, plain)
+    before = after = statistics(design.residual, design.effects, d.one_sided, kernel)
+    inflation = _mean_square(design)
+    if changed:
+        design, kernel = _analysed(generator, changed)
+        score = admissible(_scores(design.residual, design.effects), d.one_sided)
+        best = np.argmax(score, axis=-1, keepdims=True)
+        after = statistics_after(design, best, d.one_sided, kernel)
+    return NullDistributions(null_distribution(before), null_distribution(after), inflation)
 
 
-def _analysed(
-    generator: SampleGenerator, shape: Shape, rng: np.random.Generator, measured: Measured
-):
-    """Projected design and kernels of one draw, with everything estimated anew."""
+Draw = tuple[np.ndarray, np.ndarray]  #: specimens (s, m), covariance (m, m) of simulated ones
+
+
+def _drawn(
+    generator: SampleGenerator, shape: Shape, rng: np.random.Generator, gap: np.ndarray | None
+) -> Draw:
+    """One draw with a gap (m,), and what simulated specimens of another draw say of scatter."""
+    specimens = generator.specimens(rng, gap=gap)
+    return specimens, shape.of(generator.simulated(rng))
+
+
+def _analysed(generator: SampleGenerator, draws: Sequence[Draw]) -> tuple[Projected, Factors]:
+    """Projected designs and kernels of all draws, with everything estimated anew."""
     d = generator.description
-    noise = estimate(d, measured, shape.of(generator.simulated(rng)), d.prior_sd**2)
+    specimens, packing = map(np.array, zip(*draws, strict=True))
+    measured = generator.sample(specimens)
+    noise = estimate(d, measured, packing, d.prior_sd**2)
     residual = measured.mean - d.mean
     design = project(residual, d.base_slopes, d.prior_sd, d.effect_slopes, noise.mean)
     return design, projected(kernel_factors(d.features, noise.specimen), design.operator)
 
 
-def _with_an_effect(generator: SampleGenerator, rng: np.random.Generator) -> Measured:
-    """Data with one effect at a signal-to-noise drawn from `TRUE_SNR`."""
-    d = generator.description
+def _gap_of_an_effect(d: Linearised, unit: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The gap (m,) of one effect at a signal-to-noise drawn from `TRUE_SNR`; unit (k,): that of
+    typical strengths."""
     k = int(rng.integers(len(d.effects)))
     sign = 1.0 if d.effects[k].one_sided else rng.choice([-1.0, 1.0])
-    snr = rng.uniform(*TRUE_SNR)
-    gap = sign * snr * d.effect_slopes[:, k] / generator.snr(d.effect_slopes[:, [k]])[0]
-    return generator.measured(rng, gap=gap)
+    return sign * rng.uniform(*TRUE_SNR) * d.effect_slopes[:, k] / unit[k]
 
 
 def _mean_square(design: Projected) -> float:
     """Mean square of the scores, or of the residual where there are no effects."""
-    if not design.effects.shape[1]:
+    if not design.effects.shape[-1]:
         return float(np.mean(design.residual**2))
-    return float(np.mean((design.effects.T @ design.residual / lengths(design.effects)) ** 2))
+    return float(np.mean(_scores(design.residual, design.effects) ** 2))
 
 
 def _off(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """`values` (m, n) or (m,) without their part in the span of `basis` (m, q)."""
-    return values - basis @ (basis.T @ values)
+    """`values` (..., m, n) without their part in the span of `basis` (..., m, q)."""
+    return values - basis @ (np.swapaxes(basis, -1, -2) @ values)

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.repeats import Measured, Scatter
+from calibrate.discrepancy.comparison.repeats import Measured, Scatter, products
 from calibrate.labtests.diagnosis.curves import tests_of
 
 PRIOR_SD_LN_AMPLITUDE = 0.25
@@ -115,44 +115,53 @@ def packing_covariance(description: Linearised, shape: Shape | None = None) -> n
 def estimate(
     description: Linearised, measured: Measured, packing: np.ndarray, delta_variance: np.ndarray
 ) -> Noise:
-    """The noise of a measured sample.
+    """The noise of a measured sample, or of many of one plan.
 
-    packing: regularised covariance (m, m) of simulated specimens; delta_variance (p,):
+    packing: regularised covariance (..., m, m) of simulated specimens; delta_variance (p,):
     expected squares of the base parameters' shifts, through which errors of slopes act.
     """
     tests = tests_of(description.features)
-    fixed = description.sensor
-    scattering = packing + description.extra
-    amplitude, spread = np.ones(len(tests)), {}
+    scattering, amplitude = packing + description.extra, np.ones(packing.shape[:-1])
+    amplitudes, spread = {}, {}
     for test in dict.fromkeys(tests):
         mine = np.flatnonzero(tests == test)
-        block = np.ix_(mine, mine)
-        scatter = measured.scatter.get(test)
-        value, sd = amplitude_of(scattering[block], fixed[block], scatter)
-        amplitude[mine], spread[test] = value, sd
-    scale = np.outer(amplitude, amplitude)
-    specimen = _as_repeats_scatter(scale * scattering + fixed, tests, measured)
+        fixed = description.sensor[np.ix_(mine, mine)]
+        found = _amplitudes(scattering[..., mine[:, None], mine], fixed, measured.scatter.get(test))
+        amplitudes[test], spread[test] = found
+        amplitude[..., mine] = np.asarray(found[0])[..., None]
+    wide = products(amplitude) * scattering + description.sensor
+    specimen = _as_repeats_scatter(wide, tests, measured)
     model = packing / description.mean_specimens + slope_error(description, packing, delta_variance)
     mean = specimen * measured.weights() + model + description.own_error
-    found = {test: float(amplitude[tests == test][0]) for test in dict.fromkeys(tests)}
-    return Noise(specimen, mean, found, spread)
+    return Noise(specimen, mean, amplitudes, spread)
 
 
 def _as_repeats_scatter(specimen: np.ndarray, tests: np.ndarray, measured: Measured) -> np.ndarray:
-    """The covariance (m, m) of a specimen with the variances along each test's principal
+    """The covariance (..., m, m) of a specimen with the variances along each test's principal
     directions as its repeats show them."""
-    change = np.eye(len(tests))
+    change = np.zeros(specimen.shape) + np.eye(len(tests))
     for test, scatter in measured.scatter.items():
         mine = np.flatnonzero(tests == test)
-        block = specimen[np.ix_(mine, mine)]
-        deviation = np.sqrt(np.diag(block))
-        values, axes = np.linalg.eigh(block / np.outer(deviation, deviation))
-        standard = scatter.products / np.outer(deviation, deviation)
-        observed = np.einsum("ij,ik,kj->j", axes, standard, axes) / np.maximum(values, SMALLEST)
+        block = specimen[..., mine[:, None], mine]
+        deviation = np.sqrt(np.diagonal(block, axis1=-2, axis2=-1))
+        values, axes = np.linalg.eigh(block / products(deviation))
+        standard = scatter.products / products(deviation)
+        along = np.einsum("...ij,...ik,...kj->...j", axes, standard, axes)
+        observed = along / np.maximum(values, SMALLEST)
         factor = (PRIOR_FREEDOM + observed) / (PRIOR_FREEDOM + scatter.freedom)
-        turned = (axes * np.sqrt(factor)) @ axes.T
-        change[np.ix_(mine, mine)] = deviation[:, None] * turned / deviation
-    return change @ specimen @ change.T
+        turned = (axes * np.sqrt(factor)[..., None, :]) @ np.swapaxes(axes, -1, -2)
+        change[..., mine[:, None], mine] = deviation[..., None] * turned / deviation[..., None, :]
+    return change @ specimen @ np.swapaxes(change, -1, -2)
+
+
+def _amplitudes(scattering: np.ndarray, fixed: np.ndarray, scatter: Scatter | None) -> tuple:
+    """`amplitude_of` each of many samples (..., m_t, m_t), shapes (...)."""
+    if scattering.ndim == 2:
+        return amplitude_of(scattering, fixed, scatter)
+    each = (None if scatter is None else Scatter(p, scatter.freedom) for p in
+            (scattering if scatter is None else scatter.products))  # fmt: skip
+    found = [amplitude_of(one, fixed, own) for one, own in zip(scattering, each, strict=True)]
+    return tuple(np.array(part) for part in zip(*found, strict=True))
 
 
 def amplitude_of(
@@ -189,8 +198,8 @@ def slope_error(
 
     Errors of slopes come from packings, so they are correlated as packings are.
     """
-    deviation = np.sqrt(np.maximum(np.diag(packing), 1e-300))
-    correlation = packing / np.outer(deviation, deviation)
+    deviation = np.sqrt(np.maximum(np.diagonal(packing, axis1=-2, axis2=-1), 1e-300))
+    correlation = packing / products(deviation)
     errors = description.base_errors
     return np.einsum("ip,p,jp->ij", errors, delta_variance, errors) * correlation
 

@@ -27,12 +27,12 @@ from scipy import linalg
 @dataclass(frozen=True, eq=False)
 class Projected:
     """operator (m, m): from a change of features to its projection; residual (m,); effects
-    (m, k); log_determinant of the marginal covariance Sigma + B P B'."""
+    (m, k); log_determinant of the marginal covariance Sigma + B P B'.  Axes before these: many."""
 
     operator: np.ndarray
     residual: np.ndarray
     effects: np.ndarray
-    log_determinant: float
+    log_determinant: float | np.ndarray
 
 
 def project(
@@ -44,21 +44,22 @@ def project(
 ) -> Projected:
     """Projects features off the base parameters.
 
-    residual (m,): measured minus simulated, plus B delta if the slopes are taken at a shift
-    delta of the base parameters; effect_slopes (m, k) per typical strength.
+    residual (..., m): measured minus simulated, plus B delta if the slopes are taken at a shift
+    delta of the base parameters; effect_slopes (m, k) per typical strength; covariance (..., m, m).
     """
     m, p = base_slopes.shape
     lower = np.linalg.cholesky(covariance)
     whitening = linalg.solve_triangular(lower, np.eye(m), lower=True)
-    stacked = np.vstack([whitening @ base_slopes, np.diag(1 / prior_sd)])
+    certain = np.broadcast_to(np.diag(1 / prior_sd), (*covariance.shape[:-2], p, p))
+    stacked = np.concatenate([whitening @ base_slopes, certain], axis=-2)
     full, upper = np.linalg.qr(stacked, mode="complete")
-    operator = full[:, p:].T[:, :m] @ whitening
-    log_determinant = 2 * float(
-        np.log(np.diag(lower)).sum()
-        + np.log(np.abs(np.diag(upper[:p]))).sum()
-        + np.log(prior_sd).sum()
+    operator = np.swapaxes(full[..., p:], -1, -2)[..., :m] @ whitening
+    own, of_base = (np.diagonal(part, axis1=-2, axis2=-1) for part in (lower, upper[..., :p, :]))
+    log_determinant = 2 * (
+        np.log(own).sum(axis=-1) + np.log(np.abs(of_base)).sum(axis=-1) + np.log(prior_sd).sum()
     )
-    return Projected(operator, operator @ residual, operator @ effect_slopes, log_determinant)
+    projected = np.matvec(operator, residual)
+    return Projected(operator, projected, operator @ effect_slopes, log_determinant)
 
 
 def fitted_shift(
@@ -101,8 +102,9 @@ def scores(design: Projected, effect_slopes: np.ndarray, covariance: np.ndarray)
 
 
 def lengths(effects: np.ndarray) -> np.ndarray:
-    """Lengths (k,) of projected effects; an invisible effect gets a tiny one, not zero."""
-    return np.maximum(np.linalg.norm(effects, axis=0), 1e-12)
+    """Lengths (..., k) of projected effects (..., m, k); an invisible one gets a tiny one, not
+    zero."""
+    return np.maximum(np.linalg.norm(effects, axis=-2), 1e-12)
 
 
 def confusability(effects: np.ndarray) -> np.ndarray:

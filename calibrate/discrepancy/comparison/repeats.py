@@ -29,7 +29,7 @@ class Measured:
 
     `specimens` (s, m) keeps the single ones, NaN where not measured, and weight (s,) how much
     each counts; no rows for targets.  With weights, `shared` is of as many specimens as would
-    make a mean as sure.
+    make a mean as sure.  With further axes before these it holds many samples of one plan.
     """
 
     features: tuple[Feature, ...]
@@ -42,11 +42,16 @@ class Measured:
     @property
     def counts(self) -> np.ndarray:
         """Number of repeats behind each mean, shape (m,)."""
-        return np.diag(self.shared)
+        return np.diagonal(self.shared, axis1=-2, axis2=-1)
+
+    @property
+    def plan(self) -> np.ndarray:
+        """Which specimen has which feature, shape (s, m)."""
+        return plan_of(self.specimens)
 
     def weights(self) -> np.ndarray:
         """Covariance of the mean over the covariance of a specimen, shape (m, m)."""
-        return self.shared / np.outer(self.counts, self.counts)
+        return self.shared / products(self.counts)
 
     def without(self, specimen: int) -> "Measured":
         """The same with one specimen left out; features left unmeasured keep their mean."""
@@ -61,29 +66,40 @@ def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Mea
     )
 
 
+def products(values: np.ndarray) -> np.ndarray:
+    """Products (..., m, m) of values (..., m) with each other."""
+    return values[..., :, None] * values[..., None, :]
+
+
+def plan_of(specimens: np.ndarray) -> np.ndarray:
+    """Which specimen (s, m) has which feature, of vectors (..., s, m), NaN where one has not."""
+    return np.isfinite(specimens[(0,) * (specimens.ndim - 2)])
+
+
 def from_vectors(
     features: Sequence[Feature], specimens: np.ndarray, weight: np.ndarray | None = None
 ) -> Measured:
-    """The sample of feature vectors (s, m); NaN where a specimen lacks a feature; weight (s,):
-    how much each counts, 1 if not given.
+    """The sample of feature vectors (..., s, m); NaN where a specimen lacks a feature; weight
+    (..., s): how much each counts, 1 if not given.  Axes before these: many samples of one plan.
 
     ValueError if a feature was never measured: use `measured_features` first.
     """
-    observed = np.isfinite(specimens)
+    observed = plan_of(specimens)
     missing = [f.name for i, f in enumerate(features) if not observed[:, i].any()]
     if missing:
         raise ValueError(f"never measured: {missing[0]}; drop it with measured_features")
-    weight = np.ones(len(specimens)) if weight is None else weight
-    heavy = weight[:, None] * observed
-    total, squares = heavy.sum(axis=0), heavy.T @ heavy
-    counts = total**2 / np.diag(squares)
-    mean = np.where(observed, heavy * specimens, 0.0).sum(axis=0) / total
+    weight = np.ones(specimens.shape[:-1]) if weight is None else weight
+    heavy = weight[..., None] * observed
+    total, squares = heavy.sum(axis=-2), np.swapaxes(heavy, -1, -2) @ heavy
+    counts = total**2 / np.diagonal(squares, axis1=-2, axis2=-1)
+    mean = np.where(observed, heavy * specimens, 0.0).sum(axis=-2) / total
+    tests = tests_of(features)
     scatter = {
         test: found
         for test in TESTS
-        if (found := _scatter(specimens[:, tests_of(features) == test], weight)) is not None
+        if (found := _scatter(specimens[..., tests == test], weight)) is not None
     }
-    shared = squares * np.outer(counts / total, counts / total)
+    shared = squares * products(counts / total)
     return Measured(tuple(features), mean, shared, scatter, specimens, weight)
 
 
@@ -116,10 +132,12 @@ def measured_features(
 
 
 def _scatter(values: np.ndarray, weight: np.ndarray) -> Scatter | None:
-    """Weighted scatter of the complete rows (s, m_t); None for fewer than two."""
-    complete = np.isfinite(values).all(axis=1)
-    rows, heavy = values[complete], weight[complete]
-    if len(rows) < 2 or not values.size:
+    """Weighted scatter of the complete rows (..., s, m_t); None for fewer than two."""
+    complete = plan_of(values).all(axis=1)
+    rows, heavy = values[..., complete, :], weight[..., complete]
+    if complete.sum() < 2 or not values.size:
         return None
-    centred = rows - heavy @ rows / heavy.sum()
-    return Scatter(centred.T @ (heavy[:, None] * centred), len(rows) - 1)
+    middle = np.vecmat(heavy, rows) / heavy.sum(axis=-1, keepdims=True)
+    centred = rows - middle[..., None, :]
+    weighted = heavy[..., None] * centred
+    return Scatter(np.swapaxes(centred, -1, -2) @ weighted, int(complete.sum()) - 1)

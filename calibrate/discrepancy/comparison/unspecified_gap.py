@@ -29,9 +29,9 @@ Factors = list[np.ndarray]
 
 
 def kernel_factors(features: Sequence[Feature], specimen: np.ndarray) -> Factors:
-    """Factors (m, r) of discrepancies of amplitude 1; specimen: covariance (m, m)."""
+    """Factors (..., m, r) of discrepancies of amplitude 1; specimen: covariance (..., m, m)."""
     tests = tests_of(features)
-    unit = np.sqrt(np.diag(specimen))[:, None]
+    unit = np.sqrt(np.diagonal(specimen, axis1=-2, axis2=-1))[..., None]
     present = list(dict.fromkeys(tests))
     masks = [np.ones(len(tests), bool)]
     if len(present) > 1:
@@ -49,13 +49,15 @@ def projected(factors: Factors, operator: np.ndarray) -> Factors:
 
 
 def kernel_scores(factors: Factors, residual: np.ndarray) -> np.ndarray:
-    """Standardised score (j,) of each amplitude at zero: locally most powerful for it."""
+    """Standardised score (..., j) of each amplitude at zero, of residuals (..., m): locally most
+    powerful for it."""
     found = []
     for factor in factors:
-        gram = factor.T @ factor
-        excess = ((factor.T @ residual) ** 2).sum() - np.trace(gram)
-        found.append(excess / np.sqrt(2 * max((gram**2).sum(), 1e-300)))
-    return np.array(found)
+        upright = np.swapaxes(factor, -1, -2)
+        gram, along = upright @ factor, np.matvec(upright, residual)
+        excess = (along**2).sum(axis=-1) - np.trace(gram, axis1=-2, axis2=-1)
+        found.append(excess / np.sqrt(2 * np.maximum((gram**2).sum(axis=(-2, -1)), 1e-300)))
+    return np.stack(found, axis=-1)
 
 
 def spectrum(factors: Factors, residual: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

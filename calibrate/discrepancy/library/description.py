@@ -9,6 +9,7 @@ emulator warps features: large forces scatter in proportion.  Features and stren
 lab's own size (`lab_size`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
@@ -19,19 +20,11 @@ from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library import other_law
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
-from calibrate.discrepancy.library.design import (
-    SETTINGS,
-    SHAPE,
-    SHAPE_COLUMNS,
-    SMOOTHING,
-    SPEEDS,
-)
+from calibrate.discrepancy.library.design import SHAPE_COLUMNS
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
-from calibrate.discrepancy.library.lab_size import LabSize
+from calibrate.discrepancy.library.lab_size import LabSize, SoilPrior
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
-from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
-from calibrate.io.soil import base_soil
 from calibrate.response.response import (
     FURTHER,
     BetweenLags,
@@ -43,26 +36,11 @@ from calibrate.response.response import (
 from jdem.effects.composite import EFFECTS
 from jdem.materials.conventions import DEFAULT
 
-# A soil has no roundings and finer grains; another simulator's bed may have roundings.  The pace is
-# known; its deviation is for what real grains lose otherwise than in dashpots.
-SETTING_PRIOR_MEAN = {"smoothing": SMOOTHING[0], "porosity": 0.0, "sphere_size": -0.3}
-SETTING_PRIOR_SD = {
-    "smoothing": 0.4, "porosity": 0.012, "pace": 0.05, "slenderness": 0.01, "stress": 0.01,
-    "sphere_size": 0.35,
-}  # fmt: skip
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
 DENSITY_SD = 0.004  # of density, where the lab does not say
 TWO_SIDED = ("platen_friction",)  # may be smoother than assumed, though its docstring says >= 0
-HELD_SD = 1e-3  # of ln p of what conventions hold
 CERTAIN = 10**9  # packings; the emulator states its errors itself
-
-
-@dataclass(frozen=True, eq=False)
-class SoilPrior:
-    """A lab's prior in the coordinates of a library: offset (p,) of its mean, prior_sd (p,)."""
-
-    offset: np.ndarray
-    prior_sd: np.ndarray
+Parts = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +178,7 @@ class LocalEmulator:
 
     `emulator_errors` are those that cross-validation adds to what the emulator states; recorded:
     half of what machines differ by (m,) as they record, between lags; free (m, q): directions in
-    which it may be wrong everywhere.
+    which it may be wrong everywhere; tared (m,): features that do not see strength number `offset`.
     """
 
     emulator: FeatureEmulator
@@ -208,23 +186,38 @@ class LocalEmulator:
     response: Response
     recorded: BetweenLags | None = None
     free: np.ndarray | None = None
+    offset: int = 0
+    tared: np.ndarray | None = None
 
     def __call__(
         self, delta: np.ndarray, strengths: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return linearised(self.response, delta, strengths)
+        if self.tared is None:
+            return linearised(self.response, delta, strengths)
+        values, base, effects = self._as_tared(
+            lambda at: linearised(self.response, delta, at), strengths
+        )
+        effects[np.flatnonzero(self.tared), self.offset] = 0.0
+        return values, base, effects
 
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         """Directions (m, q) in which the emulator may be wrong at a point."""
-        response, at = self.response, map(jnp.asarray, (delta, strengths))
-        with_all, blind = asked(response, self.recorded or response.recorded, *at)
-        found, tared = self._wrong(with_all), np.asarray(response.tared)
-        if tared.any() and (strengths[np.asarray(response.seen) == 0] != 0).any():
-            found = np.where(tared[:, None], self._wrong(blind), found)
+        (found,) = self._as_tared(lambda at: (self._wrong(delta, at),), strengths)
         return np.vstack([found, np.zeros((FURTHER, found.shape[1]))])
 
-    def _wrong(self, there: tuple) -> np.ndarray:
-        """The same where all features see the same strengths: given what `asked` finds there."""
+    def _as_tared(self, asked: Callable[[np.ndarray], Parts], strengths: np.ndarray) -> Parts:
+        """Arrays (m, ...) that are asked for at strengths (k,): rows of tared features, which do
+        not see the load cell's offset, as they are without it."""
+        found = tuple(map(np.array, asked(strengths)))
+        if self.tared is not None and strengths[self.offset]:
+            blind = np.where(np.arange(len(strengths)) == self.offset, 0.0, strengths)
+            rows = np.flatnonzero(self.tared)
+            for part, known in zip(found, asked(blind), strict=True):
+                part[rows] = known[rows]
+        return found
+
+    def _wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+        there = asked(self.response, self.recorded or self.response.recorded, delta, strengths)
         x, s, steepness, recorded = map(np.asarray, there)
         roots = self.emulator_errors.of_values(self.emulator, x, s)
         found = [steepness[:, None] * roots]
@@ -245,8 +238,7 @@ class LocalEmulator:
 
     def taring(self, offset: int, rows: np.ndarray) -> "LocalEmulator":
         """The same with features (a mask) that do not see the load cell's offset."""
-        seen = self.response.seen.at[offset].set(0.0)
-        return replace(self, response=replace(self.response, tared=jnp.asarray(rows), seen=seen))
+        return replace(self, offset=offset, tared=rows)
 
     def freed(self, columns: np.ndarray) -> "LocalEmulator":
         """The same with further directions (m, q) in which it may be wrong."""
@@ -264,54 +256,6 @@ class LocalEmulator:
         (p, k)."""
         moved = replace(self.response, factors=jnp.asarray(factors), faster=jnp.asarray(faster))
         return replace(self, response=moved)
-
-
-def soil_prior_of(
-    library: RunLibrary,
-    soil: dict[str, float],
-    pace: float,
-    soil_sd: dict[str, float] | None = None,
-    shape: np.ndarray | None = None,
-) -> SoilPrior:
-    """The prior about a soil (SI values by name) that is pressed at a pace, the platen's speed in
-    the mould over the library's fast one; soil_sd: deviations of ln p where they differ; shape (2,)
-    of the specimen over the library's, which is the usual one."""
-    design, given = library.design, soil_sd or {}
-    names = design.soil_names
-    offset = [np.log(soil[name] / design.centre[name]) for name in names]
-    spread = [given.get(name, design.soil_sd[name]) for name in names]
-    of_shape = dict(zip(SHAPE, np.zeros(len(SHAPE)) if shape is None else shape, strict=True))
-    mean = {**SETTING_PRIOR_MEAN, "pace": pace, **of_shape}
-    return SoilPrior(
-        np.array([*offset, *(mean[name] for name in SETTINGS)]),
-        np.array([*spread, *(SETTING_PRIOR_SD[name] for name in SETTINGS)]),
-    )
-
-
-def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
-    """The prior about a lab's own starting soil, with the deviations that it states, at the speed
-    of its test in the mould and in the shape of its specimen."""
-    soil, names = base_soil(lab), library.design.soil_names
-    stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
-    values = {name: float(getattr(soil, name)) for name in names}
-    pace = _pace(lab)
-    held = dict.fromkeys(HELD.get(lab.particles.conventions, ()), HELD_SD)
-    of_soil = {n: s for n, s in {**stated, **held}.items() if n in names}
-    return soil_prior_of(library, values, pace, of_soil, LabSize.of(lab, library).shape)
-
-
-def _pace(lab: Lab) -> float:
-    """The platen's speed in the mould over the library's fast one; faster ones are refused."""
-    test = lab.pair().compression
-    if test.speed > SPEEDS[0]:
-        field = "rate" if test.pressed_at is None else "pressed_at"
-        raise InputError(
-            lab.file,
-            f"{test.called}.{field}",
-            f"{1e3 * test.speed:g} mm/s is faster than any run of the library, {1e3 * SPEEDS[0]:g}",
-            "test more slowly; what dashpots carry at this speed is not known here",
-        )
-    return test.speed / SPEEDS[0]
 
 
 def describe(

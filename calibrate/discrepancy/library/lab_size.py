@@ -1,4 +1,4 @@
-"""A lab's own size beside the library's: how one is turned into the other.
+"""A lab's own size beside the library's, how one is turned into the other, and a lab's prior.
 
 Quasi-static tests on specimens of one shape depend on strain and stress alone.  So what the library
 knows of its own cylinder holds for a lab's in proportion: displacements as diameters, forces as
@@ -13,13 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS
+from calibrate.discrepancy.library.design import (
+    SETTINGS,
+    SHAPE,
+    SHAPE_COLUMNS,
+    SMOOTHING,
+    SPEEDS,
+)
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil
 from calibrate.labtests.diagnosis.base import Curves, Feature
 from calibrate.labtests.diagnosis.curves import TESTS
 from jdem.effects.composite import EFFECTS
 
+# A soil has no roundings and finer grains; another simulator's bed may have roundings.  The pace is
+# known; its deviation is for what real grains lose otherwise than in dashpots.
+SETTING_PRIOR_MEAN = {"smoothing": SMOOTHING[0], "porosity": 0.0, "sphere_size": -0.3}
+SETTING_PRIOR_SD = {
+    "smoothing": 0.4, "porosity": 0.012, "pace": 0.05, "slenderness": 0.01, "stress": 0.01,
+    "sphere_size": 0.35,
+}  # fmt: skip
+HELD_SD = 1e-3  # of ln p of what conventions hold
 SHAPE_TOLERANCE = 0.12  # of height over diameter and of the largest stress, beyond all runs
 RAISED_BY_TIME = {"acquisition_lag": TESTS[0], "load_cell_drift": TESTS[1]}  # where each counts
 
@@ -112,3 +128,59 @@ def _in_words(axis: int, cylinder: Cylinder) -> float:
     area = np.pi / 4 * cylinder.diameter**2
     both = (cylinder.height / cylinder.diameter, 1e-3 * cylinder.force_high / area)
     return both[axis]
+
+
+@dataclass(frozen=True, eq=False)
+class SoilPrior:
+    """A lab's prior in the coordinates of a library: offset (p,) of its mean, prior_sd (p,)."""
+
+    offset: np.ndarray
+    prior_sd: np.ndarray
+
+
+def soil_prior_of(
+    library: RunLibrary,
+    soil: dict[str, float],
+    pace: float,
+    soil_sd: dict[str, float] | None = None,
+    shape: np.ndarray | None = None,
+) -> SoilPrior:
+    """The prior about a soil (SI values by name) that is pressed at a pace, the platen's speed in
+    the mould over the library's fast one; soil_sd: deviations of ln p where they differ; shape (2,)
+    of the specimen over the library's, which is the usual one."""
+    design, given = library.design, soil_sd or {}
+    names = design.soil_names
+    offset = [np.log(soil[name] / design.centre[name]) for name in names]
+    spread = [given.get(name, design.soil_sd[name]) for name in names]
+    of_shape = dict(zip(SHAPE, np.zeros(len(SHAPE)) if shape is None else shape, strict=True))
+    mean = {**SETTING_PRIOR_MEAN, "pace": pace, **of_shape}
+    return SoilPrior(
+        np.array([*offset, *(mean[name] for name in SETTINGS)]),
+        np.array([*spread, *(SETTING_PRIOR_SD[name] for name in SETTINGS)]),
+    )
+
+
+def soil_prior_for(lab: Lab, library: RunLibrary) -> SoilPrior:
+    """The prior about a lab's own starting soil, with the deviations that it states, at the speed
+    of its test in the mould and in the shape of its specimen."""
+    soil, names = base_soil(lab), library.design.soil_names
+    stated = {n: c.prior_sd for n, c in lab.parameters.items() if c.prior_sd is not None}
+    values = {name: float(getattr(soil, name)) for name in names}
+    pace = _pace(lab)
+    held = dict.fromkeys(HELD.get(lab.particles.conventions, ()), HELD_SD)
+    of_soil = {n: s for n, s in {**stated, **held}.items() if n in names}
+    return soil_prior_of(library, values, pace, of_soil, LabSize.of(lab, library).shape)
+
+
+def _pace(lab: Lab) -> float:
+    """The platen's speed in the mould over the library's fast one; faster ones are refused."""
+    test = lab.pair().compression
+    if test.speed > SPEEDS[0]:
+        field = "rate" if test.pressed_at is None else "pressed_at"
+        raise InputError(
+            lab.file,
+            f"{test.called}.{field}",
+            f"{1e3 * test.speed:g} mm/s is faster than any run of the library, {1e3 * SPEEDS[0]:g}",
+            "test more slowly; what dashpots carry at this speed is not known here",
+        )
+    return test.speed / SPEEDS[0]

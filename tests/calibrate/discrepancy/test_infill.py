@@ -19,8 +19,9 @@ from calibrate.discrepancy.infill import (
     scattered_about,
     with_infill_runs,
 )
-from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import POROSITIES, SPEEDS
+from calibrate.discrepancy.library.lab_size import soil_prior_for
 from calibrate.io.lab import load_lab
 from tests.support import toy_library
 

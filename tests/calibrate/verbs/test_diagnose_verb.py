@@ -22,7 +22,8 @@ from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNO
 from calibrate.discrepancy.comparison.reduction import Reduction
 from calibrate.discrepancy.comparison.verdict import how_far
 from calibrate.discrepancy.diagnosis import beyond_library
-from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.description import EmulatedLibrary
+from calibrate.discrepancy.library.lab_size import soil_prior_for
 from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.figures import misfit
 from calibrate.io.lab import load_lab

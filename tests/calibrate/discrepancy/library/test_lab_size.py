@@ -13,7 +13,7 @@ import pytest
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.diagnosis import described, diagnosed
 from calibrate.discrepancy.library import store
-from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import (
     FIRST_SHAPED,
     HEIGHTS,
@@ -23,7 +23,7 @@ from calibrate.discrepancy.library.design import (
     STRESSES,
     Design,
 )
-from calibrate.discrepancy.library.lab_size import LabSize
+from calibrate.discrepancy.library.lab_size import LabSize, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, features_of
 from calibrate.discrepancy.library.simulate import run_shaped, shaped
 from calibrate.io.lab import Lab, bundled_lab, load_lab

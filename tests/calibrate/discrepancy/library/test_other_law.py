@@ -11,8 +11,9 @@ from calibrate.cli import main
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import other_law, store
-from calibrate.discrepancy.library.description import HELD_SD, EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.lab_size import HELD_SD, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.io.lab import bundled_lab, load_lab
 from studies.sealed.labels import EffectChange

@@ -24,7 +24,7 @@ from calibrate.discrepancy.library.cross_validation import (
     dropped_split,
     fold_of,
 )
-from calibrate.discrepancy.library.description import EmulatedLibrary, soil_prior_for
+from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import (
     ACTIVE,
     AGAIN,
@@ -51,6 +51,7 @@ from calibrate.discrepancy.library.emulator import (
     spread,
 )
 from calibrate.discrepancy.library.kernel import PACE, Blocks
+from calibrate.discrepancy.library.lab_size import soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
 from calibrate.io.lab import bundled_lab, load_lab
