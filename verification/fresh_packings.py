@@ -84,7 +84,7 @@ def markdown(found: list[dict], origin: dict) -> str:
         ]
         for row in found
     ]
-    head = "# Verification\n\nFits at the preset standard, on packings that took no part.\n\n"
+    head = "# Fresh packings\n\nFits at the preset standard, on packings that took no part.\n\n"
     return head + reporting.table(HEADER, cells) + reporting.footer(origin)
 
 
@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     chosen = parser.parse_args()
     folder = reporting.kept("fresh_packings").resolve()
-    found = list(reporting.earlier("verification", "rows"))
+    found = list(reporting.earlier("fresh_packings", "rows"))
     for soil in chosen.soils:
         for seed in chosen.seeds:
             found = [row for row in found if (row["soil"], row["seed"]) != (soil, seed)]
@@ -104,7 +104,7 @@ def main() -> None:
             )
             origin = reporting.provenance()
             content = {**origin, "rows": found}
-            reporting.write("verification", content, markdown(found, origin))
+            reporting.write("fresh_packings", content, markdown(found, origin))
 
 
 if __name__ == "__main__":
