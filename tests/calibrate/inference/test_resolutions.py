@@ -1,9 +1,12 @@
 """Fits across resolutions: ratios in closed form, and a soil of formulas at two sizes of spheres.
 
-The small beds press deeper and are weaker, by a ratio that the soil changes.
+The small beds press deeper and are weaker, by a ratio that the soil changes.  The last part takes
+slopes from derivatives through forty spheres that are pressed in the mould, and compares them with
+differences of runs.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +21,14 @@ from calibrate.inference.calibration import (
 from calibrate.inference.evaluation import Calibration, packing_scatter
 from calibrate.inference.fit import descend, fit
 from calibrate.inference.parameters import space
-from calibrate.inference.problem import Problem
+from calibrate.inference.problem import Problem, pose
 from calibrate.inference.resolutions import Coarse, Correction, corrected, disagreement, pooled
+from calibrate.inference.traced import FirstOrder
+from calibrate.io.lab import Lab, bundled_lab, load_lab
+from calibrate.io.soil import base_soil
 from calibrate.labtests.features import ScalarTarget
+from calibrate.simulation import Campaign
+from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
 from calibrate.simulation.specimens import Seeds
 from tests.support.formulas import BASE, LAB, Formulas, shift
 
@@ -197,3 +205,59 @@ def test_a_ratio_without_error_never_disagrees():
     problem = Problem(FEATURES, np.ones(2), np.ones(2), np.zeros(2, int))
     unknown = Correction(np.array([1.0, 2.0]), np.full(2, np.inf))
     assert disagreement(problem, Correction.none(2), unknown) == []
+
+
+FREE = ("shear_modulus",)
+QUICK = replace(PRESETS["quick"], spheres=40)
+TARGETS = '[tests.targets]\ndepression_depth = { mean = "3 mm", scatter = "0.1 mm", repeats = 4 }\n'
+
+
+def laboratory(folder: Path) -> Lab:
+    """The bundled soil, in a lab that presses it in the mould and does nothing else."""
+    bundled = load_lab(bundled_lab())
+    soil = base_soil(bundled)
+    values = "".join(
+        f"{name} = {float(getattr(soil, name))!r}\n"
+        for name, choice in bundled.parameters.items()
+        if choice.value is not None
+    )
+    density = ", ".join(f'"{value} kg/m^3"' for value in bundled.density_kg_m3)
+    path = folder / "lab.toml"
+    path.write_text(
+        f'[soil]\nname = "pressed"\ndensity = [{density}]\n'
+        '[specimen]\ndiameter = "50 mm"\nheight = "50 mm"\n'
+        '[[tests]]\ntype = "confined"\nrate = "8 mm/s"\nforce_low = "25 N"\n'
+        f'force_high = "50 N"\n{TARGETS}'
+        '[particles]\npoisson_ratio = 0.3\nreference_diameter = "80 um"\n'
+        f"[parameters]\n{values}"
+    )
+    return load_lab(path)
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """The lab and its simulations."""
+    folder = tmp_path_factory.mktemp("pressed")
+    lab = laboratory(folder)
+    return lab, Campaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), folder)
+
+
+@pytest.mark.thorough
+@pytest.mark.slow
+def test_slopes_of_a_bed_are_those_of_its_response_and_are_kept(pressed):
+    lab, work = pressed
+    free, problem, seeds = space(lab, FREE), pose(lab), (0,)
+    first = FirstOrder(work, free)
+    found = first.slopes(problem, free.start(), seeds, "slopes")
+    soils = [[free.soil(free.start() * factor)] for factor in np.exp([0.2, -0.2])]
+    up, down = (problem.simulated(row) for row in work.each(soils, seeds, "differences"))
+    difference = ((up - down) / 0.4)[0]
+    assert difference[0] < -0.3
+    np.testing.assert_allclose(np.asarray(found.slopes)[:, 0], difference, rtol=0.15)
+
+    def refused(*_):
+        raise AssertionError("a derivative that is kept was taken again")
+
+    first._program = refused
+    again = first.slopes(problem, free.start(), seeds, "slopes")
+    np.testing.assert_array_equal(np.asarray(again.slopes), np.asarray(found.slopes))
