@@ -22,6 +22,8 @@ from .verbs.fit import FitResult as FitResult
 from .verbs.fit import fit as fit
 from .verbs.next import NextTestResult as NextTestResult
 from .verbs.next import next_test as next_test
+from .verbs.posterior import PosteriorResult as PosteriorResult
+from .verbs.posterior import posterior as posterior
 from .verbs.report import ReportResult as ReportResult
 from .verbs.report import report as report
 from .verbs.simulate import SimulationResult as SimulationResult

@@ -21,6 +21,9 @@ FIGURES: dict[str, dict[str, str]] = {
         "fit": "fit:fit_figure",
         "misfit": "misfit:misfit_figure",
     },
+    "posterior": {
+        "posterior": "posterior:posterior_figure",
+    },
     "contact": {
         "contact": "fit:contact_figure",
     },

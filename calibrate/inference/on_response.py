@@ -8,7 +8,7 @@ correct it by the ratio of both features (`calibrate.inference.resolutions`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -179,17 +179,29 @@ def _shown(beds: Beds, soil: SoilParameters):
 
 
 @dataclass(frozen=True, eq=False)
+class Reach:
+    """Where a response knows soils: ln p of its parameters `names` from low to high, each (q,);
+    sd (q,): distances in ln p over which what it shows, and its errors, change."""
+
+    names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    sd: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class OnResponse(AbstractCoarse):
     """A response of beds as large as those that decide.  At a soil, `specimens` gives deviations
     (n, l) of single packings from the mean features of its beds, `errors` those (n, l) of its own,
     one deviation each, and `slope_errors` those (n, l, q) of the slopes of features per unit of
-    ln p, p being the parameters of the beds."""
+    ln p, p being the parameters of the beds; `reach` is where it knows soils."""
 
     campaign: ResponseCampaign
     specimens: Callable[[SoilParameters], np.ndarray]
     errors: Callable[[SoilParameters], np.ndarray]
     slope_errors: Callable[[SoilParameters], np.ndarray]
     spheres: int
+    reach: Reach = field(default_factory=lambda: Reach((), *3 * (np.zeros(0),)))
     near: ClassVar[bool] = True
 
     @property
@@ -224,7 +236,12 @@ class OnResponse(AbstractCoarse):
 
     def error(self, problem: Problem, soil: SoilParameters) -> np.ndarray:
         """Its own deviation of each feature (m,) at a soil."""
-        return np.sqrt((self._deviating(problem, soil, self.errors)[1] ** 2).sum(axis=0))
+        return np.sqrt((self.error_rows(problem, soil)[1] ** 2).sum(axis=0))
+
+    def error_rows(self, problem: Problem, soil: SoilParameters) -> tuple[np.ndarray, np.ndarray]:
+        """Features (m,) at a soil, and its own deviations of them (n, m), independent rows of one
+        deviation each."""
+        return self._deviating(problem, soil, self.errors)
 
     def sensitivity(self, space: Space, read: Callable) -> Sensitivity:
         """Numbers that `read` takes of observables and curves, at the space's base soil, their

@@ -8,6 +8,7 @@ VERBS = {  # the name that is typed, which is that of the file: the function, in
     "check": "check",
     "simulate": "simulate",
     "fit": "fit",
+    "posterior": "posterior",
     "contact": "contact",
     "audit": "audit",
     "doe": "doe",

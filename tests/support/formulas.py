@@ -8,12 +8,15 @@ import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.progress import Silent
+from calibrate.inference.on_response import OnResponse, Reach, ResponseCampaign
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
+from calibrate.labtests.diagnosis.curves import TARGETS
 from calibrate.simulation import Campaign
 from calibrate.simulation.executors import Here
 from calibrate.simulation.resolution import PRESETS, Preset, virtual_lab
@@ -26,6 +29,7 @@ from jdem.packing.specimen import Packing
 
 LAB = load_lab(bundled_lab())
 BASE = base_soil(LAB)
+NAMES = ("shear_modulus", "surface_energy")
 QUALITY = {  # what a sound run of 150 spheres reports of itself (that of the bundled soil, rounded)
     "inertial_number": 9e-4,
     "overflow": 0.0,
@@ -185,3 +189,57 @@ def in_place_of_spheres(monkeypatch) -> None:
     monkeypatch.setattr(Here, "warm_up", lambda place, lab, packing, soil, say: None)
     monkeypatch.setattr(Here, "simulate", simulate)
     monkeypatch.setattr(Here, "prepare", prepare)
+
+
+# ------------------------------------------------------------------ a response of formulas
+
+
+class FormulaBeds(eqx.Module):
+    """`formulas.shape` without the luck of packings, in JAX."""
+
+    names: tuple[str, ...] = eqx.field(static=True, default=NAMES)
+
+    def values(self, soil):
+        def shift(name):
+            return jnp.log(getattr(soil, name) / getattr(BASE, name))
+
+        stiff, plastic, adhesion, friction = map(
+            shift, ("shear_modulus", "plasticity_ratio", "surface_energy", "static_friction")
+        )
+        shifts = [
+            -0.8 * stiff + 0.3 * plastic,
+            0.4 * friction,
+            0.6 * adhesion + 0.2 * friction + 0.1 * adhesion**2,
+            -0.3 * stiff,
+        ]
+        return jnp.array([6.0, 0.7, 200.0, 1.0]) * jnp.exp(jnp.stack(shifts))
+
+    def shown(self, values):
+        depth, exponent, strength, scale = values
+        force = jnp.linspace(0, 400, 201)
+        confined = jnp.column_stack([depth * (force / 400) ** exponent, force])
+        observables = depth * (1 - 0.5**exponent), strength * -jnp.expm1(-12 / scale)
+        return dict(zip(TARGETS, observables, strict=True)), {"confined": confined}
+
+
+def response_campaign(beyond=lambda soil: ()):
+    return ResponseCampaign(FormulaBeds(), beyond, Path(), Silent(), ())
+
+
+def on_response(spread=(0.03, 0.02, 0.05, 0.03), **options):
+    """Packings deviate by these shares of the four values."""
+    luck = np.random.default_rng(0).normal(size=(40, 4)) * spread
+
+    def specimens(soil):
+        return luck * np.asarray(FormulaBeds().values(soil))
+
+    def errors(soil):
+        return np.diag(0.01 * np.asarray(FormulaBeds().values(soil)))
+
+    def slope_errors(soil):  # of the strength alone, with the second of NAMES: 0.02 of it
+        return np.zeros((1, 4, 2)) + np.outer([0, 0, 4.0, 0], [0, 1])
+
+    centre, sd = np.log([float(getattr(BASE, name)) for name in NAMES]), np.full(2, 0.4)
+    reach = Reach(NAMES, centre - 1.0, centre + 1.0, sd)
+    work = response_campaign(**options)
+    return OnResponse(work, specimens, errors, slope_errors, 2000, reach)

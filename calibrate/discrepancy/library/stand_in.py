@@ -15,7 +15,7 @@ from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import FURTHEST, POROSITIES, SETTINGS, SHAPE, SOIL, SPEEDS
 from calibrate.discrepancy.library.run_library import RunLibrary
 from calibrate.discrepancy.library.store import bundled_library, load
-from calibrate.inference.on_response import OnResponse, ResponseCampaign
+from calibrate.inference.on_response import OnResponse, Reach, ResponseCampaign
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
@@ -110,19 +110,31 @@ def stands_in(
         carried = steep(x)[:, None] * emulated.emulator.basis.carried
         return carried.T[:, :, None] * sd[:, None, :]
 
-    campaign = ResponseCampaign(beds, too_far, work.folder, work.progress, work.apparatus)
-    return OnResponse(campaign, specimens, errors, slope_errors, preset.spheres)
+    campaign = ResponseCampaign(beds.holding(), too_far, work.folder, work.progress, work.apparatus)
+    low, high = reach(library)
+    known = Reach(design.soil_names, centre + low, centre + high, _sd(library))
+    return OnResponse(campaign, specimens, errors, slope_errors, preset.spheres, known)
 
 
 def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
     """Soil parameters, at ln p of `offset` (q,) from the library's centre, that lie clearly farther
     from it than its runs, of its design or added about a lab."""
-    sd = np.array([*library.design.soil_sd.values()])
-    away = offset / sd
-    runs = np.sort(library.base[:, : len(sd)] / sd * np.sign(away), axis=0)
-    reach = np.maximum(runs[-min(CARRYING, len(runs))], FURTHEST) + EDGE
-    names = library.design.soil_names
-    return tuple(n for n, by in zip(names, np.abs(away) > reach, strict=True) if by)
+    low, high = reach(library)
+    beyond = (offset < low) | (offset > high)
+    return tuple(n for n, by in zip(library.design.soil_names, beyond, strict=True) if by)
+
+
+def reach(library: RunLibrary) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest ln p over the library's centre (q,), each, to which its runs carry."""
+    sd = _sd(library)
+    runs = np.sort(library.base[:, : len(sd)] / sd, axis=0)
+    last = min(CARRYING, len(runs))
+    high = np.maximum(runs[-last], FURTHEST) + EDGE
+    return sd * (np.minimum(runs[last - 1], -FURTHEST) - EDGE), sd * high
+
+
+def _sd(library: RunLibrary) -> np.ndarray:
+    return np.array([*library.design.soil_sd.values()])
 
 
 def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float]:

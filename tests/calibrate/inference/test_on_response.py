@@ -8,7 +8,6 @@ import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +22,7 @@ from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.evaluation import Calibration
 from calibrate.inference.on_response import (
     FeaturesOfBeds,
-    OnResponse,
     Residual,
-    ResponseCampaign,
     slopes_of,
     solved,
 )
@@ -38,61 +35,13 @@ from calibrate.labtests.features import DisplacementOnLoading, ScalarTarget
 from calibrate.labtests.reading import Zero
 from calibrate.response.beds import Beds
 from calibrate.simulation.resolution import PRESETS
-from tests.support.formulas import BASE, LAB, Formulas
+from tests.support.formulas import BASE, LAB, NAMES, FormulaBeds, Formulas, on_response
+from tests.support.formulas import response_campaign as campaign
 from tests.support.toy_library import library
 
-NAMES = ("shear_modulus", "surface_energy")
 TARGETS_ONLY = (ScalarTarget(TARGETS[0], "mm", ""), ScalarTarget(TARGETS[1], "N", ""))
 RISE = DisplacementOnLoading("displacement at 300 N", "mm", "confined", 300.0, Zero(100.0))
 SEEDS = range(4)
-
-
-class FormulaBeds(eqx.Module):
-    """`formulas.shape` without the luck of packings, in JAX."""
-
-    names: tuple[str, ...] = eqx.field(static=True, default=NAMES)
-
-    def values(self, soil):
-        def shift(name):
-            return jnp.log(getattr(soil, name) / getattr(BASE, name))
-
-        stiff, plastic, adhesion, friction = map(
-            shift, ("shear_modulus", "plasticity_ratio", "surface_energy", "static_friction")
-        )
-        shifts = [
-            -0.8 * stiff + 0.3 * plastic,
-            0.4 * friction,
-            0.6 * adhesion + 0.2 * friction + 0.1 * adhesion**2,
-            -0.3 * stiff,
-        ]
-        return jnp.array([6.0, 0.7, 200.0, 1.0]) * jnp.exp(jnp.stack(shifts))
-
-    def shown(self, values):
-        depth, exponent, strength, scale = values
-        force = jnp.linspace(0, 400, 201)
-        confined = jnp.column_stack([depth * (force / 400) ** exponent, force])
-        observables = depth * (1 - 0.5**exponent), strength * -jnp.expm1(-12 / scale)
-        return dict(zip(TARGETS, observables, strict=True)), {"confined": confined}
-
-
-def campaign(beyond=lambda soil: ()):
-    return ResponseCampaign(FormulaBeds(), beyond, Path(), Silent(), ())
-
-
-def on_response(spread=(0.03, 0.02, 0.05, 0.03), **options):
-    """Packings deviate by these shares of the four values."""
-    luck = np.random.default_rng(0).normal(size=(40, 4)) * spread
-
-    def specimens(soil):
-        return luck * np.asarray(FormulaBeds().values(soil))
-
-    def errors(soil):
-        return np.diag(0.01 * np.asarray(FormulaBeds().values(soil)))
-
-    def slope_errors(soil):  # of the strength alone, with the second of NAMES: 0.02 of it
-        return np.zeros((1, 4, 2)) + np.outer([0, 0, 4.0, 0], [0, 1])
-
-    return OnResponse(campaign(**options), specimens, errors, slope_errors, 2000)
 
 
 def case(work, features=TARGETS_ONLY, truth=(1.5, 0.6), names=NAMES, measured=None):

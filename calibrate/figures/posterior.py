@@ -1,0 +1,118 @@
+"""The figure of a posterior: parameters before and after the tests, pairs, and curves of soils."""
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
+
+from calibrate.figures.panels import Look, compression
+from calibrate.figures.style import DARK, MIDDLE, pretty
+from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.records.base import Curve, Measured
+
+PAIRED = 4  # parameters that are shown in pairs, at most
+POINTS = 400  # of a cloud
+BINS = 24
+SOILS = Look("soils of the posterior", DARK, "-", "o")
+SHOWN = {"Pa": (1e-6, "MPa"), "J/m^2": (1.0, "J/m²"), "": (1.0, "-")}  # units on axes
+
+
+def posterior_figure(
+    posterior: Mapping[str, np.ndarray],
+    prior: Mapping[str, np.ndarray],
+    curves: Mapping[str, Sequence[Curve]],
+    measured: Measured,
+) -> Figure:
+    """Pairs of the parameters that the tests narrow most, prior in grey and posterior in black;
+    above, curves that soils of the posterior show on average over packings, with what was
+    measured.
+
+    posterior and prior are draws (n,) by parameter, SI; curves are by test.
+    """
+    names = narrowed(posterior, prior)
+    count = max(len(names), 2)
+    figure = plt.figure(figsize=(2.7 * count, 3.4 + 2.4 * count), layout="constrained")
+    parts = figure.subfigures(2, 1, height_ratios=[3.4, 2.4 * count], squeeze=False)
+    above, below = parts[:, 0]
+    tests = above.subplots(1, len(measured.tests), squeeze=False)[0]
+    for axis, test in zip(tests, measured.tests, strict=True):
+        compression(axis, test, [(SOILS, curves.get(test, []))], measured)
+        axis.set(xlim=(0, None), ylim=(0, None))
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=7, frameon=False)
+    axes = below.subplots(len(names), len(names), squeeze=False)
+    for row, name in enumerate(names):
+        for column, other in enumerate(names):
+            axis = axes[row, column]
+            if column > row:
+                axis.set_axis_off()
+            elif column == row:
+                _alone(axis, prior[name], posterior[name], name)
+            else:
+                _pair(axis, prior, posterior, other, name)
+            _labelled(axis, name, other, row == len(names) - 1, column == 0 and row > 0)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    below.legend(handles, labels, loc="upper right", frameon=False, fontsize=8)
+    return figure
+
+
+def narrowed(posterior: Mapping[str, np.ndarray], prior: Mapping[str, np.ndarray]) -> list[str]:
+    """The parameters that the tests tell most of, alone or with others, in their usual order: those
+    that weigh in the directions that became narrowest."""
+    names = list(posterior)
+    spread = np.array([np.log(prior[name]).std() for name in names])
+    logs = np.stack([np.log(posterior[name]) for name in names], axis=1) / spread
+    width, axes = np.linalg.eigh(np.atleast_2d(np.cov(logs.T)))
+    told = (axes**2 * np.maximum(-np.log(np.maximum(width, 1e-12)), 0.0)).sum(axis=1)
+    chosen = np.argsort(-told)[:PAIRED]
+    return [name for i, name in enumerate(names) if i in chosen]
+
+
+def _scaled(name: str, values: np.ndarray) -> np.ndarray:
+    return SHOWN.get(PARAMETER_UNITS[name], (1.0, ""))[0] * values
+
+
+def _alone(axis: Axes, prior: np.ndarray, posterior: np.ndarray, name: str) -> None:
+    """Both distributions of one parameter."""
+    before, after = _scaled(name, prior), _scaled(name, posterior)
+    low, high = np.quantile(np.concatenate([before, after]), [0.002, 0.998])
+    bins = np.geomspace(low, high, BINS + 1)
+    axis.hist(before, bins, density=True, color="0.8", label="before the tests (prior)")
+    axis.hist(
+        after, bins, density=True, histtype="step", color=DARK, lw=1.6,
+        label="after the tests (posterior)",
+    )  # fmt: skip
+    for end in np.quantile(after, [0.05, 0.95]):
+        axis.axvline(end, color=MIDDLE, ls="--", lw=1, label="90 % of draws")
+    axis.set(xscale="log", yticks=[])
+
+
+def _pair(axis: Axes, prior, posterior, across: str, up: str) -> None:
+    """Draws of two parameters."""
+    for draws, look in (
+        (prior, {"color": "0.8", "s": 5}),
+        (posterior, {"color": DARK, "s": 3, "alpha": 0.6}),
+    ):
+        step = max(1, len(draws[across]) // POINTS)
+        axis.scatter(
+            _scaled(across, draws[across][::step]), _scaled(up, draws[up][::step]), lw=0, **look
+        )
+    axis.set(xscale="log", yscale="log")
+
+
+def _labelled(axis: Axes, row: str, column: str, below: bool, left: bool) -> None:
+    """Names with units at the outer axes, few ticks on all."""
+    for wanted, name, set_label, ticks in (
+        (below, column, axis.set_xlabel, axis.xaxis),
+        (left, row, axis.set_ylabel, axis.yaxis),
+    ):
+        if wanted:
+            unit = SHOWN.get(PARAMETER_UNITS[name], (1.0, PARAMETER_UNITS[name]))[1]
+            set_label(f"{pretty(name)} ({unit})", fontsize=8)
+        ticks.set_major_locator(MaxNLocator(3))
+        ticks.set_minor_locator(NullLocator())
+        ticks.set_major_formatter(FormatStrFormatter("%.3g"))
+        ticks.set_tick_params(labelsize=7)

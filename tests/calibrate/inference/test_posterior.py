@@ -1,0 +1,296 @@
+"""Posteriors on a response of formulas: density, sampler, what runs add, the file, resumption."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from calibrate.core.errors import CalibrationError, InputError
+from calibrate.core.progress import Silent
+from calibrate.inference import draws as files
+from calibrate.inference.draws import described, inference_data, read_draws, write_draws
+from calibrate.inference.parameters import RANGES
+from calibrate.inference.posterior import Question, Shown, within_reach
+from calibrate.inference.sampling import (
+    Plan,
+    Sampled,
+    further_points,
+    mixing,
+    sample,
+    sampled,
+    values_of,
+)
+from calibrate.io.lab import ParameterChoice
+from calibrate.simulation.specimens import Seeds
+from tests.support.formulas import BASE, LAB, NAMES, Formulas, on_response
+
+SEEDS = Seeds.of(0, 4, 4)
+PLAN = Plan(chains=4, warm_up=100, draws=400, most=1200, chunk=50)
+SHORT = replace(PLAN, draws=100, most=100)  # compiled as the other
+MEASURED = {"depression_depth_mm": 1.7, "crushing_force_n": 160.0}
+
+
+def lab(**choices):
+    """Targets of a soil that is stiffer and weaker than the start, known to some per cent."""
+    targets = {
+        name: replace(target, mean=MEASURED[name], scatter=0.06 * MEASURED[name], repeats=4)
+        for name, target in LAB.targets.items()
+    }
+    return replace(LAB, targets=targets, parameters={**LAB.parameters, **choices})
+
+
+def question(**choices):
+    return Question.of(lab(**choices), BASE, on_response(), Formulas(), SEEDS)
+
+
+@pytest.fixture(scope="module")
+def asked():
+    return question()
+
+
+@pytest.fixture(scope="module")
+def density(asked):
+    return asked.density(asked.own_error(), [])
+
+
+def at(asked, *shifts):
+    """y of a soil whose ln p are shifted from the start."""
+    return jnp.asarray(asked.space.to_unbounded(asked.space.start() * np.exp(shifts)))
+
+
+# ------------------------------------------------------------------ the density
+
+
+def test_the_density_s_gradient_is_jax_s_and_that_of_differences(asked, density):
+    y = at(asked, 0.3, -0.2)
+    found, step = eqx.filter_jit(jax.grad(lambda d, y: d(y), 1))(density, y), 1e-5
+    for column, way in enumerate(np.eye(2)):
+        apart = density(y + step * way) - density(y - step * way)
+        assert found[column] == pytest.approx(float(apart) / (2 * step), rel=1e-6)
+
+
+def test_the_density_is_that_of_normals_in_ln_p(asked, density):
+    """One per cent of each of the response's values is its own error: depth is one of them."""
+    y = at(asked, 0.3, -0.2)
+    values = asked.space.start() * np.exp([0.3, -0.2])
+    mean, own = density.shown(jnp.asarray(values))
+    expected = asked.response.features(asked.problem, asked.space.soil(values), [0], "")[0]
+    assert np.asarray(mean) == pytest.approx(expected)
+    deviation = asked.response.error(asked.problem, asked.space.soil(values))
+    assert np.sqrt(np.diag(own)) == pytest.approx(deviation, rel=0.03)
+    total = asked.problem.target_variance + np.diag(own)
+    known = norm.logpdf(asked.problem.measured, expected, np.sqrt(total)).sum()
+    known += norm.logpdf([0.3, -0.2], 0, asked.space.prior_sd()).sum()
+    known += np.log(asked.space.log_slope(np.asarray(y))).sum()
+    constant = np.log(2 * np.pi) * 2 + np.log(asked.space.prior_sd()).sum()
+    assert float(density(y)) == pytest.approx(known + constant, abs=1e-4)
+
+
+def test_bounds_end_where_the_response_does(asked):
+    start = asked.space.start()
+    assert asked.space.bounds() == pytest.approx(np.outer(start, np.exp([-1, 1])))
+    of_fits = [RANGES[name] for name in NAMES]
+    ends = np.log([[each.low, each.high] for each in of_fits] / start[:, None])
+    assert [each.prior_sd for each in of_fits] == [1.0, 1.0]
+    assert asked.share == pytest.approx((2 * norm.cdf(1) - 1) / np.diff(norm.cdf(ends))[:, 0])
+
+
+def test_what_the_lab_holds_is_held():
+    held = ParameterChoice(None, None, None, None, False)
+    assert question(surface_energy=held).space.names == ("shear_modulus",)
+
+
+def test_no_mass_inside_the_bounds_is_one_sentence(asked):
+    far = 10 * asked.space.start()[0]
+    (first, second), reach = asked.space.ranges, asked.response.reach
+    narrow = replace(asked.space, ranges=(replace(first, low=far, high=2 * far), second))
+    with pytest.raises(CalibrationError, match="no mass inside the bounds: shear_modulus"):
+        within_reach(narrow, reach)
+
+
+# ------------------------------------------------------------------ what runs add
+
+
+def shown_at(asked, shifts, packings, ratio):
+    """Runs that give a ratio of what the response shows."""
+    values = asked.space.start() * np.exp(shifts)
+    features = asked.response.features(asked.problem, asked.space.soil(values), [0], "")
+    return Shown(values, packings, np.tile(ratio * features[0], (len(packings), 1)))
+
+
+def test_many_runs_correct_the_response_where_they_are_and_not_far_off(asked):
+    error = asked.own_error()
+    many = shown_at(asked, [0.1, 0.1], tuple(range(4000)), np.array([1.01, 0.99]))
+    density = asked.density(error, [many])
+    plain, (near, own) = asked.density(error, []), density.shown(jnp.asarray(many.values))
+    before, unsure = plain.shown(jnp.asarray(many.values))
+    assert np.asarray(near / before) == pytest.approx([1.01, 0.99], abs=2e-3)
+    assert np.all(np.diag(own) < 0.05 * np.diag(unsure))
+    far = jnp.asarray(asked.space.bounds()[:, 0])
+    rate = np.asarray(density.shown(far)[0] / plain.shown(far)[0])
+    assert np.all(np.abs(rate - 1) < 0.004)
+
+
+def test_one_packing_corrects_by_the_part_that_is_not_its_own_luck(asked):
+    """The mean is the ratio times e^2/(e^2 + scatter^2), and so much of the variance goes."""
+    error = asked.own_error()
+    one = shown_at(asked, [0.0, 0.0], (0,), np.exp([0.02, 0.02]))
+    values = jnp.asarray(one.values)
+    plain, found = (asked.density(error, runs).shown(values) for runs in ([], [one]))
+    own = np.diag(plain[1]) / np.asarray(plain[0]) ** 2
+    part = own / (own + np.diag(asked.scatter))
+    assert np.log(np.asarray(found[0] / plain[0])) == pytest.approx(0.02 * part, rel=1e-3)
+    left = np.diag(found[1]) / np.asarray(found[0]) ** 2
+    assert left == pytest.approx(own * (1 - part), rel=1e-3)
+
+
+def test_points_that_share_packings_share_their_luck(asked):
+    error = asked.own_error()
+    first = shown_at(asked, [0.0, 0.0], (0, 1), np.ones(2))
+    again, other = (shown_at(asked, [0.01, 0.0], p, np.ones(2)) for p in ((0, 1), (2, 3)))
+    variance = [
+        np.diag(asked.density(error, [first, second]).shown(jnp.asarray(first.values))[1])
+        for second in (again, other)
+    ]
+    assert np.all(variance[0] > variance[1])
+
+
+def test_runs_are_asked_for_where_they_narrow_and_only_as_many_as_it_takes(asked):
+    error = asked.own_error()
+    values = np.exp(asked.prior.rvs((400, 2), np.random.default_rng(0)))
+    sure = replace(asked, problem=replace(asked.problem, target_variance=1e-6 * MEASURES**2))
+    points = further_points(sure, error, [], values, 3)
+    assert 1 <= len(points) <= 3
+    assert len({packings for _, packings in points}) == min(len(points), 2)  # they take turns
+    loose = replace(asked, problem=replace(asked.problem, target_variance=MEASURES**2))
+    assert further_points(loose, error, [], values, 3) == []
+
+
+MEASURES = np.array([*MEASURED.values()])
+
+
+# ------------------------------------------------------------------ draws
+
+
+@pytest.fixture(scope="module")
+def drawn(asked, density, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("draws")
+    found = sample(density, asked.best(), {}, 0, folder, Silent(), PLAN)
+    return Sampled(density, found, (), 0)
+
+
+def test_draws_are_those_of_brute_force(asked, density, drawn):
+    """Means, deviations and correlation of ln p beside a grid of the density."""
+    (centre, covariance), step = asked.best(), np.linspace(-6, 6, 241)
+    sides = centre[:, None] + np.sqrt(np.diag(covariance))[:, None] * step
+    grid = jnp.asarray(np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2))
+    logs = np.log(np.asarray(density.values(grid)))
+    weight = np.exp(np.asarray(jax.lax.map(density, grid, batch_size=4096)))
+    weight /= weight.sum()
+    mean = weight @ logs
+    spread = np.sqrt(weight @ (logs - mean) ** 2)
+    found = np.log(values_of(density, drawn.draws.y)).reshape(-1, 2)
+    assert np.all(np.abs(found.mean(axis=0) - mean) < 0.1 * spread)
+    assert found.std(axis=0) == pytest.approx(spread, rel=0.08)
+    for row in range(2):
+        order = np.argsort(logs[:, row])
+        ends = np.interp([0.05, 0.95], np.cumsum(weight[order]), logs[order, row])
+        inside = np.mean((found[:, row] > ends[0]) & (found[:, row] < ends[1]))
+        assert inside == pytest.approx(0.9, abs=0.03)
+
+
+def test_chains_mix_and_say_so_by_arviz(drawn):
+    rhat, ess = mixing(drawn.draws.y)
+    assert np.all(rhat < 1.01) and np.all(ess > 400)
+    apart = drawn.draws.y + np.arange(4)[:, None, None]  # four chains in four places
+    assert np.all(mixing(apart)[0] > 1.2)
+
+
+def test_the_file_gives_back_soils_and_groups_of_arviz(asked, drawn, tmp_path):
+    tree = inference_data(asked, drawn, 0, {"preset": "standard"})
+    write_draws(tree, tmp_path)
+    found = read_draws(tmp_path)
+    groups = {
+        "posterior",
+        "prior",
+        "posterior_predictive",
+        "observed_data",
+        "sample_stats",
+        "curves",
+    }
+    assert set(found.tree.children) == groups and found.names == NAMES
+    values = values_of(drawn.density, drawn.draws.y).reshape(-1, 2)
+    assert found.values == pytest.approx(values)
+    soil = found.soil(7)
+    assert [float(getattr(soil, n)) for n in NAMES] == pytest.approx(values[7])
+    assert float(soil.rolling_friction) == float(BASE.rolling_friction)
+    assert len(list(found.some(5))) == 5
+    said = described(asked, drawn, tree, [])
+    row = said["parameters"]["shear_modulus"]
+    assert row["low"] < row["median"] < row["high"] and row["rhat"] < 1.01 < row["ess"]
+    assert said["features"]["depression_depth_mm"]["met"] and said["divergences"] == 0
+
+
+def test_draws_of_another_physics_version_are_refused(asked, drawn, tmp_path, monkeypatch):
+    write_draws(inference_data(asked, drawn, 0, {}), tmp_path)
+    monkeypatch.setattr(files, "PHYSICS", files.PHYSICS + 1)
+    with pytest.raises(InputError, match="draws of another physics version"):
+        read_draws(tmp_path)
+
+
+def test_a_file_that_is_none_is_one_sentence(tmp_path):
+    with pytest.raises(InputError, match="there is no such file"):
+        read_draws(tmp_path)
+    (tmp_path / files.FILE).write_bytes(b"nothing")
+    with pytest.raises(InputError, match="not draws of a posterior"):
+        read_draws(tmp_path)
+
+
+def test_chains_that_do_not_mix_are_named(asked, drawn):
+    apart = drawn.draws._replace(y=drawn.draws.y + np.arange(4)[:, None, None] * [1.0, 0.0],
+                                 diverging=np.ones_like(drawn.draws.diverging))  # fmt: skip
+    found = replace(drawn, draws=apart)
+    said = described(asked, found, inference_data(asked, found, 0, {}), [])["warnings"]
+    assert any("the chains have not mixed: shear_modulus" in sentence for sentence in said)
+    assert any("trajectories diverged" in sentence for sentence in said)
+
+
+def test_what_no_soil_shows_is_said(asked, density, tmp_path):
+    """A force twice as large as any soil of the response has."""
+    far = replace(asked, problem=replace(asked.problem, measured=MEASURES * [1, 5.0]))
+    found = sampled(far, [], None, {}, 0, tmp_path, Silent(), PLAN)
+    said = described(far, found, inference_data(far, found, 0, {}), [])["warnings"]
+    assert any("crushing_force_n is 800" in sentence for sentence in said)
+    assert any("draws of surface_energy gather" in sentence for sentence in said)
+    assert any("shear_modulus" in sentence and "left out" in sentence for sentence in said)
+
+
+# ------------------------------------------------------------------ resumption
+
+
+def test_a_sampler_that_goes_on_draws_the_same(asked, density, tmp_path):
+    def drawn(folder):
+        return sample(density, asked.best(), {}, 3, folder, Silent(), SHORT)
+
+    whole = drawn(tmp_path / "a")
+    kept = sorted((tmp_path / "a/draws").iterdir())
+    assert len(kept) == 4
+    for count in range(4):
+        for path in sorted((tmp_path / "a/draws").iterdir())[count:]:
+            path.unlink()
+        again = drawn(tmp_path / "a")
+        assert all(np.array_equal(a, b) for a, b in zip(whole, again, strict=True))
+    kept[2].write_bytes(kept[2].read_bytes()[:1000])  # damaged
+    again = drawn(tmp_path / "a")
+    assert np.array_equal(whole.y, again.y)
+
+
+def test_other_data_or_seeds_draw_anew(asked, density, tmp_path):
+    start = asked.best()
+    for number, (content, seed) in enumerate([({}, 0), ({"a": 1}, 0), ({}, 1)]):
+        sample(density, start, content, seed, tmp_path, Silent(), SHORT)
+        assert len(list((tmp_path / "draws").iterdir())) == 4 * (number + 1)
