@@ -33,13 +33,12 @@ from calibrate.discrepancy.comparison.next_test import (
     updated,
 )
 from calibrate.discrepancy.comparison.noise import packing_covariance
-from calibrate.discrepancy.comparison.outliers import robust, scatter_of
 from calibrate.discrepancy.comparison.probability_calibration import (
     ProbabilityCalibration,
     bundled_calibration,
 )
 from calibrate.discrepancy.comparison.reduction import Reduction
-from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.repeats import Measured, robust, scatter_of
 from calibrate.discrepancy.comparison.verdict import as_json
 from calibrate.discrepancy.library.description import (
     DENSITY_SD,
@@ -165,6 +164,7 @@ def diagnosed(
     further: Sequence[Lab] = (),
 ) -> Diagnosis:
     """The whole diagnosis of one lab; `further`: lab files of further tests."""
+    emulated.for_lab(lab).emulator.factors.begin()
     say("reading curves, fitting the base model")
     found, d, measured = described(lab, emulated, seed, discrepancy)
     say("simulating null distributions")

@@ -87,12 +87,10 @@ def _nearness(a, b, height=0.0):
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One component's process: kernel, weights (n,), upper Cholesky factor (n, n), whose transpose
-    LAPACK takes as it lies in memory, and what it leaves of the rows (n,)."""
+    """One component's process: kernel, weights (n,), and what it leaves of the rows (n,)."""
 
     kernel: Kernel
     weights: np.ndarray
-    upper: np.ndarray
     left: np.ndarray
 
 
@@ -126,7 +124,7 @@ class Means(eqx.Module):
         height = 2 * every.curved[:, None] - 0.5 * near @ (np.hstack([x, s]) ** 2).T
         local_height = -0.5 * np.exp(-2 * every.local_length) @ (x**2).T
         parts = (x, s, weights, every, straight, height, local_height)
-        return Means(*jax.tree.map(jnp.asarray, parts))
+        return Means(*jax.device_put(parts))
 
     @property
     def parts(self) -> tuple:

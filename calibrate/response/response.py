@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy.interpolate import PchipInterpolator
 
+from calibrate.core.kept import kept
 from calibrate.response.machine import Machine
 from calibrate.response.process import SoilResponse
 
@@ -48,11 +49,11 @@ class BetweenLags(eqx.Module):
     def of(rows: np.ndarray) -> "BetweenLags":
         if len(rows) == 1:
             rows = np.repeat(rows, len(LAGS), axis=0)
-        return BetweenLags(jnp.asarray(PchipInterpolator(LAGS, rows).c))
+        return BetweenLags(jax.device_put(PchipInterpolator(LAGS, rows).c))
 
     def slope(self, lag: float) -> np.ndarray:
         """Of the rows (m,) with the lag."""
-        return np.asarray(_slope(self, lag))
+        return np.asarray(_slope(self, np.float64(lag)))
 
     def __call__(self, lag: Array) -> Array:
         lags = jnp.array(LAGS)
@@ -61,7 +62,7 @@ class BetweenLags(eqx.Module):
         return jnp.polyval(self.cubics[:, at], within - lags[at])
 
 
-@jax.jit
+@kept
 def _slope(between: BetweenLags, lag: Array) -> Array:
     return jax.jacfwd(between)(lag)
 
@@ -103,13 +104,12 @@ class Response(eqx.Module):
         """Of a soil and a machine alone: nothing is recorded or tared."""
         m, k = len(units), len(strength)
         p = len(offset) + (0 if discrepancy is None else discrepancy.directions.shape[1])
-        parts = offset, spread, strength, squared, units
-        return Response(
-            soil, *map(jnp.asarray, parts), shape=shape, machine=machine,
-            typical=jnp.asarray(typical), discrepancy=discrepancy,
-            recorded=BetweenLags.of(np.zeros((1, m))), lag=jnp.zeros(k),
-            further=jnp.zeros((FURTHER, k)), factors=jnp.ones(k), faster=jnp.zeros((p, k)),
-        )  # fmt: skip
+        return jax.device_put(Response(
+            soil, offset, spread, strength, squared, units, shape=shape, machine=machine,
+            typical=typical, discrepancy=discrepancy,
+            recorded=BetweenLags.of(np.zeros((1, m))), lag=np.zeros(k),
+            further=np.zeros((FURTHER, k)), factors=np.ones(k), faster=np.zeros((p, k)),
+        ))  # fmt: skip
 
     def __call__(self, delta: Array, strengths: Array) -> Array:
         delta, strengths = self.moved(delta, strengths)
@@ -143,7 +143,7 @@ class Response(eqx.Module):
         return self.units * values + self.recorded(self.lag @ strengths)
 
 
-@jax.jit
+@kept
 def _linearised(response: Callable[[Array, Array], Array], delta: Array, strengths: Array):
     def twice(*at: Array):
         return (found := response(*at)), found
@@ -160,7 +160,7 @@ def linearised(
     return values, base, effects
 
 
-@jax.jit
+@kept
 def asked(response: Response, recorded: BetweenLags, delta: Array, strengths: Array):
     """Where the soil is asked, scaled (p,), (k,); what a warped feature's error does to the
     features (m,); half of what machines differ by (m,)."""

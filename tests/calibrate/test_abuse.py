@@ -20,6 +20,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from calibrate.core import kept
 from calibrate.core.errors import InputError
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.labfile import PARAMETER_RANGES
@@ -32,6 +33,7 @@ from jdem.materials.soil import SoilParameters, particle_law
 from tests import ROOT
 from tests.support import malformed
 from tests.support.formulas import BASE, TINY, tiny_campaign, tiny_lab
+from tests.support.toy_library import library
 from tests.support.toy_place import Toy
 
 pytestmark = pytest.mark.thorough
@@ -264,3 +266,74 @@ def test_the_rule_catches(source):
 
 def test_the_rule_lets_pass():
     assert not list(offences("np.load(f, allow_pickle=False)\njax.eval_shape(f)\nre.compile(x)"))
+
+
+# ---------------------------------------------------------------- what is kept between starts
+
+
+@pytest.fixture
+def cache(tmp_path):
+    """An empty folder of compiled and kept programs."""
+    name, before = "jax_compilation_cache_dir", jax.config.jax_compilation_cache_dir
+    jax.config.update(name, str(tmp_path))
+    yield tmp_path
+    jax.config.update(name, before)
+
+
+def spoil(file: Path) -> None:
+    """Another last byte."""
+    data = file.read_bytes()
+    file.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+
+
+@pytest.mark.parametrize("spoilt", [lambda file: None, spoil, lambda file: file.write_bytes(b"")])
+def test_a_program_is_traced_at_the_first_start_and_where_its_file_is_spoilt(cache, spoilt):
+    pytest.importorskip(kept.FORMAT)
+    traced = []
+
+    def squares(tree, power):
+        traced.append(power)
+        return tree["x"] ** power, tree["y"]
+
+    given = {"x": np.arange(3.0), "y": np.ones(2)}
+    first = kept.kept(squares)(given, 2)
+    assert traced == [2] and np.asarray(first[0]).tolist() == [0.0, 1.0, 4.0]
+    (file,) = cache.glob("kept-program-*")
+    whole = file.read_bytes()
+    spoilt(file)
+    intact = file.read_bytes() == whole
+    again = kept.kept(squares)(given, 2)
+    assert traced == ([2] if intact else [2, 2])
+    assert kept.kept(squares)(given, 2) and len(traced) == (1 if intact else 2)  # mended
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert np.asarray(kept.kept(squares)(given, 3)[0]).tolist() == [0.0, 1.0, 8.0]
+    assert kept.kept(squares)({**given, "x": np.arange(2.0)}, 2)[0].shape == (2,)
+    assert len(list(cache.glob("kept-program-*"))) == 3  # one for each power and shape
+
+
+def test_arrays_are_worked_out_again_where_their_file_is_spoilt_or_inputs_differ(cache):
+    made = []
+
+    def doubled(of: float) -> np.ndarray:
+        return kept.arrays(
+            "doubled", [np.array(of)], lambda: made.append(of) or 2 * np.ones(2) * of
+        )
+
+    assert doubled(1.0).tolist() == doubled(1.0).tolist() == [2.0, 2.0] and made == [1.0]
+    spoil(next(cache.glob("kept-doubled-*")))
+    assert doubled(1.0).tolist() == [2.0, 2.0] and made == [1.0, 1.0]
+    assert doubled(3.0).tolist() == [6.0, 6.0] and made == [1.0, 1.0, 3.0]
+    jax.config.update("jax_compilation_cache_dir", str(cache / "file"))
+    (cache / "file").write_text("no folder")
+    assert doubled(1.0).tolist() == [2.0, 2.0]  # nothing can be kept there
+
+
+def test_weights_of_a_library_that_are_kept_are_those_that_are_worked_out(cache):
+    first, kept_ones = (library().emulator(again=True) for _ in range(2))
+    alone = library().emulator()
+    assert len(list(cache.glob("kept-weights-*"))) == 1
+    at = np.zeros(first.x.shape[1]), np.full(first.s.shape[1], 0.1)
+    for one in (first, kept_ones):
+        for part, known in zip(one.components, alone.components, strict=True):
+            assert part.weights == pytest.approx(known.weights, rel=1e-12)
+        assert one.variances(*at) == pytest.approx(alone.variances(*at), rel=1e-12)

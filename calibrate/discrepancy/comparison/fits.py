@@ -5,12 +5,13 @@ that moves it, since an emulator knows least where an effect is strong.  A fit i
 noise where it ends, not where it came from.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
+from calibrate.core.progress import Silent
 from calibrate.discrepancy.comparison.evidence import Evidence
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise, estimate
@@ -24,6 +25,7 @@ from calibrate.discrepancy.comparison.refit import (
     weighed,
 )
 from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.simulation import side_by_side
 
 REFITTED = 3  # leading effects whose pairs are refitted
 BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
@@ -76,7 +78,12 @@ def all_fits(
     fitter = _Fitter(d, measured, noise, inflation)
     order = [int(k) for k in np.argsort(-first.singles)]
     alone = order if d.emulator is not None else order[:REFITTED]
-    fits: Fits = {(k,): fitter.likeliest((k,), _starts(d, base, k), [base]) for k in alone}
+
+    def single(number: int) -> Refit:
+        k = alone[number]
+        return fitter.likeliest((k,), _starts(d, base, k), [base])
+
+    fits: Fits = {(k,): fit for k, fit in zip(alone, _each(single, len(alone)), strict=True)}
     lead = sorted(alone, key=lambda k: fits[(k,)].objective)[:REFITTED]
     chosen = [(i, j) for n, i in enumerate(lead) for j in lead[n + 1 :]]
     if lead:
@@ -84,11 +91,19 @@ def all_fits(
     if len(first.pairs):
         i, j = first.pair_index[int(np.argmax(first.pairs))]
         chosen.append((int(i), int(j)))
-    pairs = dict.fromkeys((min(key), max(key)) for key in chosen)
-    for key in pairs:
-        parts = [base, *(fits[(k,)] for k in key if (k,) in fits)]
-        fits[key] = fitter.likeliest(key, [(fit.delta, fit.strengths) for fit in parts], parts)
-    return fits
+    pairs = list(dict.fromkeys((min(key), max(key)) for key in chosen))
+
+    def pair(number: int) -> Refit:
+        parts = [base, *(fits[(k,)] for k in pairs[number] if (k,) in fits)]
+        starts = [(fit.delta, fit.strengths) for fit in parts]
+        return fitter.likeliest(pairs[number], starts, parts)
+
+    return fits | dict(zip(pairs, _each(pair, len(pairs)), strict=True))
+
+
+def _each(fitted: Callable[[int], Refit], count: int) -> list[Refit]:
+    """So many fits, in threads: most of the time they wait for the description's values."""
+    return side_by_side(fitted, count, Silent(), "")
 
 
 def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:

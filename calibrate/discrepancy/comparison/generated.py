@@ -15,9 +15,8 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import PRIOR_SD_LN_AMPLITUDE
-from calibrate.discrepancy.comparison.outliers import robust, scatter_of
 from calibrate.discrepancy.comparison.projection import lengths, project
-from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
+from calibrate.discrepancy.comparison.repeats import Measured, from_vectors, robust, scatter_of
 from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
 from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 

@@ -12,7 +12,7 @@ lab's own size (`lab_size`).
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from calibrate.core.errors import InputError
@@ -72,7 +72,7 @@ class EmulatedLibrary:
         """That of its rows, made when it is first asked: a lab that follows other conventions never
         does."""
         if not self._emulators:
-            self._emulators.append(self.library.emulator())
+            self._emulators.append(self.library.emulator(again=True))
         return self._emulators[0]
 
     def for_lab(self, lab: Lab) -> "EmulatedLibrary":
@@ -159,10 +159,11 @@ class EmulatedLibrary:
             names = np.array(design.effect_names)
             typical = (np.array(machine.told)[:, None] == names) * design.typical()
         first, last = np.arange(len(design.base_names))[SHAPE_COLUMNS].tolist()
-        known = None if discrepancy is None else Discrepancy(
-            jnp.asarray(discrepancy.mean), jnp.asarray(discrepancy.directions),
-            jnp.asarray(self.emulator.scale),
-        )  # fmt: skip
+        known = (
+            None
+            if discrepancy is None
+            else Discrepancy(discrepancy.mean, discrepancy.directions, self.emulator.scale)
+        )
         response = Response.plain(
             self.emulator.response, soil_prior.offset, design.spread(),
             design.typical() / limits(design), library.squared, self.units, (first, last), machine,
@@ -231,9 +232,9 @@ class LocalEmulator:
         self, shifts: BetweenLags, either: BetweenLags, lag: int | None, turn: np.ndarray
     ) -> "LocalEmulator":
         """The same of values as a machine records them, one way or the other, and turns (m, q)."""
-        none = jnp.zeros_like(self.response.lag)
-        of_lag = none if lag is None else none.at[lag].set(1.0)
-        response = replace(self.response, recorded=shifts, lag=of_lag)
+        of_lag = np.zeros(len(self.response.lag))
+        of_lag[[] if lag is None else [lag]] = 1.0
+        response = replace(self.response, recorded=shifts, lag=jax.device_put(of_lag))
         return replace(self, response=response, recorded=either, free=turn)
 
     def taring(self, offset: int, rows: np.ndarray) -> "LocalEmulator":
@@ -248,14 +249,16 @@ class LocalEmulator:
     def longer(self, rows: np.ndarray) -> "LocalEmulator":
         """The same with further features that depend on effects alone, linearly: rows (q, k), at
         most FURTHER."""
-        further = self.response.further.at[: len(rows)].set(rows)
-        return replace(self, response=replace(self.response, further=further))
+        further = np.array(self.response.further)
+        further[: len(rows)] = rows
+        longer = replace(self.response, further=jax.device_put(further))
+        return replace(self, response=longer)
 
     def under(self, factors: np.ndarray, faster: np.ndarray) -> "LocalEmulator":
         """The same under a condition: factors (k,) on strengths, and what these add to delta
         (p, k)."""
-        moved = replace(self.response, factors=jnp.asarray(factors), faster=jnp.asarray(faster))
-        return replace(self, response=moved)
+        factors, faster = jax.device_put((factors, faster))
+        return replace(self, response=replace(self.response, factors=factors, faster=faster))
 
 
 def describe(
@@ -271,13 +274,13 @@ def describe(
     Sensor terms are left at zero for the caller to add.
     """
     d = _rough(emulated, soil_prior, discrepancy)
-    d = _local(emulated, d, np.zeros(d.base_slopes.shape[1]), density_sd, soil_prior)
+    delta = np.zeros(d.base_slopes.shape[1])
+    d = _local(emulated, d, delta, density_sd, soil_prior)
     for _ in range(2):  # scatter depends on the fit, the fit on scatter
         few = d.only_features(chosen)
-        covariance = first_covariance(few)
-        fit = refit(few, measured, covariance)
-        d = _local(emulated, d, fit.delta, density_sd, soil_prior)
-    return d.only_features(chosen)
+        delta = refit(few, measured, first_covariance(few)).delta
+        d = _local(emulated, d, delta, density_sd, soil_prior)
+    return replace(d, wrong=d.wrong_at(delta, np.zeros(len(d.effects)))).only_features(chosen)
 
 
 def _rough(
@@ -323,7 +326,6 @@ def _local(
         d, mean=values - base @ delta, base_slopes=base, effect_slopes=effects,
         packing_residuals=emulated.specimens(scaled) * steep,
         extra=_scatter(d, base, effects, density_sd, typical),
-        wrong=d.wrong_at(delta, none),
     )  # fmt: skip
 
 

@@ -11,18 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 
 from calibrate.core.errors import CalibrationError
+from calibrate.core.kept import arrays, kept
 from calibrate.core.progress import Silent
-from calibrate.discrepancy.library.kernel import Pairs, fit_kernel, scatter_of_pairs
-from calibrate.response.process import (
-    Component,
-    Kernel,
-    Means,
-    SoilResponse,
-    covariance,
-)
+from calibrate.discrepancy.library.kernel import Factors, Pairs, RowCovariance, fit_kernel
+from calibrate.response.process import Component, Kernel, Means, SoilResponse
 from calibrate.response.response import linearised
 from calibrate.simulation import side_by_side
 
@@ -31,7 +26,6 @@ LEAST_SCATTER = 1e-6  # of a feature's variance
 ROUND_OFF = 1e-12
 MOST_ROWS = 1100  # from which hyperparameters are estimated
 POINTS_KEPT = 256  # at which variances are kept
-BLOCK = 256  # rows of which covariances are worked out at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +85,8 @@ class FeatureEmulator:
     """Features (m,) and slopes at any point of a library.
 
     x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
-    residuals (n, m) are what is left of the warped simulated features, as large as at x = 0.
+    residuals (n, m) are what is left of the warped simulated features, as large as at x = 0;
+    factors are those of the rows' covariances, which variances need and means do not.
     `always` are strengths of the last columns of s, which nobody asks for: s of a point is without
     them.
     """
@@ -102,6 +97,7 @@ class FeatureEmulator:
     basis: Basis
     components: tuple[Component, ...]
     residuals: np.ndarray
+    factors: Factors
     always: tuple[float, ...] = ()
 
     def __call__(self, x: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -117,11 +113,11 @@ class FeatureEmulator:
     @cached_property
     def response(self) -> SoilResponse:
         """The same as a function that JAX differentiates."""
-        return SoilResponse(
-            Means.of(self.components, self.x, self.s), jnp.asarray(self.basis.mean),
-            jnp.asarray(self.basis.carried), jnp.asarray(self.scale * self._mean_over_median),
-            jnp.array(self.always, float),
+        parts = (
+            self.basis.mean, self.basis.carried, self.scale * self._mean_over_median,
+            np.array(self.always, float),
         )  # fmt: skip
+        return SoilResponse(Means.of(self.components, self.x, self.s), *jax.device_put(parts))
 
     def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
@@ -182,8 +178,7 @@ class FeatureEmulator:
         def at(x: bytes, s: bytes) -> np.ndarray:
             point = np.frombuffer(x), np.append(np.frombuffer(s), self.always)
             known, own = map(np.asarray, _covariances_with(self.response, *point))
-            white = [_whitened(c, cov) for c, cov in zip(self.components, known, strict=True)]
-            found = np.maximum(own - (np.array(white) ** 2).sum(axis=1), 0.0)
+            found = np.maximum(own - (self._whitened(known) ** 2).sum(axis=1), 0.0)
             found.flags.writeable = False
             return found
 
@@ -191,10 +186,16 @@ class FeatureEmulator:
 
     def slope_variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variances (c, p) of the standardised components' slopes with x, at a point."""
-        point = jnp.asarray(x), jnp.append(jnp.asarray(s), jnp.array(self.always))
+        point = x, np.append(s, self.always)
         known, own = map(np.asarray, _covariances_of_slopes(self.response, *point))
-        white = [_whitened(c, cov) for c, cov in zip(self.components, known, strict=True)]
-        return np.maximum(np.einsum("cpp->cp", own) - (np.array(white) ** 2).sum(axis=1), 0.0)
+        told = (self._whitened(known) ** 2).sum(axis=1)
+        return np.maximum(np.einsum("cpp->cp", own) - told, 0.0)
+
+    def _whitened(self, known: np.ndarray) -> np.ndarray:
+        """Covariances (c, n, ...) with the runs in units of what these scatter by."""
+        each = [solve_triangular(self.factors[c], one, lower=True, check_finite=False)
+                for c, one in enumerate(known)]  # fmt: skip
+        return np.array(each)
 
     def __getstate__(self) -> dict:
         """Without the kept points, so that it goes to other processes."""
@@ -213,17 +214,17 @@ def _along(soil: SoilResponse, x, s, direction):
     return jax.lax.map(one, (x, s))
 
 
-@jax.jit
+@kept
 def _of_components(soil: SoilResponse, x, s):
     return soil.components(x, s)
 
 
-@jax.jit
+@kept
 def _warped(soil: SoilResponse, x, s):
     return soil.warped(x, s)
 
 
-@jax.jit
+@kept
 def _steepness(soil: SoilResponse, x, s):
     return soil.steepness(x, s)
 
@@ -232,10 +233,12 @@ def fit_emulator(
     x: np.ndarray, s: np.ndarray, packing: np.ndarray, features: np.ndarray, scale: np.ndarray,
     kernels: Sequence[Kernel] | None = None, basis: Basis | None = None,
     noise: np.ndarray | None = None, most_rows: int = MOST_ROWS, always: tuple[float, ...] = (),
+    again: bool = False,
 ) -> FeatureEmulator:  # fmt: skip
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
     components already known are kept, others estimated from about `most_rows`.  noise (n, c):
-    factors on the variance that rows scatter with in each component; `always` as its own."""
+    factors on the variance that rows scatter with in each component; `always` as its own;
+    again: it is made at other starts as well, so that its weights are kept (`kept.arrays`)."""
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
@@ -244,26 +247,19 @@ def fit_emulator(
         lambda c: fit_kernel(x[few], s[few], packing[few], scores[few, c]),
         scores.shape[1], Silent(), "", compiles=True,
     )  # fmt: skip
-    factors = np.ones_like(scores) if noise is None else noise
-    at, pairs = (jnp.asarray(x), jnp.asarray(s)), Pairs.of(x, packing)
-
-    def component(c: int) -> Component:
-        factor = np.sqrt(factors[pairs.row, c] * factors[pairs.other, c])
-        shared = np.asarray(_scatter_of_pairs(kernels[c], at[0], pairs)) * factor
-        total = np.empty((len(x), len(x)), order="F")
-        for rows in _blocks_of_rows(len(x)):
-            total[:, rows] = np.asarray(_covariance(kernels[c], at, x[rows], s[rows])).T
-        total[pairs.row, pairs.other] += shared
-        lower = cholesky(total, lower=True, overwrite_a=True, check_finite=False)
-        weights = cho_solve((lower, True), scores[:, c], check_finite=False)
-        left = np.bincount(pairs.row, shared * weights[pairs.other])
-        return Component(kernels[c], weights, lower.T, left)
-
-    parts = side_by_side(component, len(kernels), Silent(), "", compiles=True)
+    noise = np.ones_like(scores) if noise is None else noise
+    pairs = Pairs.of(x, packing)
+    rows = [RowCovariance(k, x, s, pairs, noise[:, c]) for c, k in enumerate(kernels)]
+    factors = Factors(rows)
+    weights = arrays(
+        "weights", (x, s, packing, scores, noise, *(part for k in kernels for part in k)),
+        lambda: factors.solved(scores), again,
+    )  # fmt: skip
+    parts = [Component(k, w, row.left(w)) for k, w, row in zip(kernels, weights, rows, strict=True)]
     left = np.array([_as_large_as_stated(c.kernel, c.left, x) for c in parts])
     dropped = _at_centre(warped - basis.mean - scores @ basis.carried.T, x)
     residuals = dropped + left.T @ basis.carried.T
-    return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals, always)
+    return FeatureEmulator(x, s, scale, basis, tuple(parts), residuals, factors, always)
 
 
 def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -295,33 +291,11 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
     return np.isin(packing, kept)
 
 
-_scatter_of_pairs = jax.jit(scatter_of_pairs)
-
-
-@jax.jit
-def _covariance(kernel: Kernel, points, x, s) -> Array:
-    """Covariance (l, n) between points (l, p), (l, k) and those of a library."""
-    return covariance(kernel, x, s, *points)
-
-
-def _blocks_of_rows(count: int) -> list[slice]:
-    """Rows in blocks of one size, the last of which may overlap: temporary arrays of all rows at
-    once are so large that the system clears their memory anew for each component."""
-    size = min(BLOCK, count)
-    starts = [min(start, count - size) for start in range(0, count, size)]
-    return [slice(start, start + size) for start in starts]
-
-
-@jax.jit
+@kept
 def _covariances_with(soil: SoilResponse, x, s) -> tuple[Array, Array]:
     return soil.means.covariances(x, s)
 
 
-@jax.jit
+@kept
 def _covariances_of_slopes(soil: SoilResponse, x, s) -> tuple[Array, Array]:
     return soil.means.covariances_of_slopes(x, s)
-
-
-def _whitened(c: Component, known: np.ndarray) -> np.ndarray:
-    """Covariances (n, ...) with the runs in units of what these scatter by."""
-    return solve_triangular(c.upper.T, known, lower=True, check_finite=False)

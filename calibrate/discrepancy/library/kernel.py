@@ -6,6 +6,8 @@ slopes rest on differences within packings (blocks); so has what it does to all 
 an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
 all three deviations go with exp(g.x).
 
+Factors of covariances are made by LAPACK, in threads, when they are first asked for.
+
 Rows that follow other conventions of the contact law (`other_law`) have one column of strengths
 more, 1 for them and 0 for all others: what conventions change is a function of the soil, as what an
 effect changes is.  Its hyperparameters are found with all others held (`Column`).
@@ -13,16 +15,23 @@ effect changes is.  Its hyperparameters are found with all others held (`Column`
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5).
 """
 
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import minimize
 
+from calibrate.core.kept import kept
 from calibrate.discrepancy.library.design import SETTINGS
 from calibrate.response.process import Kernel, covariance
+from calibrate.simulation import cores
 
 ITERATIONS = 60
 PULL_SD = 2.0  # of the logarithms of hyperparameters about their start
@@ -30,6 +39,7 @@ SLOPE_SD = 0.2  # of the slopes of ln deviation, about theirs
 JITTER = 1e-6
 NOTHING = -6.0  # logarithm of a deviation that counts for nothing
 PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
+BLOCK = 256  # rows of which covariances are worked out at once
 COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (verification/resolution.py)
 
 
@@ -105,6 +115,87 @@ def scatter_of_pairs(kernel: Kernel, x, pairs: Pairs):
     row, other, one_soil = pairs
     larger = kernel.larger(x)
     return larger[row] * larger[other] * _scatter(kernel, 1.0, one_soil, row == other)
+
+
+@kept
+def _of_pairs(kernel: Kernel, x, pairs: Pairs):
+    return scatter_of_pairs(kernel, x, pairs)
+
+
+@kept
+def _of_block(kernel: Kernel, x, s, x2, s2):
+    return covariance(kernel, x, s, x2, s2)
+
+
+@dataclass(frozen=True, eq=False)
+class RowCovariance:
+    """What rows at scaled points (n, p), (n, k) have in common in a component: the covariance
+    (n, n) of its process and of their scatter, by whose variance noise (n,) are factors."""
+
+    kernel: Kernel
+    x: np.ndarray
+    s: np.ndarray
+    pairs: Pairs
+    noise: np.ndarray
+
+    @cached_property
+    def shared(self) -> np.ndarray:
+        """The part of scatter (q,), for pairs of rows."""
+        row, other, _ = self.pairs
+        factor = np.sqrt(self.noise[row] * self.noise[other])
+        return np.asarray(_of_pairs(self.kernel, self.x, self.pairs)) * factor
+
+    def left(self, weights: np.ndarray) -> np.ndarray:
+        """What a process of these weights (n,) leaves of the rows (n,)."""
+        return np.bincount(self.pairs.row, self.shared * weights[self.pairs.other])
+
+    def lower(self) -> np.ndarray:
+        """The Cholesky factor (n, n).  Rows come in blocks: temporary arrays of all rows at once
+        are so large that the system clears their memory anew for each component."""
+        total = np.empty((len(self.x), len(self.x)), order="F")
+        for rows in _blocks(len(self.x)):
+            found = _of_block(self.kernel, self.x[rows], self.s[rows], self.x, self.s)
+            total[:, rows] = np.asarray(found).T
+        total[self.pairs.row, self.pairs.other] += self.shared
+        return cholesky(total, lower=True, overwrite_a=True, check_finite=False)
+
+
+def _blocks(count: int) -> list[slice]:
+    """Rows in blocks of one size, the last of which may overlap."""
+    size = min(BLOCK, count)
+    starts = [min(start, count - size) for start in range(0, count, size)]
+    return [slice(start, start + size) for start in starts]
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Cholesky factors (n, n) of the covariances of rows, by component; made in threads, from
+    `begin` on or when one is first asked for."""
+
+    of: Sequence[RowCovariance]
+
+    def begin(self) -> None:
+        """Makes them while others work."""
+        assert self._made is not None
+
+    def __getitem__(self, component: int) -> np.ndarray:
+        return self._made[component].result()
+
+    def solved(self, values: np.ndarray) -> np.ndarray:
+        """Weights (c, n) of processes with values (n, c) at the rows."""
+        found = [cho_solve((self[c], True), y, check_finite=False) for c, y in enumerate(values.T)]
+        return np.array(found)
+
+    @cached_property
+    def _made(self) -> list[Future]:
+        pool = ThreadPoolExecutor(cores())
+        made = [pool.submit(one.lower) for one in self.of]
+        pool.shutdown(wait=False)
+        return made
+
+    def __getstate__(self) -> dict:
+        """Without the factors, so that it goes to other processes."""
+        return {"of": self.of}
 
 
 def _scatter(kernel: Kernel, packing, soil_block, alike):

@@ -198,13 +198,13 @@ class RunLibrary:
         """The columns (e,) of strengths that are told in closed form."""
         return np.array([self.design.effect_names.index(n) for n in self.machine().told], int)
 
-    def emulator(self, most_rows: int = MOST_ROWS) -> FeatureEmulator:
+    def emulator(self, most_rows: int = MOST_ROWS, again: bool = False) -> FeatureEmulator:
         """The emulator of all features as a machine without errors reads them; kernels that are not
-        known are estimated from about `most_rows`."""
+        known are estimated from about `most_rows`; again: as `fit_emulator`."""
         points, kernels = self.scaled(), self.kernels or None
         return fit_emulator(
             *points, self.packing, self.of_soils, self.scale(), kernels, self.basis,
-            most_rows=most_rows, always=self.always,
+            most_rows=most_rows, always=self.always, again=again,
         )  # fmt: skip
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":

@@ -68,6 +68,7 @@ def stands_in(
     conventions."""
     emulated = emulated.for_lab(lab)
     library, design = emulated.library, emulated.library.design
+    emulated.emulator.factors.begin()
     pair = lab.pair()
     centre = np.log([design.centre[name] for name in design.soil_names])
     beds = Beds(

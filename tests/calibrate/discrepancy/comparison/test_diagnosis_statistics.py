@@ -30,7 +30,6 @@ from calibrate.discrepancy.comparison.noise import (
     estimate,
     packing_covariance,
 )
-from calibrate.discrepancy.comparison.outliers import FREEDOM, robust, weights
 from calibrate.discrepancy.comparison.probability_calibration import (
     NAMED_BELOW,
     NONE,
@@ -40,7 +39,7 @@ from calibrate.discrepancy.comparison.probability_calibration import (
 )
 from calibrate.discrepancy.comparison.projection import Projected, fitted_shift, project, scores
 from calibrate.discrepancy.comparison.refit import best_strengths
-from calibrate.discrepancy.comparison.repeats import Scatter, from_vectors
+from calibrate.discrepancy.comparison.repeats import FREEDOM, Scatter, from_vectors, robust, weights
 from calibrate.discrepancy.comparison.unspecified_gap import (
     AMPLITUDES,
     kernel_factors,
