@@ -21,16 +21,16 @@ from collections.abc import Callable, Sequence
 from importlib import metadata, resources
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.export
 import numpy as np
+from jax.core import Tracer
 
 from calibrate.core.files import whole
 
-P = ParamSpec("P")
 R = TypeVar("R")
 PACKAGES = ("calibrate", "jdem")
 LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
@@ -39,16 +39,16 @@ ADDRESS = re.compile(" at 0x")  # in the text of an object that another start do
 DIGEST = hashlib.sha256().digest_size
 
 
-def kept(function: Callable[P, R]) -> Callable[P, R]:
+def kept(function: Callable[..., R]) -> Callable[..., R]:
     """A function of trees of arrays (and what is no array, which is part of the program), compiled
     as by `jax.jit`, whose lowered program is kept between starts."""
     known: dict[tuple, Callable] = {}
     compiled, alone = eqx.filter_jit(function), threading.Lock()
 
     @functools.wraps(function)
-    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+    def called(*args, **kwargs) -> R:
         leaves, tree = jax.tree.flatten(args)
-        if kwargs or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if kwargs or any(isinstance(leaf, Tracer) for leaf in leaves):
             return compiled(*args, **kwargs)  # within another program
         numbers = [leaf for leaf in leaves if _is_array(leaf)]
         rest = tuple(None if _is_array(leaf) else leaf for leaf in leaves)

@@ -52,10 +52,9 @@ from calibrate.discrepancy.library.instruments import (
     with_forces_before_contact,
     with_instruments,
 )
-from calibrate.discrepancy.library.lab_size import soil_prior_for
+from calibrate.discrepancy.library.lab_size import parameters_beyond, soil_prior_for
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
 from calibrate.discrepancy.library.run_library import Cylinder
-from calibrate.discrepancy.library.stand_in import parameters_beyond
 from calibrate.io.lab import Lab
 
 DRAWS = 400  # of null distributions

@@ -104,12 +104,14 @@ class Response(eqx.Module):
         """Of a soil and a machine alone: nothing is recorded or tared."""
         m, k = len(units), len(strength)
         p = len(offset) + (0 if discrepancy is None else discrepancy.directions.shape[1])
-        return jax.device_put(Response(
-            soil, offset, spread, strength, squared, units, shape=shape, machine=machine,
-            typical=typical, discrepancy=discrepancy,
-            recorded=BetweenLags.of(np.zeros((1, m))), lag=np.zeros(k),
-            further=np.zeros((FURTHER, k)), factors=np.ones(k), faster=np.zeros((p, k)),
-        ))  # fmt: skip
+        unknown = np.zeros(k), np.zeros((FURTHER, k)), np.ones(k), np.zeros((p, k))
+        lag, further, factors, faster = jax.device_put(unknown)
+        parts = jax.device_put((offset, spread, strength, squared, units))
+        return Response(
+            soil, *parts, shape=shape, machine=machine, typical=jax.device_put(typical),
+            discrepancy=discrepancy, recorded=BetweenLags.of(np.zeros((1, m))), lag=lag,
+            further=further, factors=factors, faster=faster,
+        )  # fmt: skip
 
     def __call__(self, delta: Array, strengths: Array) -> Array:
         delta, strengths = self.moved(delta, strengths)

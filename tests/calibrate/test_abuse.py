@@ -274,7 +274,8 @@ def test_the_rule_lets_pass():
 @pytest.fixture
 def cache(tmp_path):
     """An empty folder of compiled and kept programs."""
-    name, before = "jax_compilation_cache_dir", jax.config.jax_compilation_cache_dir
+    name = "jax_compilation_cache_dir"
+    before = getattr(jax.config, name)
     jax.config.update(name, str(tmp_path))
     yield tmp_path
     jax.config.update(name, before)

@@ -22,8 +22,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
-from scipy.special import gammaln
-from scipy.stats import f as fisher
+from scipy.special import fdtrc, gammaln
 
 from calibrate.discrepancy.comparison.linear import Emulator, Linearised
 from calibrate.discrepancy.comparison.refit import STRENGTH_SD, Refit
@@ -129,7 +128,7 @@ class Prediction:
     def p_value(self, found: np.ndarray) -> float:
         """Chance of an outcome (m,) as far away as this one."""
         m = len(self.mean)
-        return float(fisher.sf(self.distance(found) / m, m, FREEDOM))
+        return float(fdtrc(m, FREEDOM, self.distance(found) / m))
 
     def drawn(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Outcomes (count, m)."""

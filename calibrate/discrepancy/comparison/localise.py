@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
+from scipy.special import chdtrc
 
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
@@ -145,7 +146,7 @@ def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> 
         features=mine,
         difference=difference,
         deviation=np.sqrt(np.diag(covariance)),
-        p_value=float(stats.chi2.sf(chi2, len(mine))),
+        p_value=float(chdtrc(len(mine), chi2)),
         factor=1 + float(weighted @ difference[alike]) / information,
         factor_se=information**-0.5,
     )

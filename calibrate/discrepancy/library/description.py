@@ -162,7 +162,9 @@ class EmulatedLibrary:
         known = (
             None
             if discrepancy is None
-            else Discrepancy(discrepancy.mean, discrepancy.directions, self.emulator.scale)
+            else Discrepancy(
+                *jax.device_put((discrepancy.mean, discrepancy.directions, self.emulator.scale))
+            )
         )
         response = Response.plain(
             self.emulator.response, soil_prior.offset, design.spread(),

@@ -43,7 +43,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtr, ndtri
 
 from jdem.effects.composite import EFFECTS
 from jdem.materials.catalogue import CATALOGUE
@@ -336,6 +336,8 @@ class Design:
 
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
+    from scipy.stats import qmc  # half a second, which only making a library needs
+
     power = int(np.ceil(np.log2(max(count, 2))))
     # `seed`, not `rng`: the two scramble differently, and the bundled library was drawn with this.
     return qmc.Sobol(dimensions, seed=seed).random_base2(power)[:count]  # pyright: ignore[reportCallIssue]
@@ -347,5 +349,5 @@ def _between(low: float, high: float, unit: np.ndarray) -> np.ndarray:
 
 def _normal(unit: np.ndarray) -> np.ndarray:
     """Standard normal values cut at `FURTHEST`."""
-    edge = norm.cdf(-FURTHEST)
-    return norm.ppf(edge + (1 - 2 * edge) * unit)
+    edge = ndtr(-FURTHEST)
+    return ndtri(edge + (1 - 2 * edge) * unit)

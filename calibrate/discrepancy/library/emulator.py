@@ -117,7 +117,11 @@ class FeatureEmulator:
             self.basis.mean, self.basis.carried, self.scale * self._mean_over_median,
             np.array(self.always, float),
         )  # fmt: skip
-        return SoilResponse(Means.of(self.components, self.x, self.s), *jax.device_put(parts))
+        return SoilResponse(self._means, *jax.device_put(parts))
+
+    @cached_property
+    def _means(self) -> Means:
+        return Means.of(self.components, self.x, self.s)
 
     def steepness(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """d feature / d warped feature (m,) at a point: what turns residuals into scatter."""
@@ -177,7 +181,7 @@ class FeatureEmulator:
         @lru_cache(POINTS_KEPT)
         def at(x: bytes, s: bytes) -> np.ndarray:
             point = np.frombuffer(x), np.append(np.frombuffer(s), self.always)
-            known, own = map(np.asarray, _covariances_with(self.response, *point))
+            known, own = map(np.asarray, _covariances_with(self._means, *point))
             found = np.maximum(own - (self._whitened(known) ** 2).sum(axis=1), 0.0)
             found.flags.writeable = False
             return found
@@ -187,7 +191,7 @@ class FeatureEmulator:
     def slope_variances(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Variances (c, p) of the standardised components' slopes with x, at a point."""
         point = x, np.append(s, self.always)
-        known, own = map(np.asarray, _covariances_of_slopes(self.response, *point))
+        known, own = map(np.asarray, _covariances_of_slopes(self._means, *point))
         told = (self._whitened(known) ** 2).sum(axis=1)
         return np.maximum(np.einsum("cpp->cp", own) - told, 0.0)
 
@@ -292,10 +296,10 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
 
 
 @kept
-def _covariances_with(soil: SoilResponse, x, s) -> tuple[Array, Array]:
-    return soil.means.covariances(x, s)
+def _covariances_with(means: Means, x, s) -> tuple[Array, Array]:
+    return means.covariances(x, s)
 
 
 @kept
-def _covariances_of_slopes(soil: SoilResponse, x, s) -> tuple[Array, Array]:
-    return soil.means.covariances_of_slopes(x, s)
+def _covariances_of_slopes(means: Means, x, s) -> tuple[Array, Array]:
+    return means.covariances_of_slopes(x, s)

@@ -14,6 +14,7 @@ import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.design import (
+    FURTHEST,
     SETTINGS,
     SHAPE,
     SHAPE_COLUMNS,
@@ -36,6 +37,8 @@ SETTING_PRIOR_SD = {
     "sphere_size": 0.35,
 }  # fmt: skip
 HELD_SD = 1e-3  # of ln p of what conventions hold
+EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
+CARRYING = 4  # runs beside a soil, from which on the library reaches it
 SHAPE_TOLERANCE = 0.12  # of height over diameter and of the largest stress, beyond all runs
 RAISED_BY_TIME = {"acquisition_lag": TESTS[0], "load_cell_drift": TESTS[1]}  # where each counts
 
@@ -184,3 +187,24 @@ def _pace(lab: Lab) -> float:
             "test more slowly; what dashpots carry at this speed is not known here",
         )
     return test.speed / SPEEDS[0]
+
+
+def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
+    """Soil parameters, at ln p of `offset` (q,) from the library's centre, that lie clearly farther
+    from it than its runs, of its design or added about a lab."""
+    low, high = reach(library)
+    beyond = (offset < low) | (offset > high)
+    return tuple(n for n, by in zip(library.design.soil_names, beyond, strict=True) if by)
+
+
+def reach(library: RunLibrary) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest ln p over the library's centre (q,), each, to which its runs carry."""
+    sd = soil_sd(library)
+    runs = np.sort(library.base[:, : len(sd)] / sd, axis=0)
+    last = min(CARRYING, len(runs))
+    high = np.maximum(runs[-last], FURTHEST) + EDGE
+    return sd * (np.minimum(runs[last - 1], -FURTHEST) - EDGE), sd * high
+
+
+def soil_sd(library: RunLibrary) -> np.ndarray:
+    return np.array([*library.design.soil_sd.values()])

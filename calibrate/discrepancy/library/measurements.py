@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.recording import AbstractChannel, Channel, LoadSteps
@@ -140,7 +140,7 @@ def _like(target: Target) -> np.ndarray:
     """As many values (n, 1) as there were repeats, with their mean and their scatter: normal order
     statistics, as single values are not kept."""
     count = max(target.repeats, 1)
-    score = norm.ppf((np.arange(count) + 0.5) / count)
+    score = ndtri((np.arange(count) + 0.5) / count)
     spread = score.std(ddof=1) if count > 1 else 1.0
     return (target.mean + target.scatter * score / spread)[:, None]
 

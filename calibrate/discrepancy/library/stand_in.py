@@ -12,8 +12,8 @@ import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.description import EmulatedLibrary
-from calibrate.discrepancy.library.design import FURTHEST, POROSITIES, SETTINGS, SHAPE, SOIL, SPEEDS
-from calibrate.discrepancy.library.run_library import RunLibrary
+from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SHAPE, SOIL, SPEEDS
+from calibrate.discrepancy.library.lab_size import parameters_beyond, reach, soil_sd
 from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.inference.on_response import OnResponse, Reach, ResponseCampaign
 from calibrate.inference.problem import pose
@@ -26,8 +26,6 @@ from calibrate.simulation.resolution import Preset, specimen
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.soil import SoilParameters
 
-EDGE = 0.3  # prior deviations beyond the runs, up to which they still carry
-CARRYING = 4  # runs beside a soil, from which on the library reaches it
 POROUS = 0.005  # of porosity beyond its beds, up to which they still carry
 
 
@@ -113,29 +111,8 @@ def stands_in(
 
     campaign = ResponseCampaign(beds.holding(), too_far, work.folder, work.progress, work.apparatus)
     low, high = reach(library)
-    known = Reach(design.soil_names, centre + low, centre + high, _sd(library))
+    known = Reach(design.soil_names, centre + low, centre + high, soil_sd(library))
     return OnResponse(campaign, specimens, errors, slope_errors, preset.spheres, known)
-
-
-def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...]:
-    """Soil parameters, at ln p of `offset` (q,) from the library's centre, that lie clearly farther
-    from it than its runs, of its design or added about a lab."""
-    low, high = reach(library)
-    beyond = (offset < low) | (offset > high)
-    return tuple(n for n, by in zip(library.design.soil_names, beyond, strict=True) if by)
-
-
-def reach(library: RunLibrary) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest ln p over the library's centre (q,), each, to which its runs carry."""
-    sd = _sd(library)
-    runs = np.sort(library.base[:, : len(sd)] / sd, axis=0)
-    last = min(CARRYING, len(runs))
-    high = np.maximum(runs[-last], FURTHEST) + EDGE
-    return sd * (np.minimum(runs[last - 1], -FURTHEST) - EDGE), sd * high
-
-
-def _sd(library: RunLibrary) -> np.ndarray:
-    return np.array([*library.design.soil_sd.values()])
 
 
 def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float]:
