@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown
+from calibrate.inference.draws import read_draws
 from calibrate.inference.misfit import Miss, misses
 from calibrate.io.lab import Lab, load_lab
 from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, read_text
@@ -78,6 +79,30 @@ def find(path: Path, changes: dict[str, float], diameter: float | None) -> Found
         found = _of_lab(path)
     else:
         found = _of_result(path / RESULT if path.is_dir() else path)
+    return _sized(found, path, changes, diameter)
+
+
+def find_draws(
+    folder: Path, count: int, changes: dict[str, float], diameter: float | None
+) -> list[Found]:
+    """So many soils of a posterior's folder, spread along what its tests leave most open; the rest
+    as in `find`."""
+    known = read_draws(folder)
+    spheres = known.tree.attrs.get("spheres")
+    size = _packing_diameter(folder, None if spheres is None else int(spheres))
+    found = []
+    for number, soil in enumerate(known.spread(count), 1):
+        origin = f"{folder}, soil {number} of {count} that the tests allow"
+        every = soil_json(soil)
+        values = {name: every[name] for name in UNITS}
+        about = str(known.tree.attrs["soil"]), origin, values, {}, math.nan, size
+        one = Found(*about, str(known.tree.attrs["conventions"]))
+        found.append(_sized(one, folder, changes, diameter))
+    return found
+
+
+def _sized(found: Found, path: Path, changes: dict[str, float], diameter: float | None) -> Found:
+    """With changes in place of values, for particles of this diameter (m)."""
     if changes:
         kept = {n: i for n, i in found.intervals.items() if n not in changes}
         origin = f"{found.origin}; set by hand: {', '.join(changes)}"

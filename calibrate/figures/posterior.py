@@ -6,17 +6,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
-from calibrate.figures.panels import Look, compression
-from calibrate.figures.style import DARK, MIDDLE, pretty
+from calibrate.figures.panels import compression
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.records.base import Curve, Measured
 
 PAIRED = 4  # parameters that are shown in pairs, at most
 POINTS = 400  # of a cloud
 BINS = 24
-SOILS = Look("soils of the posterior", DARK, "-", "o")
 SHOWN = {"Pa": (1e-6, "MPa"), "J/m^2": (1.0, "J/m²"), "": (1.0, "-")}  # units on axes
 
 
@@ -39,23 +38,30 @@ def posterior_figure(
     above, below = parts[:, 0]
     tests = above.subplots(1, len(measured.tests), squeeze=False)[0]
     for axis, test in zip(tests, measured.tests, strict=True):
-        compression(axis, test, [(SOILS, curves.get(test, []))], measured)
+        for number, curve in enumerate(curves.get(test, [])):
+            name = "soils of the posterior, means over packings" if number == 0 else None
+            points = (curve.displacement_mm, curve.force_n)
+            axis.plot(*points, color=LIGHT, lw=0.7, alpha=0.7, label=name)
+        compression(axis, test, [], measured)
         axis.set(xlim=(0, None), ylim=(0, None))
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=7, frameon=False)
     axes = below.subplots(len(names), len(names), squeeze=False)
     for row, name in enumerate(names):
         for column, other in enumerate(names):
             axis = axes[row, column]
             if column > row:
                 axis.set_axis_off()
-            elif column == row:
+                continue
+            if column == row:
                 _alone(axis, prior[name], posterior[name], name)
             else:
                 _pair(axis, prior, posterior, other, name)
             _labelled(axis, name, other, row == len(names) - 1, column == 0 and row > 0)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    below.legend(handles, labels, loc="upper right", frameon=False, fontsize=8)
+    known = {
+        label: handle
+        for axis in (axes[0, 0], *tests)
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    below.legend(known.values(), known, loc="upper right", frameon=False, fontsize=9)
     return figure
 
 
@@ -76,43 +82,42 @@ def _scaled(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _alone(axis: Axes, prior: np.ndarray, posterior: np.ndarray, name: str) -> None:
-    """Both distributions of one parameter."""
+    """Both distributions of one parameter, as shares of draws in bins of equal width in ln p."""
     before, after = _scaled(name, prior), _scaled(name, posterior)
-    low, high = np.quantile(np.concatenate([before, after]), [0.002, 0.998])
-    bins = np.geomspace(low, high, BINS + 1)
-    axis.hist(before, bins, density=True, color="0.8", label="before the tests (prior)")
-    axis.hist(
-        after, bins, density=True, histtype="step", color=DARK, lw=1.6,
-        label="after the tests (posterior)",
-    )  # fmt: skip
+    bins = np.geomspace(*_ends(before), BINS + 1)
+    shares = [np.histogram(values, bins)[0] / len(values) for values in (before, after)]
+    axis.stairs(shares[0], bins, fill=True, color="0.8", label="before the tests (prior)")
+    axis.stairs(shares[1], bins, color=DARK, lw=1.6, label="after the tests (posterior)")
     for end in np.quantile(after, [0.05, 0.95]):
-        axis.axvline(end, color=MIDDLE, ls="--", lw=1, label="90 % of draws")
-    axis.set(xscale="log", yticks=[])
+        axis.axvline(end, color=MIDDLE, ls="--", lw=1, label="90 % of draws between these")
+    axis.set(xscale="log", yticks=[], xlim=_ends(before))
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
 
 
 def _pair(axis: Axes, prior, posterior, across: str, up: str) -> None:
     """Draws of two parameters."""
-    for draws, look in (
-        (prior, {"color": "0.8", "s": 5}),
-        (posterior, {"color": DARK, "s": 3, "alpha": 0.6}),
-    ):
+    for draws, look in ((prior, {"color": "0.8", "s": 5}), (posterior, {"color": DARK, "s": 4})):
         step = max(1, len(draws[across]) // POINTS)
-        axis.scatter(
-            _scaled(across, draws[across][::step]), _scaled(up, draws[up][::step]), lw=0, **look
-        )
-    axis.set(xscale="log", yscale="log")
+        both = (_scaled(name, draws[name][::step]) for name in (across, up))
+        axis.scatter(*both, lw=0, **look)
+    limits = {"xlim": _ends(_scaled(across, prior[across])), "ylim": _ends(_scaled(up, prior[up]))}
+    axis.set(xscale="log", yscale="log", **limits)
 
 
 def _labelled(axis: Axes, row: str, column: str, below: bool, left: bool) -> None:
     """Names with units at the outer axes, few ticks on all."""
-    for wanted, name, set_label, ticks in (
-        (below, column, axis.set_xlabel, axis.xaxis),
-        (left, row, axis.set_ylabel, axis.yaxis),
-    ):
-        if wanted:
+    wanted = [(below, column, axis.set_xlabel, axis.xaxis, axis.get_xlim())]
+    if row != column:
+        wanted += [(left, row, axis.set_ylabel, axis.yaxis, axis.get_ylim())]
+    for named, name, set_label, ticks, (low, high) in wanted:
+        if named:
             unit = SHOWN.get(PARAMETER_UNITS[name], (1.0, PARAMETER_UNITS[name]))[1]
             set_label(f"{pretty(name)} ({unit})", fontsize=8)
-        ticks.set_major_locator(MaxNLocator(3))
+        places = np.geomspace(low, high, 5)[1::2]
+        ticks.set_major_locator(FixedLocator([float(f"{place:.2g}") for place in places]))
         ticks.set_minor_locator(NullLocator())
-        ticks.set_major_formatter(FormatStrFormatter("%.3g"))
+        ticks.set_major_formatter(FormatStrFormatter("%g"))
         ticks.set_tick_params(labelsize=7)

@@ -23,7 +23,7 @@ from calibrate.core.files import whole
 from calibrate.inference.identifiability import IDENTIFIED
 from calibrate.inference.on_response import FeaturesOfBeds
 from calibrate.inference.posterior import Density, Question
-from calibrate.inference.sampling import ESS, RHAT, Sampled, mixing, values_of
+from calibrate.inference.sampling import ESS, PART, RHAT, Sampled, mixing, values_of
 from calibrate.io.soil import with_values
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.conventions import CONVENTIONS
@@ -146,6 +146,14 @@ class SoilDraws:
         """Soils of so many draws, evenly spaced through all chains."""
         for number in np.linspace(0, len(self.values) - 1, count).round().astype(int):
             yield self.soil(int(number))
+
+    def spread(self, count: int) -> Iterator[SoilParameters]:
+        """So many soils along the direction of ln p in which draws differ most, at equal shares of
+        them."""
+        logs = np.log(self.values) - np.log(self.values).mean(axis=0)
+        along = logs @ np.linalg.svd(logs, full_matrices=False)[2][0]
+        for share in (np.arange(count) + 0.5) / count:
+            yield self.soil(int(np.argmin(np.abs(along - np.quantile(along, share)))))
 
 
 def read_draws(folder: str | Path) -> SoilDraws:
@@ -274,6 +282,12 @@ def _of_chains(names, rhat: np.ndarray, ess: np.ndarray, diverging: int) -> Iter
 
 
 def _of_features(features: Mapping[str, Mapping]) -> Iterator[str]:
+    for name, row in features.items():
+        if row["target"] and row["response_share"] > PART:
+            yield (
+                f"{100 * row['response_share']:.0f} % of the variance of {name} is the library's "
+                "own error, which intervals hold; at a few soils more runs would not lessen it much"
+            )
     for name, row in features.items():
         if not row["met"]:
             yield (

@@ -1,9 +1,9 @@
 """Write a soil's parameters for another program, with uncertainty and scale-up note."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import RenderableType
@@ -14,7 +14,7 @@ from calibrate.core.units import LENGTH, positive_quantity
 from calibrate.exporters import notes
 from calibrate.exporters.composite import EXPORTERS, NAMES
 from calibrate.exporters.parameters_json import content as content_of
-from calibrate.exporters.source import Found, find
+from calibrate.exporters.source import Found, find, find_draws
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
 from calibrate.verbs.fit import FitResult
@@ -80,6 +80,9 @@ def export(
     force: Annotated[
         bool, typer.Option("--force", help="Also of a fit that missed its data.")
     ] = False,
+    draws: Annotated[
+        int, typer.Option("--draws", min=0, max=100, help="Soils of a posterior, a file each.")
+    ] = 0,
 ) -> ExportResult:
     """Writes a soil's parameters for another program, with uncertainty and a note on scaling.
 
@@ -90,6 +93,8 @@ def export(
         values: parameters in place of the fitted ones, by name, in SI units or with a unit.
         out: the file to write; None: in results/export.
         force: also of a fit that missed its data.
+        draws: so many soils of the folder of a posterior, spread along what its tests leave most
+            open, each in a file of its own in the folder `out`; 0: the parameters of a fit.
 
     Returns:
         The text and where it was written.
@@ -103,6 +108,9 @@ def export(
     if to not in EXPORTERS:
         raise InputError(COMMAND_LINE, "--to", f"no program '{to}'", f"give {NAMES}")
     place = Path(source) if isinstance(source, str | Path) else source.folder
+    if draws:
+        every = find_draws(place, draws, parameter_values(values), _length(diameter))
+        return _each_in_a_file(every, EXPORTERS[to], FOLDER / "draws" if out is None else Path(out))
     found = find(place, parameter_values(values), _length(diameter))
     if found.missed and not force:
         repair = "fit again, or give --force to export it all the same, with this warning"
@@ -117,6 +125,15 @@ def export(
     make_folder(path.parent)
     write_text(path, text)
     return ExportResult(path, text, found, path.parent, content_of(found))
+
+
+def _each_in_a_file(every: Sequence[Found], exporter: Any, folder: Path) -> ExportResult:
+    """Soils as numbered files of a folder; the one in the middle as the result."""
+    make_folder(folder)
+    for number, found in enumerate(every, 1):
+        write_text(folder / f"{number:02d}_{exporter.FILE}", exporter.text(found))
+    found = every[len(every) // 2]
+    return ExportResult(folder, exporter.text(found), found, folder, content_of(found))
 
 
 def _length(diameter: str | None) -> float | None:

@@ -20,6 +20,7 @@ from calibrate.inference.posterior import Question, Shown
 from calibrate.inference.sampling import sampled
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.labtests.composite import label
 from calibrate.records.base import Curve, Measured, record
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
@@ -71,18 +72,33 @@ class PosteriorResult(AbstractDrawnResult):
         return *draws, curves, record(Measured, measured_json(self.lab))
 
     def words(self) -> Iterator[RenderableType]:
-        table = Table("parameter", "median", "90 % of draws", "of the prior's width", "unit")
+        title = f"{self.lab.name}: 90 % of draws lie between low and high"
+        table = Table(title=title, title_justify="left")
+        for column in ("", "median", "low", "high", "unit", "width, of the prior's"):
+            table.add_column(column)
         for name, row in self.parameters.items():
-            numbers = f"{row['median']:.4g}", f"{row['low']:.4g} to {row['high']:.4g}"
-            table.add_row(name, *numbers, f"{100 * row['width']:.0f} %", PARAMETER_UNITS[name])
+            numbers = (f"{row[key]:.4g}" for key in ("median", "low", "high"))
+            table.add_row(name, *numbers, PARAMETER_UNITS[name], f"{100 * row['width']:.0f} %")
         yield table
-        table = Table("number", "measured", "90 % of what such soils would show")
-        for name, row in self.content["features"].items():
-            ends = f"{row['low']:.4g} to {row['high']:.4g}"
-            table.add_row(name, f"{row['measured']:.4g}", ends)
-        yield table
-        yield from map(line, self.content["directions"])
+        yield from map(line, [*self._features(), *self.content["directions"]])
         yield from (line(f"warning: {sentence}") for sentence in self.warnings)
+
+    def _features(self) -> Iterator[str]:
+        """Measured numbers beside what soils of the posterior would show."""
+        features = self.content["features"]
+        for name, row in features.items():
+            if row["target"]:
+                yield (
+                    f"{label(name)}: {row['measured']:.4g} measured; such soils show "
+                    f"{row['low']:.4g} to {row['high']:.4g} (90 %)"
+                )
+        curves = [row for row in features.values() if not row["target"]]
+        if curves:
+            inside = sum(row["low"] <= row["measured"] <= row["high"] for row in curves)
+            yield (
+                f"of {len(curves)} numbers read from curves, {inside} lie where 90 % of such soils "
+                "show them"
+            )
 
 
 @verb

@@ -90,6 +90,7 @@ ORDER = {
         "fuzz",
         "kills",
         "overdamped",
+        "posterior",
         "prior",
         "recovery",
         "calibration",

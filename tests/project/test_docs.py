@@ -11,6 +11,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,6 +28,7 @@ from calibrate import cli
 from calibrate.inference.evaluation import Calibration
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem
+from calibrate.inference.sampling import Plan, sampled
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.base import Pace
@@ -166,6 +168,8 @@ def run(tmp_path_factory):
         in_place_of_spheres(monkeypatch)
         toy_library.write_library(folder / "library.nc")
         monkeypatch.setattr("calibrate.discrepancy.infill.run_points", toy_library.run_points)
+        few = partial(sampled, plan=Plan(chains=2, warm_up=50, draws=50, most=50, chunk=50))
+        monkeypatch.setattr("calibrate.verbs.posterior.sampled", few)
         monkeypatch.setattr(cli, "_configure", lambda: None)
         monkeypatch.chdir(folder)
 

@@ -1,6 +1,12 @@
 """Posteriors on a response of formulas: density, sampler, what runs add, the file, resumption."""
 
+import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -9,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+import calibrate.verbs.posterior as posterior_verb
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
 from calibrate.inference import draws as files
@@ -16,6 +23,7 @@ from calibrate.inference.draws import described, inference_data, read_draws, wri
 from calibrate.inference.parameters import RANGES
 from calibrate.inference.posterior import Question, Shown, within_reach
 from calibrate.inference.sampling import (
+    FURTHER,
     Plan,
     Sampled,
     further_points,
@@ -24,8 +32,10 @@ from calibrate.inference.sampling import (
     sampled,
     values_of,
 )
-from calibrate.io.lab import ParameterChoice
+from calibrate.io.lab import ParameterChoice, bundled_lab
 from calibrate.simulation.specimens import Seeds
+from calibrate.verbs.export import export
+from tests import ROOT
 from tests.support.formulas import BASE, LAB, NAMES, Formulas, on_response
 
 SEEDS = Seeds.of(0, 4, 4)
@@ -170,6 +180,20 @@ def test_runs_are_asked_for_where_they_narrow_and_only_as_many_as_it_takes(asked
     assert further_points(loose, error, [], values, 3) == []
 
 
+def test_runs_that_were_asked_for_are_made_and_draws_are_taken_again(asked, tmp_path):
+    """Depth measured to a thousandth: runs at the posterior narrow what the response leaves."""
+    sure = replace(asked, problem=replace(asked.problem, target_variance=1e-6 * MEASURES**2))
+    work, plan = Formulas(), replace(SHORT, draws=50, most=50)
+    found = sampled(sure, [], work, {}, 0, tmp_path, Silent(), plan)
+    assert 1 <= found.added <= FURTHER and len(found.shown) == found.added
+    assert work.simulated == found.added * len(SEEDS.fitted)
+    at = jnp.asarray(found.shown[0].values)
+    before = asked.density(asked.own_error(), []).shown(at)[1]
+    assert np.all(np.diag(found.density.shown(at)[1]) < np.diag(before))
+    none = sampled(sure, [], None, {}, 0, tmp_path, Silent(), plan)
+    assert none.added == 0
+
+
 MEASURES = np.array([*MEASURED.values()])
 
 
@@ -235,6 +259,17 @@ def test_the_file_gives_back_soils_and_groups_of_arviz(asked, drawn, tmp_path):
     assert said["features"]["depression_depth_mm"]["met"] and said["divergences"] == 0
 
 
+def test_soils_along_what_is_open_are_exported_a_file_each(asked, drawn, tmp_path):
+    write_draws(inference_data(asked, drawn, 0, {"spheres": 2000}), tmp_path)
+    export(tmp_path, to="json", diameter="4 mm", draws=3, out=tmp_path / "out")
+    written = [json.loads(path.read_text()) for path in sorted((tmp_path / "out").iterdir())]
+    logs = np.log([[s["parameters"][n]["value"] for n in NAMES] for s in written])
+    every = np.log(values_of(drawn.density, drawn.draws.y)).reshape(-1, 2)
+    turns = np.diff(logs, axis=0) @ np.linalg.svd(every - every.mean(axis=0))[2][0]
+    assert len(written) == 3 and abs(np.sign(turns).sum()) == 2  # one way all along
+    assert np.abs(turns).min() > 0.5 * every.std(axis=0).max()
+
+
 def test_draws_of_another_physics_version_are_refused(asked, drawn, tmp_path, monkeypatch):
     write_draws(inference_data(asked, drawn, 0, {}), tmp_path)
     monkeypatch.setattr(files, "PHYSICS", files.PHYSICS + 1)
@@ -294,3 +329,79 @@ def test_other_data_or_seeds_draw_anew(asked, density, tmp_path):
     for number, (content, seed) in enumerate([({}, 0), ({"a": 1}, 0), ({}, 1)]):
         sample(density, start, content, seed, tmp_path, Silent(), SHORT)
         assert len(list((tmp_path / "draws").iterdir())) == 4 * (number + 1)
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from calibrate.core import runtime
+runtime.configure()
+from calibrate.core.progress import Silent
+from calibrate.inference.sampling import sample
+from tests.calibrate.inference.test_posterior import SHORT, question
+asked = question()
+density = asked.density(asked.own_error(), [])
+print("ready", flush=True)
+sample(density, asked.best(), {}, 5, Path(sys.argv[1]), Silent(), SHORT)
+"""
+
+
+@pytest.mark.slow
+def test_a_sampler_that_is_killed_at_any_moment_leaves_the_same_draws(tmp_path):
+    """Each start is killed soon after its first new chunk; the last one ends."""
+
+    def started():
+        return subprocess.Popen(
+            [sys.executable, "-c", KILLED, str(tmp_path / "killed")], cwd=ROOT,
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    for moment in (0.0, 0.3, 0.6):
+        process = started()
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        chunks = len(kept(tmp_path / "killed"))
+        while process.poll() is None and len(kept(tmp_path / "killed")) == chunks:
+            time.sleep(0.02)
+        time.sleep(moment * 0.1)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert started().wait() == 0
+    whole = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "whole")], cwd=ROOT)
+    assert whole.returncode == 0
+    both = [kept(tmp_path / name) for name in ("killed", "whole")]
+    assert [path.name for path in both[0]] == [path.name for path in both[1]]
+    for one, other in zip(*both, strict=True):
+        with np.load(one) as a, np.load(other) as b:
+            assert all(np.array_equal(a[name], b[name]) for name in a.files)
+
+
+def kept(folder):
+    return sorted((folder / "draws").glob("*.npz")) if folder.exists() else []
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_a_lab_that_the_library_does_not_serve_is_one_sentence(calibrate):
+    status, _, error = calibrate("posterior", bundled_lab("trumao_oedometer"), "--no-runs")
+    assert status == 2 and "the library of runs does not serve this laboratory" in error
+    status, _, error = calibrate("posterior", "--preset", "quick")
+    assert status == 2 and "coarse beds" in error
+
+
+@pytest.mark.slow
+def test_the_command_writes_draws_words_and_a_picture(calibrate, tmp_path, monkeypatch):
+    monkeypatch.setattr(posterior_verb, "sampled", partial(sampled, plan=SHORT))
+    status, out, _ = calibrate("posterior", "--no-runs", "--out", "o")
+    assert status == 0 and "posterior.png are in o" in out
+    assert "fixed by the data" in out and "left open by the data" in out
+    found = json.loads((tmp_path / "o/posterior.json").read_text())
+    low, high = (found["parameters"]["shear_modulus"][key] for key in ("low", "high"))
+    assert 3.9e6 < low < 4.5e6 < high < 5.2e6
+    assert found["simulations"] == 0 and found["physics"] == files.PHYSICS
+    assert found["parameters"]["surface_energy"]["width"] > 0.6  # left open
+    draws = read_draws(tmp_path / "o")
+    logs = np.log(draws.values)
+    names = draws.names.index("surface_energy"), draws.names.index("plasticity_ratio")
+    assert np.corrcoef(logs[:, names].T)[0, 1] < -0.15
+    assert (tmp_path / "o/posterior.png").stat().st_size > 10_000
