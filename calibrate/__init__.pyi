@@ -24,6 +24,8 @@ from .verbs.next import NextTestResult as NextTestResult
 from .verbs.next import next_test as next_test
 from .verbs.posterior import PosteriorResult as PosteriorResult
 from .verbs.posterior import posterior as posterior
+from .verbs.predict import PredictionResult as PredictionResult
+from .verbs.predict import predict as predict
 from .verbs.report import ReportResult as ReportResult
 from .verbs.report import report as report
 from .verbs.simulate import SimulationResult as SimulationResult

@@ -24,6 +24,9 @@ FIGURES: dict[str, dict[str, str]] = {
     "posterior": {
         "posterior": "posterior:posterior_figure",
     },
+    "predict": {
+        "prediction": "posterior:prediction_figure",
+    },
     "contact": {
         "contact": "fit:contact_figure",
     },

@@ -1,4 +1,4 @@
-"""The figure of a posterior: parameters before and after the tests, pairs, and curves of soils."""
+"""Figures of a posterior: parameters before and after the tests, and what soils of it predict."""
 
 from collections.abc import Mapping, Sequence
 
@@ -121,3 +121,55 @@ def _labelled(axis: Axes, row: str, column: str, below: bool, left: bool) -> Non
         ticks.set_minor_locator(NullLocator())
         ticks.set_major_formatter(FormatStrFormatter("%g"))
         ticks.set_tick_params(labelsize=7)
+
+
+# ---------------------------------------------------------------- predicted tests
+
+SIZE = (4.9, 4.1)  # inches, of one panel
+
+
+def prediction_figure(content: dict) -> Figure:
+    """Curves that tests would show: the expected one, the band of means over many specimens and
+    that of single specimens, with measured curves beside them where there are any."""
+    tests = content["curves"]
+    size = (SIZE[0] * len(tests), SIZE[1])
+    figure, axes = plt.subplots(1, len(tests), figsize=size, layout="constrained", squeeze=False)
+    for axis, (test, curve) in zip(axes[0], tests.items(), strict=True):
+        _panel(axis, curve, content["share"])
+        for each in content["measured"]["curves"]:
+            if each["test"] == test:
+                way, force = _placed(curve, each)
+                axis.plot(way, force, "-", color=MIDDLE, lw=1, label="measured")
+        axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=test)
+        axis.set_xlim(left=0)
+        axis.set_ylim(bottom=0)
+    entries = {}
+    for axis in axes[0]:
+        entries |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    place = {"loc": "outside lower center", "ncols": len(entries)}
+    figure.legend(entries.values(), entries.keys(), frameon=False, **place)
+    return figure
+
+
+def _panel(axis: Axes, curve: dict, share: float) -> None:
+    """One test: force over displacement, read along one of the two."""
+    part = f"{100 * share:.0f} %"
+    along_force = "force_n" in curve
+    at = np.array(curve["force_n" if along_force else "displacement_mm"])
+    fill = axis.fill_betweenx if along_force else axis.fill_between
+    fill(at, *curve["specimen"], color=LIGHT, alpha=0.45, lw=0, label=f"{part} of specimens")
+    fill(at, *curve["mean"], color=DARK, alpha=0.35, lw=0, label=f"{part} of means")
+    middle = np.array(curve["middle"])
+    x, y = (middle, at) if along_force else (at, middle)
+    axis.plot(x, y, color=DARK, lw=1.4, label="expected")
+
+
+def _placed(curve: dict, measured: dict) -> tuple[np.ndarray, np.ndarray]:
+    """A measured curve (mm, N).  Where force is what a test is read along, it is moved to meet the
+    expected curve at its first point: where a laboratory's displacement begins is arbitrary."""
+    way, force = (np.array(measured[name]) for name in ("displacement_mm", "force_n"))
+    if "force_n" not in curve:
+        return way, force
+    rising = np.maximum.accumulate(force[: force.argmax() + 1])
+    begins = np.interp(curve["force_n"][0], rising, way[: len(rising)])
+    return way + (curve["middle"][0] - begins), force

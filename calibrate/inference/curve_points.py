@@ -55,6 +55,11 @@ class CurveReading:
         """Of a curve (rows, 2) in mm and N."""
         return self.feature().of_curve(*curve.T)
 
+    def shown(self, curve: Array) -> Array:
+        """Of a curve (rows, 2) of a response, traced by JAX; NaN beyond its end."""
+        end = curve[:, 1 if self.along == "force_n" else 0].max()
+        return jnp.where(self.points <= end, self.feature().of_curve(*curve.T), jnp.nan)
+
     def traced(self, curve: Curve) -> Array:
         """Of a curve of a run that JAX traces."""
         filled = curve.filled()
@@ -88,9 +93,9 @@ class CurvePoints:
 
     def shown(self, observables: Mapping[str, Array], curves: Mapping[str, Array]) -> Array:
         """The same numbers of a response's observables and curves (rows, 2), traced by JAX; NaN:
-        it does not have the number."""
+        it does not have the number, or its curve ends before."""
         values = [jnp.asarray(observables.get(name, jnp.nan)) for name in self.observables]
-        read = [each.feature().of_curve(*curves[each.test].T) for each in self.readings]
+        read = [each.shown(curves[each.test]) for each in self.readings]
         return jnp.concatenate([jnp.stack(values), *read])
 
     def traced(self, outcome: Outcome) -> Array:

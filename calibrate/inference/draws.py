@@ -140,7 +140,11 @@ class SoilDraws:
 
     def soil(self, number: int) -> SoilParameters:
         """That of one draw."""
-        return with_values(self.base, dict(zip(self.names, self.values[number], strict=True)))
+        return self.in_soil(self.base, number)
+
+    def in_soil(self, base: SoilParameters, number: int) -> SoilParameters:
+        """Another soil with the parameters of one draw."""
+        return with_values(base, dict(zip(self.names, self.values[number], strict=True)))
 
     def some(self, count: int) -> Iterator[SoilParameters]:
         """Soils of so many draws, evenly spaced through all chains."""

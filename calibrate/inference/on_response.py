@@ -205,6 +205,11 @@ class OnResponse(AbstractCoarse):
     near: ClassVar[bool] = True
 
     @property
+    def observables(self) -> tuple[str, ...]:
+        """Names of those that it has."""
+        return self.campaign.beds.observables
+
+    @property
     def cost(self) -> float:
         """It costs no run."""
         return 0.0
@@ -254,6 +259,12 @@ class OnResponse(AbstractCoarse):
         far = bool(self.campaign.beyond(space.base))
         return Sensitivity(values[None], *(jnp.where(far, jnp.nan, x) for x in (slopes, error)))
 
+    def deviations(self, soil: SoilParameters, read: Callable) -> tuple[np.ndarray, np.ndarray]:
+        """Of numbers (m,) that `read` takes of observables and curves at a soil: its own errors
+        (r, m), independent rows of one deviation each, and the luck (n, m) of single packings."""
+        by_beds = np.asarray(_by_beds(self.campaign.beds, read, soil))
+        return self.errors(soil) @ by_beds.T, self.specimens(soil) @ by_beds.T
+
     def _deviating(
         self, problem: Problem, soil: SoilParameters, rows: Callable[[SoilParameters], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -261,6 +272,12 @@ class OnResponse(AbstractCoarse):
         features = FeaturesOfBeds(self.campaign.beds, soil, (), problem.features)
         means, slopes = map(np.asarray, _read(features, soil))
         return means, rows(soil) @ slopes.T
+
+
+@eqx.filter_jit
+def _by_beds(beds: Beds, read: Callable, soil: SoilParameters) -> Array:
+    """Slopes (m, l) of numbers with the beds' features."""
+    return jax.jacfwd(lambda values: read(*beds.shown(values)))(beds.values(soil))
 
 
 @eqx.filter_jit

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from arviz_stats.base.array import array_stats
 from jax import Array
 from numpyro.infer.hmc import hmc
@@ -32,7 +33,11 @@ from calibrate.simulation.keys import content_hash
 
 RHAT, ESS = 1.01, 400.0  # chains have mixed: at most, and at least in total
 TAILS = (0.05, 0.95)  # quantiles of which the effective size counts too
-WIDER = 1.5  # times as far as the posterior's deviations do starts lie apart
+WIDER = 1.5  # times as far as the posterior's deviations do points lie apart that are searched
+SEARCHED, CLIMBED = 512, 24  # points among which starts are sought, and from which it goes uphill
+UPHILL = 60  # steps, at most
+DEEP = 10.0  # nats below the best: a top so far down holds next to nothing
+APART = 0.5  # of the posterior's deviations, by which starts on one top differ
 
 
 @dataclass(frozen=True)
@@ -75,10 +80,9 @@ def sample(
     """
     key = content_hash({**content, "seed": seed, "plan": repr(plan)})
     begin, covariance = (jnp.asarray(part) for part in start)
-    root = np.linalg.cholesky(np.asarray(covariance))
-    apart = np.random.default_rng([seed, 1]).normal(size=(plan.chains, len(begin))) @ root.T
     keys = jax.random.split(jax.random.PRNGKey(seed), plan.chains)
-    state = _begun(density, begin + WIDER * apart, covariance, keys, plan.warm_up)
+    places = starts(density, (begin, covariance), plan.chains, seed)
+    state = _begun(density, places, covariance, keys, plan.warm_up)
     structure, found = jax.tree.structure(state), []
     first = plan.warm_up // plan.chunk
     least, most = (first + count // plan.chunk for count in (plan.draws, plan.most))
@@ -99,6 +103,47 @@ def sample(
             break
     progress.finish()
     return joined(found)
+
+
+def starts(density: Density, about: tuple[Array, Array], chains: int, seed: int) -> Array:
+    """Where chains begin, y (chains, p).
+
+    A density may have tops of which one holds all of the mass, and chains that begin on another
+    stay there for long.  So points are searched about the best fit (`about`: y and its covariance)
+    and everywhere within the bounds, the likeliest go uphill, and chains begin on tops that are not
+    far below the highest.
+    """
+    random = np.random.default_rng([seed, 1])
+    begin, root = np.asarray(about[0]), np.linalg.cholesky(np.asarray(about[1]))
+    near = begin + WIDER * random.normal(size=(SEARCHED // 2, len(begin))) @ root.T
+    points = jnp.asarray(np.vstack([near, random.logistic(size=near.shape)]))
+    found = np.asarray(_densities(density, points))
+    likeliest = np.argsort(-np.where(np.isfinite(found), found, -np.inf))[:CLIMBED]
+    tops = _uphill(density, points[likeliest])
+    heights = np.asarray(_densities(density, tops))
+    heights = np.where(np.isfinite(heights), heights, -np.inf)
+    kept = np.asarray(tops)[heights > heights.max() - DEEP]
+    chosen = kept[random.integers(len(kept), size=chains)]
+    return jnp.asarray(chosen + APART * random.normal(size=chosen.shape) @ root.T)
+
+
+@eqx.filter_jit
+def _densities(density: Density, y: Array) -> Array:
+    return jax.lax.map(density, y, batch_size=64)
+
+
+@eqx.filter_jit
+def _uphill(density: Density, y: Array) -> Array:
+    """Points (n, p) moved towards the nearest top."""
+    solver = optx.BFGS(rtol=1e-3, atol=1e-3)
+
+    def moved(y: Array) -> Array:
+        def below(y: Array, args: None) -> Array:
+            return -density(y)
+
+        return optx.minimise(below, solver, y, max_steps=UPHILL, throw=False).value
+
+    return jax.vmap(moved)(y)
 
 
 def joined(chunks: Sequence[Draws]) -> Draws:

@@ -38,6 +38,11 @@ class Beds(eqx.Module):
     features: tuple[Feature, ...] = eqx.field(static=True)
     called: tuple[str, str] = eqx.field(static=True)
 
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """Names of observables that are among the features."""
+        return tuple(f.name for f in self.features if f.kind == TARGET)
+
     def scaled(self, soil: SoilParameters) -> Array:
         """The scaled point (p,) of a soil."""
         logs = jnp.log(jnp.stack([jnp.asarray(getattr(soil, name)) for name in self.names]))

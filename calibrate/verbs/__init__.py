@@ -9,6 +9,7 @@ VERBS = {  # the name that is typed, which is that of the file: the function, in
     "simulate": "simulate",
     "fit": "fit",
     "posterior": "posterior",
+    "predict": "predict",
     "contact": "contact",
     "audit": "audit",
     "doe": "doe",

@@ -205,15 +205,6 @@ def test_a_parameter_that_is_no_number_is_named(tmp_path):
     assert good.failure == ""
 
 
-def test_a_packing_that_is_no_numbers_is_named(tmp_path):
-    work = tiny_campaign(tmp_path)
-    packing = work.packings([0])[0]
-    broken = eqx.tree_at(lambda p: p.position.x, packing, packing.position.x.at[3].set(jnp.nan))
-    work._store.keep_packing(work._packing_name(0), broken)
-    run = work.runs([BASE], [0], "broken bed")[0][0]
-    assert "the packing holds numbers that are not finite" in run.failure
-
-
 # ------------------------------------------------------------------ nothing that users bring is run
 
 FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "joblib", "runpy"}

@@ -62,7 +62,7 @@ def test_contact_draws_the_reference_curve(calibrate, tmp_path):
     assert (status, error) == (0, "")
     result = json.loads((tmp_path / "out.json").read_text())
     assert set(result) == {"overlap_m", "normal_force_n"}
-    every = np.genfromtxt(REFERENCE / "curves.csv", delimiter=",", names=True, dtype=None,
+    every = np.genfromtxt(REFERENCE / "curves.csv.gz", delimiter=",", names=True, dtype=None,
                           encoding="utf-8")  # fmt: skip
     reference = every[every["case"] == "c1_paper_opt"]
     scale = np.abs(reference["normal_force_N"]).max()

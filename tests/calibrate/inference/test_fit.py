@@ -13,6 +13,7 @@ import sys
 import time
 from dataclasses import dataclass, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -485,6 +486,15 @@ def tiny_folder(tmp_path_factory):
 def tiny_result(tiny_folder):
     """The fit that nobody interrupts."""
     return tiny_fit(tiny_folder)
+
+
+def test_a_packing_that_is_no_numbers_is_named(tmp_path):
+    work = tiny_campaign(tmp_path)
+    packing = work.packings([0])[0]
+    broken = eqx.tree_at(lambda p: p.position.x, packing, packing.position.x.at[3].set(jnp.nan))
+    work._store.keep_packing(work._packing_name(0), broken)
+    run = work.runs([BASE], [0], "broken bed")[0][0]
+    assert "the packing holds numbers that are not finite" in run.failure
 
 
 def finished_runs(folder):

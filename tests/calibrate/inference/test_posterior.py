@@ -30,6 +30,7 @@ from calibrate.inference.sampling import (
     mixing,
     sample,
     sampled,
+    starts,
     values_of,
 )
 from calibrate.io.lab import ParameterChoice, bundled_lab
@@ -329,6 +330,21 @@ def test_other_data_or_seeds_draw_anew(asked, density, tmp_path):
     for number, (content, seed) in enumerate([({}, 0), ({"a": 1}, 0), ({}, 1)]):
         sample(density, start, content, seed, tmp_path, Silent(), SHORT)
         assert len(list((tmp_path / "draws").iterdir())) == 4 * (number + 1)
+
+
+def test_chains_begin_on_the_top_that_holds_the_mass():
+    """Another lies thirty nats below, and about that one the best fit was found."""
+
+    def density(y):
+        high = -0.5 * jnp.sum(((y - 2.0) / 0.5) ** 2)
+        low = -30.0 - 0.5 * jnp.sum((y + 2.0) ** 2)
+        return jnp.logaddexp(high, low)
+
+    about = jnp.full(3, -2.0), 0.01 * jnp.eye(3)
+    found = np.asarray(starts(density, about, 8, seed=4))
+    assert np.all(np.abs(found - 2.0) < 0.5)
+    assert len(np.unique(found, axis=0)) == 8
+    assert np.array_equal(found, np.asarray(starts(density, about, 8, seed=4)))
 
 
 KILLED = """

@@ -19,7 +19,7 @@ from tests import DATA
 LIGGGHTS = DATA / "eepa_single_contact"
 CASES, REBOUNDS = json.loads((LIGGGHTS / "cases.json").read_text()).values()
 CURVES = np.genfromtxt(
-    LIGGGHTS / "curves.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    LIGGGHTS / "curves.csv.gz", delimiter=",", names=True, dtype=None, encoding="utf-8"
 )
 POINTS_PER_LEG = 4000
 RADIUS, DENSITY, YOUNG, POISSON = 0.0025, 2650.0, 5e6, 0.3  # of all cases
