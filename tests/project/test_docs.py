@@ -163,7 +163,8 @@ def run(tmp_path_factory):
         shutil.copytree(ROOT / place, folder / place)
     export(folder / "export.csv")
     shutil.copy(ROOT / "calibrate/soils/trumao_2021/oedometer.csv", folder)
-    shutil.copy(bundled_lab(), folder / "my_soil.toml")
+    for name in ("my_soil.toml", "other_test.toml"):
+        shutil.copy(bundled_lab(), folder / name)
     with pytest.MonkeyPatch.context() as monkeypatch:
         in_place_of_spheres(monkeypatch)
         toy_library.write_library(folder / "library.nc")
