@@ -24,7 +24,8 @@ from calibrate.inference.identifiability import IDENTIFIED
 from calibrate.inference.on_response import FeaturesOfBeds
 from calibrate.inference.posterior import Density, Question
 from calibrate.inference.sampling import ESS, PART, RHAT, Sampled, mixing, values_of
-from calibrate.io.soil import with_values
+from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import SoilParameters
@@ -141,6 +142,15 @@ class SoilDraws:
     def soil(self, number: int) -> SoilParameters:
         """That of one draw."""
         return self.in_soil(self.base, number)
+
+    def base_in(self, lab: Lab) -> SoilParameters:
+        """The soil of a lab file, in which draws set their parameters; `InputError` where the
+        contact laws differ."""
+        own, theirs = lab.particles.conventions, self.tree.attrs["conventions"]
+        if own != theirs:
+            problem = f"'{own}', but the draws follow '{theirs}'"
+            raise InputError(lab.file, "particles.conventions", problem, f"give '{theirs}'")
+        return base_soil(lab)
 
     def in_soil(self, base: SoilParameters, number: int) -> SoilParameters:
         """Another soil with the parameters of one draw."""

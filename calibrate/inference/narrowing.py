@@ -8,6 +8,7 @@ many are tested.  This is what regression on the test leaves on average, whateve
 (Bayes linear statistics; Goldstein and Wooff 2007, section 3.2).
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,8 +42,8 @@ def menu(lab: Lab) -> Iterator[FurtherTest]:
     another height."""
     yield FurtherTest("the same tests again", "numbers", lab)
     yield FurtherTest("the same tests again", "curves", lab)
-    press = next(k for k, test in enumerate(lab.tests) if hasattr(test, "force_high"))
-    for factor in PRESSED:
+    pressed = [k for k, test in enumerate(lab.tests) if hasattr(test, "force_high")][:1]
+    for press, factor in itertools.product(pressed, PRESSED):
         test = lab.tests[press]
         forces = {name: factor * getattr(test, name) for name in ("force_low", "force_high")}
         other = test.model_copy(update=forces)

@@ -8,6 +8,7 @@ from its last chunk to the same draws.  Chains go on until they have mixed, by r
 and effective sample sizes (Vehtari et al. 2021, Bayesian Analysis 16, 667), or up to MOST.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,13 +73,14 @@ def sample(
     Args:
         density: of y (p,).
         start: y (p,) where it is about largest, and the covariance (p, p) of y about it.
-        content: what the density was made of, as plain data.
+        content: what else they are called by, as plain data.
         seed: of random numbers.
         folder: for chunks.
         progress: is told of them.
         plan: how many chains, and how long.
     """
-    key = content_hash({**content, "seed": seed, "plan": repr(plan)})
+    made_of = {"density": _digest((density, start)), "seed": seed, "plan": repr(plan)}
+    key = content_hash({**content, **made_of})
     begin, covariance = (jnp.asarray(part) for part in start)
     keys = jax.random.split(jax.random.PRNGKey(seed), plan.chains)
     places = starts(density, (begin, covariance), plan.chains, seed)
@@ -103,6 +105,14 @@ def sample(
             break
     progress.finish()
     return joined(found)
+
+
+def _digest(tree: Any) -> str:
+    """Of all arrays in a tree: other data, priors, libraries or runs draw anew."""
+    digest = hashlib.sha256()
+    for leaf in map(np.asarray, jax.tree.leaves(eqx.filter(tree, eqx.is_array))):
+        digest.update(f"{leaf.shape}{leaf.dtype}".encode() + leaf.tobytes())
+    return digest.hexdigest()
 
 
 def starts(density: Density, about: tuple[Array, Array], chains: int, seed: int) -> Array:
@@ -191,10 +201,10 @@ def sampled(
     """The posterior given what runs showed, and what further ones show where it is and the
     response is unsure; `work` simulates them, None: none are made.  The rest as in `sample`."""
     error, start, known, added = question.own_error(), question.best(), tuple(shown), 0
+    content = {**content, "features": [feature.name for feature in question.problem.features]}
     while True:
         density = question.density(error, known)
-        made_of = {**content, "shown": [_as_plain(each) for each in known]}
-        draws = sample(density, start, made_of, seed, folder, progress, plan)
+        draws = sample(density, start, content, seed, folder, progress, plan)
         if work is None or added == FURTHER:
             return Sampled(density, draws, known, added)
         values = values_of(density, draws.y).reshape(-1, draws.y.shape[-1])
@@ -205,10 +215,6 @@ def sampled(
             known, added = known + (() if found is None else (found,)), added + 1
         if not points:
             return Sampled(density, draws, known, added)
-
-
-def _as_plain(shown: Shown) -> list:
-    return [shown.values.tolist(), list(shown.packings), shown.features.tolist()]
 
 
 def further_points(

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.console import RenderableType
 
-from calibrate.core.errors import InputError
+from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.diagnosis import Diagnosis
 from calibrate.discrepancy.library.stand_in import served
@@ -167,6 +167,15 @@ def next_test(
         >>> [test["name"] for test in found.tests]
     """
     folder = Path(out)
+    other = {"--simulate": simulate, "--further": further, "--library": library,
+             "--discrepancy": discrepancy}  # fmt: skip
+    if posterior is not None and any(other.values()):
+        given = next(name for name, value in other.items() if value)
+        raise InputError(COMMAND_LINE, given, "--posterior asks the bundled library alone",
+                         "leave one of them out")  # fmt: skip
+    if posterior is None and prediction is not None:
+        problem = "only a posterior's tests are weighed by a prediction"
+        raise InputError(COMMAND_LINE, "--prediction", problem, "give --posterior too")
     if posterior is not None:
         return _narrowing(lab, posterior, prediction, folder)
     session = Session.open(lab, "quick", folder)
@@ -194,7 +203,8 @@ def _narrowing(
         if asked is None:
             raise InputError(wanted.lab.file, "", f"the library does not predict it: {why}",
                              "leave --prediction out")  # fmt: skip
-        soils = [known.in_soil(wanted.soil({}), n) for n in numbers]
+        base = known.base_in(wanted.lab)
+        soils = [known.in_soil(base, n) for n in numbers]
         values = np.array([shown(asked.campaign.beds, points, soil) for soil in soils])
         quantities |= {f"predicted {n}": values[:, k] for k, n in enumerate(points.observables)}
     scatter, tests, unknown = relative_scatter(session.lab), [], {}
@@ -205,7 +215,8 @@ def _narrowing(
         if response is None:
             unknown[test.name] = why
             continue
-        soils = [known.in_soil(there.soil({}), n) for n in numbers]
+        base = known.base_in(there.lab)
+        soils = [known.in_soil(base, n) for n in numbers]
         told = Told.by(response, soils, points, test.read, scatter)
         tests += [row(test, n, list(quantities), left(columns, told, n)) for n in REPEATS]
     tests.sort(key=lambda each: np.mean(np.log([max(s, 1e-3) for s in each["left"].values()])))
@@ -221,5 +232,6 @@ def _narrowing(
 def _asked(session: Session, known: SoilDraws) -> tuple[OnResponse | None, CurvePoints, str]:
     """The library in the place of a session's tests, what they show, and why there is none."""
     work = session.on_soil().campaign(session.out)
-    response, why = served(session.lab, session.preset, known.names, session.soil({}), work)
+    base = known.base_in(session.lab)
+    response, why = served(session.lab, session.preset, known.names, base, work)
     return response, CurvePoints.of(work), why

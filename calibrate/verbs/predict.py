@@ -9,7 +9,6 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.curve_points import CurvePoints
@@ -159,7 +158,7 @@ def predict(
     """
     session = Session.open(test, preset, Path(out), dask)
     known = read_draws(draws)
-    base = _soil(session, known)
+    base = known.base_in(session.lab)
     work = session.on_soil().campaign(session.out)
     found, why = None, "--runs-alone was given"
     if not runs_alone:
@@ -183,16 +182,6 @@ def predict(
     write_json(session.out / "prediction.json", content)
     result.save_figures()
     return result
-
-
-def _soil(session: Session, known: SoilDraws) -> SoilParameters:
-    """The soil of the lab file, in which draws set their parameters; refused where the contact
-    laws differ."""
-    own, theirs = session.lab.particles.conventions, known.tree.attrs["conventions"]
-    if own != theirs:
-        problem = f"'{own}', but the draws follow '{theirs}'"
-        raise InputError(session.lab.file, "particles.conventions", problem, f"give '{theirs}'")
-    return session.soil({})
 
 
 def _some(known: SoilDraws, count: int) -> list[int]:

@@ -198,7 +198,8 @@ SMALLER = {  # a view draws spheres, not a formula; a diagnosis by the bundled l
 @pytest.mark.slow
 @pytest.mark.parametrize("line", list(RUN.values()), ids=shlex.join)
 def test_commands_of_pages_run(run, line, capfd):
-    smaller = [] if "calibrate/soils" in shlex.join(line) else SMALLER.get(line[0], [])
+    whole = "calibrate/soils" in shlex.join(line) or "--posterior" in line
+    smaller = [] if whole else SMALLER.get(line[0], [])
     assert run(*line, *smaller) == 0, capfd.readouterr().err
 
 

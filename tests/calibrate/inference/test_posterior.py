@@ -332,6 +332,16 @@ def test_other_data_or_seeds_draw_anew(asked, density, tmp_path):
         assert len(list((tmp_path / "draws").iterdir())) == 4 * (number + 1)
 
 
+def test_draws_of_another_lab_are_not_taken_in_the_same_folder(asked, density, tmp_path):
+    """Numbers that were measured otherwise, or a wider prior: nothing but the density differs."""
+    start = asked.best()
+    other = eqx.tree_at(lambda d: d.measured, density, 1.01 * density.measured)
+    wider = eqx.tree_at(lambda d: d.prior_sd, density, 2.0 * density.prior_sd)
+    for number, each in enumerate([density, other, wider, density]):
+        sample(each, start, {}, 0, tmp_path, Silent(), SHORT)
+        assert len(list((tmp_path / "draws").iterdir())) == 4 * min(number + 1, 3)
+
+
 def test_chains_begin_on_the_top_that_holds_the_mass():
     """Another lies thirty nats below, and about that one the best fit was found."""
 

@@ -12,12 +12,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
-from calibrate.core.errors import CalibrationError
+from calibrate.core.errors import CalibrationError, InputError
 from calibrate.figures.posterior import prediction_figure
 from calibrate.inference.curve_points import CurvePoints
+from calibrate.inference.draws import SoilDraws
 from calibrate.inference.narrowing import Told, left, menu, relative_scatter
 from calibrate.inference.prediction import SHARE, by_response, by_runs, prediction_json
+from calibrate.io.lab import bundled_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.curves import TARGETS
 from tests.support.formulas import BASE, LAB, FormulaBeds, Formulas, on_response
@@ -222,3 +225,28 @@ def test_the_menu_has_other_stresses_and_heights_of_the_same_laboratory():
 def test_scatter_of_repeats_is_what_the_lab_file_says():
     share = [t.scatter / t.mean for t in LAB.targets.values() if t.repeats > 1]
     assert relative_scatter(LAB) == pytest.approx(np.mean(share))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--posterior", "p", "--simulate", "2"), "--simulate"),
+        (("--posterior", "p", "--library", "x.nc"), "--library"),
+        (("--prediction", "lab.toml"), "--prediction"),
+    ],
+)
+def test_options_that_would_be_left_aside_are_refused(calibrate, options, said):
+    status, _, error = calibrate("next", str(bundled_lab()), *options)
+    assert status == 2 and error.count("\n") == 1 and said in error
+
+
+def test_draws_of_another_contact_law_are_refused():
+    attributes = {"conventions": "liggghts"}
+    known = SoilDraws((), np.zeros((1, 0)), BASE, xr.DataTree(xr.Dataset(attrs=attributes)))
+    with pytest.raises(InputError, match="the draws follow 'liggghts'"):
+        known.base_in(LAB)
+
+
+def test_a_lab_without_a_confined_test_has_fewer_further_tests():
+    other = replace(LAB, tests=LAB.tests[1:])
+    assert [test.name for test in menu(other)][:2] == ["the same tests again"] * 2
