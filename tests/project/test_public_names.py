@@ -105,7 +105,8 @@ def examples(case) -> str:
 def folder(tmp_path_factory):
     """A folder with a lab file, an export and a fit, and formulas in place of spheres."""
     place = tmp_path_factory.mktemp("examples")
-    shutil.copy(bundled_lab(), place / "my_soil.toml")
+    for name in ("my_soil.toml", "other_test.toml"):
+        shutil.copy(bundled_lab(), place / name)
     with pytest.MonkeyPatch.context() as patch:
         in_place_of_spheres(patch)
         toy_library.write_library(place / "library.nc")
