@@ -253,6 +253,11 @@ def coverage(folder: Path, count: int) -> dict:
     }  # fmt: skip
 
 
+def share_of(inside: np.ndarray) -> str:
+    """The share that holds, with its 95 % interval, in words."""
+    return _in_words(_share(inside))
+
+
 def _share(inside: np.ndarray) -> dict:
     """A share with its 95 % interval."""
     found = binomtest(int(inside.sum()), len(inside)).proportion_ci(method="wilson")
@@ -324,7 +329,8 @@ def main() -> None:
     origin = reporting.provenance()
     print(found)
     if all(found.values()):
-        reporting.write("posterior", {**origin, **found}, markdown(found, origin))
+        reporting.write_content("posterior", {**origin, **found})
+        reporting.write_section("posterior", markdown(found, origin))
     else:
         reporting.write_content("posterior", {**origin, **found})
 

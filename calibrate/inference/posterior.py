@@ -195,10 +195,13 @@ class Density(eqx.Module):
     def shown(self, values: Array) -> tuple[Array, Array]:
         """Mean features (m,) of a soil with these parameters (p,), and the covariance (m, m) of
         what the response and the runs that correct it leave unknown of them."""
-        logs = jnp.log(values)
+        return self.corrected(jnp.log(values), self.features(values))
+
+    def corrected(self, logs: Array, features: Array) -> tuple[Array, Array]:
+        """The same of a soil at ln p of `logs` (p,), whose features (m,) the response gave."""
         error = self.error(logs)
         shift, left = self.runs(logs)
-        mean = self.features(values) * jnp.exp(shift * jnp.sqrt((error**2).sum(axis=0)))
+        mean = features * jnp.exp(shift * jnp.sqrt((error**2).sum(axis=0)))
         rows = error * (jnp.sqrt(left) * mean)
         return mean, rows.T @ rows
 
