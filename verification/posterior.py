@@ -7,20 +7,17 @@ Brute force weighs DRAWN soils of the prior, with the density that is sampled:
   covariance to step by (Metropolis; Roberts, Gelman and Gilks 1997);
 - simulation-based calibration (Talts et al. 2018, arXiv 1804.06788): HIDDEN soils of the prior,
   numbers as the response with all its errors would give them, ranks of the truth in the posterior,
-  tested by Kolmogorov and Smirnov;
-- the 48 sound soils of studies/sound_cases.py, which were simulated with packings, porosities and
-  roundings of their own: how often intervals hold the truth.
+  tested by Kolmogorov and Smirnov.
 
-    python -m verification.posterior        10 minutes of a core
+    python -m verification.posterior        5 minutes of a core
 
-Writes verification/results/posterior.md.
+Writes a section of verification/results/posterior.md.
 """
 
 import argparse
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
-from unittest import mock
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -30,59 +27,28 @@ from jax import Array
 from scipy.stats import binomtest, kstest
 
 from calibrate.core.progress import for_terminal
-from calibrate.discrepancy.library import stand_in
-from calibrate.discrepancy.library.design import CENTRE, SETTINGS, SOIL_PRIOR_SD, SPEEDS
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.posterior import Density, Question
-from calibrate.inference.sampling import Draws, mixing, sample, values_of
-from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
+from calibrate.inference.sampling import mixing, sample, values_of
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
-from calibrate.simulation.resolution import PRESETS, Preset, specimen
-from calibrate.simulation.specimens import Seeds
-from studies import open_cases, sound_cases
-from studies.sealed.plan import PACE, SMOOTHING, WithheldCase
-from studies.sealed.run import planned_case
+from calibrate.simulation.resolution import PRESETS, Preset
+from calibrate.simulation.specimens import Seeds, campaign
 from verification import reporting
 
 DRAWN, HIDDEN = 100_000, 200
 QUANTILES = (0.05, 0.5, 0.95)
 STEPS = 20_000  # of each random walk
-READINGS = 3  # of a record, over which noise is averaged
-HOLDS = (0.5, 0.9)  # shares of draws whose intervals are asked
-
-
-@dataclass(frozen=True)
-class Nowhere:
-    """A campaign that simulates nothing."""
-
-    folder: Path
-    progress: object
-    apparatus: tuple = ()
 
 
 def question_of(lab: Lab, preset: Preset) -> Question:
     """What is asked of the bundled library."""
-    work = Nowhere(reporting.CACHE, for_terminal())
-    response, why = served(lab, preset, None, base_soil(lab), work)  # pyright: ignore[reportArgumentType]
+    work = campaign(lab, preset, reporting.CACHE, for_terminal())
+    response, why = served(lab, preset, None, base_soil(lab), work)
     if response is None:
         raise SystemExit(why)
     seeds = Seeds.of(0, preset.packings, preset.fresh)
-    return Question.of(lab, base_soil(lab), response, work, seeds)  # pyright: ignore[reportArgumentType]
-
-
-def as_in_sound_cases(lab: Lab, porosity: float) -> Question:
-    """The same of beds as the sound soils were simulated with: nearly without roundings."""
-    preset = replace(PRESETS["standard"], spheres=1100, rate_in_mould=PACE * SPEEDS[0])
-    usual = specimen(lab, preset).porosity
-    particles = replace(lab.particles, porosity=None if usual is None else usual + porosity)
-    settings = stand_in._settings
-
-    def smooth(*given) -> list[float]:
-        known = dict(zip(SETTINGS, settings(*given), strict=True))
-        return [*{**known, "smoothing": SMOOTHING}.values()]
-
-    with mock.patch.object(stand_in, "_settings", smooth):
-        return question_of(replace(lab, particles=particles), preset)
+    return Question.of(lab, base_soil(lab), response, work, seeds)
 
 
 # ---------------------------------------------------------------- brute force
@@ -132,11 +98,11 @@ def _shown(density: Density, values: Array) -> tuple[Array, Array]:
 # ---------------------------------------------------------------- the sampler
 
 
-def random_walk(density: Density, draws: Draws, steps: int) -> np.ndarray:
-    """Metropolis' chains (c, d, p) from draws of the posterior, with its own covariance."""
-    flat = draws.y.reshape(-1, draws.y.shape[-1])
-    root = np.linalg.cholesky(np.cov(flat.T)) * 2.38 / np.sqrt(flat.shape[1])
-    return np.asarray(_walk(density, jnp.asarray(draws.y[:, 0]), jnp.asarray(root), steps))
+def random_walk(density: Density, begin: np.ndarray, spread: np.ndarray, steps: int) -> np.ndarray:
+    """Metropolis' chains of y (c, d, p) from `begin` (c, p), for a posterior whose covariance is
+    about `spread` (p, p)."""
+    root = np.linalg.cholesky(spread) * 2.38 / np.sqrt(len(spread))
+    return np.asarray(_walk(density, jnp.asarray(begin), jnp.asarray(root), steps))
 
 
 @eqx.filter_jit
@@ -166,9 +132,10 @@ def agreement(question: Question, density: Density, brute: Brute, steps: int) ->
     weights = brute.weights(question.problem.measured)
     exact, width = brute.quantiles(weights, QUANTILES), flat.std(axis=0)
     _, ess = mixing(draws.y)
-    random_walk(density, draws, 10)
+    begin, spread = draws.y[:, 0], np.cov(draws.y.reshape(-1, draws.y.shape[-1]).T)
+    random_walk(density, begin, spread, steps)  # compiles
     clock = time.process_time()
-    walked = random_walk(density, draws, steps)
+    walked = random_walk(density, begin, spread, steps)
     walking = time.process_time() - clock
     return {
         "brute_force_effective": float(1 / (weights**2).sum()),
@@ -195,91 +162,27 @@ def ranks(brute: Brute, density: Density, question: Question, count: int) -> dic
     return {"soils": count, "p": tests, "least_effective": float(np.min(effective))}
 
 
-# ---------------------------------------------------------------- soils that were simulated
-
-
-def sound(folder: Path) -> list[tuple[WithheldCase, np.ndarray]]:
-    """The sound soils, and H and F (specimens, 2), mm and N, as each one's records show them."""
-    found = []
-    for path in sorted((folder / "cases").glob("*/lab.toml")):
-        lab, rows = load_lab(path), []
-        pressed, crushed = (
-            [curve for curve in lab.curves if curve.test == test.called] for test in lab.tests
-        )
-        low, high = lab.tests[0].guides()
-        for press, crush in zip(pressed, crushed, strict=True):
-            top = int(np.argmax(press.force_n)) + 1
-            rising = np.maximum.accumulate(press.force_n[:top])
-            start, end = np.interp([low, high], rising, press.displacement_mm[:top])
-            smooth = np.convolve(crush.force_n, np.full(READINGS, 1 / READINGS), "valid")
-            rows.append([end - start, smooth.max()])
-        found.append((planned_case(folder, path.parent.name), np.array(rows)))
-    return found
-
-
-def coverage(folder: Path, count: int) -> dict:
-    """How often intervals hold the parameters of soils that were simulated."""
-    cases, lab = sound(folder), load_lab(bundled_lab())
-    scatter = np.mean([np.var(np.log(rows), axis=0, ddof=1) for _, rows in cases], axis=0) ** 0.5
-    choices = {n: ParameterChoice(CENTRE[n], None, None, sd, None)
-               for n, sd in SOIL_PRIOR_SD.items()}  # fmt: skip
-    lab = replace(lab, parameters={**lab.parameters, **choices})
-    below, surprise = [], []
-    for porosity in sorted({case.porosity for case, _ in cases}):
-        question = as_in_sound_cases(lab, porosity)
-        density = question.density(question.own_error(), [])
-        brute = Brute.of(question, replace(density, covariance=jnp.zeros((2, 2))), count, 5)
-        for case, rows in cases:
-            if case.porosity != porosity:
-                continue
-            measured = rows.mean(axis=0)
-            own = np.diag((scatter * measured) ** 2 / len(rows))
-            known = replace(brute, covariance=brute.covariance + own)
-            weights = known.weights(measured)
-            truth = np.log([case.soil[name] for name in question.space.names])
-            below.append(known.below(weights, truth))
-            surprise.append(1 / (weights**2).sum())
-    found = np.array(below)
-    held = {
-        str(share): [
-            _share(np.abs(column - 0.5) < share / 2) for column in found.T
-        ]
-        for share in HOLDS
-    }  # fmt: skip
-    return {
-        "soils": len(found), "scatter": scatter.tolist(), "held": held,
-        "p": [kstest(column, "uniform").pvalue for column in found.T],
-        "least_effective": float(np.min(surprise)), "names": list(SOIL_PRIOR_SD),
-    }  # fmt: skip
+# ---------------------------------------------------------------- the page
 
 
 def share_of(inside: np.ndarray) -> str:
     """The share that holds, with its 95 % interval, in words."""
-    return _in_words(_share(inside))
-
-
-def _share(inside: np.ndarray) -> dict:
-    """A share with its 95 % interval."""
     found = binomtest(int(inside.sum()), len(inside)).proportion_ci(method="wilson")
-    return {"share": float(inside.mean()), "low": found.low, "high": found.high}
+    return f"{100 * inside.mean():.0f} % ({100 * found.low:.0f} to {100 * found.high:.0f})"
 
 
-# ---------------------------------------------------------------- the page
-
-
-def markdown(found: dict, origin: dict) -> str:
-    agreed, ranked, held = found["agreement"], found["ranks"], found["coverage"]
-    names, apart = held["names"], np.array(agreed["quantiles_apart"])
+def markdown(found: dict, names: Sequence[str], origin: dict) -> str:
+    agreed, ranked = found["agreement"], found["ranks"]
+    apart = np.array(agreed["quantiles_apart"])
     samplers = [
         [name, f"{row['seconds']:.0f}", f"{row['least_ess']:.0f}",
          f"{row['least_ess'] / row['seconds']:.1f}"]
         for name, row in (("NUTS", agreed["nuts"]), ("random walk", agreed["walk"]))
     ]  # fmt: skip
     parameters = [
-        [name, *(f"{100 * column:.0f}" for column in apart[:, i]), f"{ranked['p'][i]:.2f}",
-         *(_in_words(held["held"][str(share)][i]) for share in HOLDS), f"{held['p'][i]:.2f}"]
+        [name, *(f"{100 * column:.0f}" for column in apart[:, i]), f"{ranked['p'][i]:.2f}"]
         for i, name in enumerate(names)
-    ]  # fmt: skip
+    ]
     return (
         "# Posteriors\n\n"
         "Draws are compared with brute force, which weighs soils of the prior "
@@ -292,47 +195,27 @@ def markdown(found: dict, origin: dict) -> str:
         "the posterior's own covariance.\n\n"
         + reporting.table(
             ("parameter", "5 % quantile of draws off, in hundredths of a deviation", "50 %",
-             "95 %", "ranks of hidden soils: p", "50 % intervals hold of simulated soils",
-             "90 % intervals", "their ranks: p"), parameters)
-        + f"\n{held['soils']} soils were simulated on four packings each with porosities and "
-        "roundings of their own; the library alone judged them, by depression depth and crushing "
-        f"force, which scatter by {100 * held['scatter'][0]:.1f} % and "
-        f"{100 * held['scatter'][1]:.1f} % from specimen to specimen.\n"
+             "95 %", "ranks of hidden soils: p"), parameters)
         + reporting.footer(origin)
     )  # fmt: skip
-
-
-def _in_words(row: dict) -> str:
-    return f"{100 * row['share']:.0f} % ({100 * row['low']:.0f} to {100 * row['high']:.0f})"
 
 
 def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("--drawn", type=int, default=DRAWN, help="soils of brute force")
-    parser.add_argument("--part", choices=("agreement", "ranks", "coverage"), help="only this one")
-    chosen = parser.parse_args()
+    drawn = parser.parse_args().drawn
     reporting.configure()
-    found = {part: reporting.earlier("posterior", part) for part in ("agreement", "ranks",
-                                                                     "coverage")}  # fmt: skip
-    if chosen.part in (None, "agreement", "ranks"):
-        question = question_of(load_lab(bundled_lab()), PRESETS["standard"])
-        density = question.density(question.own_error(), [])
-        brute = Brute.of(question, density, chosen.drawn, 4)
-        if chosen.part != "ranks":
-            found["agreement"] = agreement(question, density, brute, STEPS)
-        if chosen.part != "agreement":
-            found["ranks"] = ranks(brute, density, question, HIDDEN)
-    if chosen.part in (None, "coverage"):
-        open_cases.unpack(("sound_cases.tar.xz",))
-        found["coverage"] = coverage(sound_cases.WORK, chosen.drawn)
+    question = question_of(load_lab(bundled_lab()), PRESETS["standard"])
+    density = question.density(question.own_error(), [])
+    brute = Brute.of(question, density, drawn, 4)
+    found = {
+        "agreement": agreement(question, density, brute, STEPS),
+        "ranks": ranks(brute, density, question, HIDDEN),
+    }
     origin = reporting.provenance()
-    print(found)
-    if all(found.values()):
-        reporting.write_content("posterior", {**origin, **found})
-        reporting.write_section("posterior", markdown(found, origin))
-    else:
-        reporting.write_content("posterior", {**origin, **found})
+    reporting.write_content("posterior", {**origin, **found})
+    reporting.write_section("posterior", markdown(found, question.space.names, origin))
 
 
 if __name__ == "__main__":
