@@ -5,6 +5,7 @@ The library of runs alone judges them:
 
 - parameters: how often intervals of the posterior from H and F hold the truth, by brute force
   (`verification.posterior`);
+- zeros: how far records of a test begin from where the library's curves do;
 - predictions: H and F of three specimens are known, and the fourth one's numbers and both its
   curves are predicted;
 - promises, for the first PROMISED soils: what `calibrate next` says that whole curves of the four
@@ -17,7 +18,7 @@ Writes a section of verification/results/posterior.md.
 """
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -39,11 +40,11 @@ from calibrate.inference.sampling import mixing, starts, values_of
 from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
 from calibrate.labtests.features import (
     SEATED,
-    SEATED_ROW,
     DisplacementOnLoading,
     ForceAtDisplacement,
 )
 from calibrate.labtests.measured import Target
+from calibrate.labtests.reading import displacement_on_rise, loading, rising
 from calibrate.simulation.resolution import PRESETS, specimen
 from jdem.materials.soil import SoilParameters
 from studies import open_cases, sound_cases
@@ -57,8 +58,10 @@ READINGS = 3  # of a record, over which noise is averaged
 HOLDS = (0.5, 0.9)  # shares of draws, or of specimens, that intervals are to hold
 KNOWN = 3  # specimens, of four, from which the last is predicted
 PREDICTED = 200  # soils of a posterior of which tests are predicted
+# Shares of the largest force up to which a record begins: specimens hardly scatter there.
+BEGUN = (0.0125, 0.3)
 PROMISED = 20
-STEPS = (6_000, 20_000)  # of random walks: to learn how they have to step, and to draw
+STEPS = (3_000, 8_000)  # of random walks: to learn how they have to step, and to draw
 ASKED = 400  # draws by which a test is weighed, as `calibrate next` does
 NAMES = ("depression_depth_mm", "crushing_force_n")
 PARTS = ("parameters", "predictions", "promises")
@@ -154,9 +157,9 @@ class Seated:
         press, crush = curves[self.pressed], curves[self.crushed]
         forces, ways = np.array(self.forces), np.array(self.displacements)
         risen = DisplacementOnLoading("", "mm", self.pressed, forces, SEATED).of_curve(*press.T)
-        carried = ForceAtDisplacement("", "N", self.crushed, ways, SEATED_ROW, 0.0)
+        carried = ForceAtDisplacement("", "N", self.crushed, ways, SEATED, 0.0)
         risen = jnp.where(forces <= press[:, 1].max(), risen, jnp.nan)
-        end = crush[:, 0].max() - SEATED_ROW.of(*crush.T)
+        end = crush[:, 0].max() - SEATED.of(*loading(*crush.T))
         borne = jnp.where(ways <= end, carried.of_curve(*crush.T), jnp.nan)
         return jnp.concatenate([jnp.stack([observables[n] for n in NAMES]), risen, borne])
 
@@ -166,20 +169,32 @@ def points_of(question: Question) -> CurvePoints:
     return CurvePoints.of(question.response.campaign)  # pyright: ignore[reportArgumentType]
 
 
-def judged(sound: Sequence[Sound], count: int) -> dict:
-    """Parameters, from all specimens, and predictions of the last one, from the others."""
-    scatter = np.mean([np.var(np.log(s.numbers), axis=0, ddof=1) for s in sound], axis=0) ** 0.5
-    below, least, held = [], np.inf, []
+def scatter_of(sound: Sequence[Sound]) -> np.ndarray:
+    """Relative deviation of H and of F (2,) from specimen to specimen, over all soils."""
+    return np.mean([np.var(np.log(s.numbers), axis=0, ddof=1) for s in sound], axis=0) ** 0.5
+
+
+def by_porosity(sound: Sequence[Sound], count: int) -> Iterator[tuple[Question, Brute, list]]:
+    """Soils whose beds are as porous, what is asked of them, and soils of the prior."""
     for porosity in sorted({s.case.porosity for s in sound}):
         these = [s for s in sound if s.case.porosity == porosity]
         question = these[0].question(these[0].two_numbers())
         density = question.density(question.own_error(), [])
         brute = Brute.of(question, replace(density, covariance=jnp.zeros((2, 2))), count, 5)
+        yield question, brute, these
+
+
+def judged(sound: Sequence[Sound], count: int) -> dict:
+    """Parameters, from all specimens, and predictions of the last one, from the others."""
+    scatter = scatter_of(sound)
+    below, least, held, zeros = [], np.inf, [], []
+    for question, brute, these in by_porosity(sound, count):
         points = Seated.of(points_of(question))
         for each in these:
             weights = _weights(brute, each.numbers, scatter)
             truth = np.log([each.case.soil[name] for name in question.space.names])
             below.append(brute.below(weights, truth))
+            zeros.append(begun(each, question, points))
             least = min(least, 1 / (weights**2).sum())
             known = _weights(brute, each.numbers[:KNOWN], scatter)
             drawn = np.random.default_rng(21).choice(len(known), PREDICTED, p=known)
@@ -191,8 +206,28 @@ def judged(sound: Sequence[Sound], count: int) -> dict:
             held.append(np.where(known, (seen > low) & (seen < high), np.nan))
     return {
         "names": list(SOIL_PRIOR_SD), "scatter": scatter.tolist(), "least_effective": float(least),
-        "below": np.array(below).tolist(), "held_back": np.array(held).tolist(),
+        "below": np.array(below).tolist(), "zeros": zeros, "held_back": np.array(held).tolist(),
     }  # fmt: skip
+
+
+def begun(sound: Sound, question: Question, points: Seated) -> list[float]:
+    """By how much more (mm) records move from the seating force to BEGUN of the largest one than
+    the response's curves of the true soil: mean over specimens, confined and unconfined."""
+    soil = question.space.soil(np.array([sound.case.soil[n] for n in question.space.names]))
+    beds = question.response.campaign.beds
+    curves = beds.shown(beds.values(soil))[1]
+    names = (points.pressed, points.crushed)
+    expected = [_begun(np.asarray(curves[n]), k) for k, n in enumerate(names)]
+    specimens = range(len(sound.numbers))
+    records = [[_begun(c, k) for k, c in enumerate(sound.record(n))] for n in specimens]
+    return (np.mean(records, axis=0) - expected).tolist()
+
+
+def _begun(curve: np.ndarray, test: int) -> float:
+    way, force = curve[: int(curve[:, 1].argmax()) + 1].T
+    rise = rising(way, force)
+    ends = [SEATED.force or 0.0, BEGUN[test] * force.max()]
+    return float(np.diff([displacement_on_rise(*rise, end) for end in ends])[0])
 
 
 def _band(question: Question, soils: Sequence[SoilParameters], points: Seated):
@@ -211,33 +246,35 @@ def _weights(brute: Brute, numbers: np.ndarray, scatter: np.ndarray) -> np.ndarr
 # ---------------------------------------------------------------- promises
 
 
-def promises(sound: Sequence[Sound]) -> list[dict]:
+def promises(sound: Sequence[Sound], count: int) -> list[dict]:
     """Of each parameter's deviation given H and F: the share that whole curves of as many
-    specimens leave, promised and come."""
+    specimens leave, promised and come; shares of draws given curves below the truth."""
     found = []
-    for each in sound:
-        lab = each.two_numbers()
-        question = each.question(lab)
-        before = walked(question)
-        logs = before.reshape(-1, before.shape[-1])
-        logs = logs[:: max(1, len(logs) // ASKED)]
-        soils = [question.space.soil(np.exp(row)) for row in logs]
-        points = points_of(question)
-        told = Told.by(question.response, soils, points, "curves", relative_scatter(lab))
-        after = walked(each.question(each.lab))
-        found.append({
-            "case": each.case.name,
-            "promised": left(logs, told, len(each.numbers)).tolist(),
-            "came": (_deviation(after) / _deviation(before)).tolist(),
-            "least_ess": [float(mixing(draws)[1].min()) for draws in (before, after)],
-            "rhat": [float(mixing(draws)[0].max()) for draws in (before, after)],
-        })  # fmt: skip
-        print(found[-1], flush=True)
+    for question, brute, these in by_porosity(sound, count):
+        for each in these:
+            weights = _weights(brute, each.numbers, scatter_of(sound))
+            drawn = np.random.default_rng(23).choice(len(weights), ASKED, p=weights)
+            logs = brute.logs[drawn]
+            soils = [question.space.soil(np.exp(row)) for row in logs]
+            usual = relative_scatter(each.two_numbers())
+            told = Told.by(question.response, soils, points_of(question), "curves", usual)
+            after = walked(each.question(each.lab))
+            draws = after.reshape(-1, after.shape[-1])
+            truth = np.log([each.case.soil[name] for name in question.space.names])
+            found.append({
+                "case": each.case.name,
+                "promised": left(logs, told, len(each.numbers)).tolist(),
+                "came": (draws.std(axis=0) / logs.std(axis=0)).tolist(),
+                "below": (draws < truth).mean(axis=0).tolist(),
+                "least_ess": float(mixing(after)[1].min()),
+                "rhat": float(mixing(after)[0].max()),
+            })  # fmt: skip
+            print(found[-1], flush=True)
     return found
 
 
 def walked(question: Question) -> np.ndarray:
-    """ln p (chains, draws, p) of its posterior by the library alone, by random walks that begin
+    """ln p (chains, draws, p) of a posterior by the library alone, by random walks that begin
     where NUTS would."""
     density = question.density(question.own_error(), [])
     begin, covariance = (jnp.asarray(part) for part in question.best())
@@ -247,10 +284,6 @@ def walked(question: Question) -> np.ndarray:
     ]
     spread = np.cov(learned.reshape(-1, learned.shape[-1]).T)
     return np.log(values_of(density, random_walk(density, learned[:, -1], spread, STEPS[1])))
-
-
-def _deviation(logs: np.ndarray) -> np.ndarray:
-    return logs.reshape(-1, logs.shape[-1]).std(axis=0)
 
 
 # ---------------------------------------------------------------- the page
@@ -283,16 +316,23 @@ def markdown(found: dict, origin: dict) -> str:
 
 
 def _sentences(found: dict, ratio: np.ndarray) -> list[str]:
-    held = np.array(found["judged"]["held_back"])
+    held = np.array(found["judged"]["held_back"], float)
     numbers = [
         f"{name} of {share_of(column == 1)}" for name, column in zip(NAMES, held.T, strict=False)
     ]
     curves = (held[:, 2 : 2 + POINTS], held[:, 2 + POINTS :])
     confined, free = (_mean(np.nanmean(part, axis=1)) for part in curves)
+    zeros = np.sqrt(np.mean(np.square(found["judged"]["zeros"]), axis=0))
     logs = np.log(ratio).mean(axis=1)
     half = student.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
     middle, low, high = np.exp([logs.mean(), logs.mean() - half, logs.mean() + half])
+    inside = np.abs(np.array([r["below"] for r in found["promises"]]) - 0.5) < HOLDS[1] / 2
     return [
+        f"Given curves, 90 % intervals hold {share_of(inside.ravel())} of the true parameters of "
+        f"{len(inside)} soils.",
+        f"Up to {100 * BEGUN[0]:.3g} and {100 * BEGUN[1]:.3g} % of the largest force, records move more or less than the "
+        f"library's curves of the true soil by {zeros[0]:.3f} mm (confined) and {zeros[1]:.3f} mm "
+        "(unconfined), root mean square over soils.",
         f"Of specimens that took no part, 90 % intervals hold {' and '.join(numbers)}; of the "
         f"points of their curves {confined} (confined) and {free} (unconfined).",
         f"Whole curves of {len(ratio)} soils leave {middle:.2f} times ({low:.2f} to {high:.2f}, "
@@ -317,7 +357,7 @@ def main() -> None:
     sound = Sound.every(sound_cases.WORK)[: chosen.most]
     made: dict[str, Callable] = {
         "judged": lambda: judged(sound, chosen.drawn),
-        "promises": lambda: promises(sound[:PROMISED]),
+        "promises": lambda: promises(sound[:PROMISED], chosen.drawn),
     }
     found = {part: reporting.earlier("sound_soils", part) for part in made}
     for part, make in made.items():

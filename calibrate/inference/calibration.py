@@ -294,7 +294,7 @@ def exploring(calibration: Calibration, correction: Correction) -> Calibration:
     coarse.campaign.progress.say(f"exploring with {coarse.described}")
     return replace(
         calibration,
-        problem=corrected(calibration.problem, correction),
+        problem=coarse.heard(corrected(calibration.problem, correction), calibration.space.base),
         campaign=coarse.campaign,
         coarse=None,
         settings=EXPLORING,

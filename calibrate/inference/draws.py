@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import Array
+from scipy.stats import chi2
 
 from calibrate.core.errors import InputError
 from calibrate.core.files import whole
@@ -37,28 +38,34 @@ NETCDF = "h5netcdf"
 
 
 @eqx.filter_jit
-def _predicted(density: Density, values: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Of parameters (n, p): what would be measured (n, m), given noise (n, m) of deviation 1, and
-    variances (n, m), of the response and all."""
+def _predicted(density: Density, values: Array, noise: Array) -> tuple[Array, ...]:
+    """Of parameters (n, p): what would be measured (n, m), given noise (n, m) of deviation 1,
+    variances (n, m), of the response and all, and the square (n,) of how far what was measured is
+    off, in deviations."""
 
-    def one(both: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    def one(both: tuple[Array, Array]) -> tuple[Array, ...]:
         values, noise = both
         mean, own = density.shown(values)
         total = own + density.covariance
-        return mean + jnp.linalg.cholesky(total) @ noise, jnp.diag(own), jnp.diag(total)
+        off = density.measured - mean
+        shown = mean + jnp.linalg.cholesky(total) @ noise
+        return shown, jnp.diag(own), jnp.diag(total), off @ jnp.linalg.solve(total, off)
 
     return jax.lax.map(one, (values, noise), batch_size=64)
 
 
 def predicted(
     density: Density, values: np.ndarray, seed: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What tests on soils of parameters (..., p) would show, as they were measured: (..., m); and
-    variances (..., m) of the response with the runs that correct it, and of all."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What tests on soils of parameters (..., p) would show, as they were measured: (..., m);
+    variances (..., m) of the response with the runs that correct it, and of all; the square (...)
+    of how far what was measured is off."""
     flat = values.reshape(-1, values.shape[-1])
     noise = np.random.default_rng([seed, 2]).normal(size=(len(flat), len(density.measured)))
     found = _predicted(density, jnp.asarray(flat), jnp.asarray(noise))
-    return tuple(np.asarray(part).reshape(*values.shape[:-1], -1) for part in found)  # pyright: ignore[reportReturnType]
+    *parts, off = (np.asarray(part) for part in found)
+    shape = values.shape[:-1]
+    return *(part.reshape(*shape, -1) for part in parts), off.reshape(shape)  # pyright: ignore[reportReturnType]
 
 
 def inference_data(
@@ -70,7 +77,7 @@ def inference_data(
     names, features = question.space.names, [f.name for f in question.problem.features]
     draws = found.draws
     values = values_of(found.density, draws.y)
-    shown, own, total = predicted(found.density, values, seed)
+    shown, own, total, off = predicted(found.density, values, seed)
     flat = values.shape[0] * values.shape[1]
     drawn = np.random.default_rng([seed, 3])
     prior = np.exp(question.prior.rvs((1, flat, len(names)), drawn))
@@ -86,6 +93,7 @@ def inference_data(
             "acceptance_rate": draws.accepted,
             "step_size": draws.step_size,
             "response_share": own / total,
+            "off": off,
         },
     }
     dims = {"features": ["feature"], "response_share": ["feature"]}
@@ -205,6 +213,7 @@ SURPRISE = (0.05, 99.95)  # per cent, beyond which a number is not met
 LITTLE = 0.25  # of the largest weight, below which a parameter is no part of a direction
 CUT = 0.02  # of a range in ln p: draws that lie so near the end of the library
 MANY = 0.05  # of draws there, from which an interval counts as cut
+UNLIKELY = 0.01  # chance, below which what was measured does not go together
 OUTSIDE = 0.05  # of a parameter's prior beyond the library, from which on it is said
 
 
@@ -221,18 +230,19 @@ def described(
     rows = zip(names, median, low, high, rhat, ess, width, strict=True)
     keys = ("median", "low", "high", "rhat", "ess", "width")
     parameters = {name: dict(zip(keys, map(float, row), strict=True)) for name, *row in rows}
-    features = _features_json(question, tree)
+    features, chance = _features_json(question, tree), _chance(question, tree)
     diverging = int(found.draws.diverging.sum())
     return {
         "parameters": parameters,
         "divergences": diverging,
         "points_added": found.added,
         "features": features,
+        "chance": chance,
         "directions": list(_directions(question, logs)),
         "reach": _reach_json(question),
         "warnings": [
             *notes, *_of_chains(names, rhat, ess, diverging), *_of_features(features),
-            *_of_reach(question, logs),
+            *_of_agreement(question, chance), *_of_reach(question, logs),
         ],
     }  # fmt: skip
 
@@ -308,6 +318,26 @@ def _of_features(features: Mapping[str, Mapping]) -> Iterator[str]:
                 f"no soil of the library shows what was measured: {name} is {row['measured']:.4g}, "
                 f"and soils of the posterior give {row['low']:.4g} to {row['high']:.4g}"
             )
+
+
+def _chance(question: Question, tree: xr.DataTree) -> float:
+    """That soils of the posterior show numbers as far off as the measured ones, or further, all
+    together (posterior predictive; Gelman, Meng and Stern 1996, Statistica Sinica 6, 733)."""
+    heard = int((~question.unknown).sum())
+    return float(chi2.sf(np.asarray(tree["sample_stats"]["off"]), heard).mean())
+
+
+def _of_agreement(question: Question, chance: float) -> Iterator[str]:
+    silent = [f.name for f, no in zip(question.problem.features, question.unknown, strict=True)
+              if no]  # fmt: skip
+    if silent:
+        yield f"beyond the library's curves, so without a say: {', '.join(silent)}"
+    if chance < UNLIKELY:
+        yield (
+            "no soil of the library explains all measured numbers together (a chance of "
+            f"{chance:.1g}): intervals are narrower than they should be, and may lie elsewhere; "
+            "calibrate diagnose asks what acts beside the parameters"
+        )
 
 
 def _reach_json(question: Question) -> dict[str, dict]:

@@ -37,6 +37,7 @@ from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.base import Sensitivity
 
 MOST_STEPS = 200  # of the solver
+BEYOND = 2e-3  # of a number, by which it may move with what comes after a curve's end
 DIGITS = 6  # of a point that a response leads to: a last digit that differs moves no simulation
 
 
@@ -231,6 +232,18 @@ class OnResponse(AbstractCoarse):
     def slopes(self, problem: Problem, space: Space, values: np.ndarray) -> np.ndarray:
         """By JAX."""
         return slopes_of(FeaturesOfBeds.of(self.campaign.beds, problem, space), values)
+
+    def unknown(self, problem: Problem, soil: SoilParameters) -> np.ndarray:
+        """Mask (m,) of the features that are read beyond the ends of its curves."""
+        beds = self.campaign.beds
+        observables, curves = beds.shown(beds.values(soil))
+        shown = {test: np.asarray(curve) for test, curve in curves.items()}
+        other = beds.continued(curves)
+        read = [(f.read(observables, shown), f.read(observables, other)) for f in problem.features]
+        return np.array([not np.isclose(*both, rtol=BEYOND, atol=0.0) for both in read])
+
+    def heard(self, problem: Problem, soil: SoilParameters) -> Problem:
+        return problem.without(self.unknown(problem, soil))
 
     def scatter(
         self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign

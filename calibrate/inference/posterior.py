@@ -228,7 +228,8 @@ class Question:
     the lab does not hold, within the bounds of both, and what simulates.
 
     `share` (p,): of each parameter's prior within the bounds of a fit, what the response reaches;
-    scatter (m, m): covariance of one packing's features over their mean, from `scattered`.
+    unknown (m,): features beyond its curves, which have no say; scatter (m, m): covariance of one
+    packing's features over their mean, from `scattered`.
     """
 
     lab: Lab
@@ -236,6 +237,7 @@ class Question:
     space: Space
     share: np.ndarray
     response: OnResponse
+    unknown: np.ndarray
     scatter: np.ndarray
     scattered: int
     seeds: Seeds
@@ -253,8 +255,10 @@ class Question:
             raise InputError(lab.file, "parameters", reason, "leave one free")
         known, share = within_reach(space(lab, names, base), response.reach)
         problem = pose(lab)
+        unknown = response.unknown(problem, base)
+        problem = problem.without(unknown)
         scatter, scattered = response.scatter(problem, base, seeds, work)
-        return Question(lab, problem, known, share, response, scatter, scattered, seeds)
+        return Question(lab, problem, known, share, response, unknown, scatter, scattered, seeds)
 
     @property
     def prior(self):

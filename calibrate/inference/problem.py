@@ -5,12 +5,18 @@ feature, a curve is read where its test says (`calibrate.labtests`).  The specim
 sample, not the point, so features of one specimen are correlated, and their covariance is that
 of packings and repeats:
 
-    Sigma = S_packing (1/n_packings + 1/n_repeats)          for curves
+    Sigma = S_packing (1/n_packings + a/n_repeats)          for curves
     Sigma = S_packing / n_packings + scatter^2 / repeats    for scalar targets
+
+A laboratory's specimens scatter at least as packings do: a >= 1 is how much larger the variance is
+that the records of a test show.  Where a platen begins to touch is known to SEATED only, which all
+records of a test share:
+
+    Sigma + SEATED^2 s s'        s: slope of features with the zero of their displacement
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,19 +28,28 @@ from calibrate.labtests.features import SEATING, AbstractFeature, ScalarTarget, 
 from calibrate.labtests.measured import Curve
 from calibrate.simulation import Run
 
+# mm, of the zero of displacement; rms over records of simulated soils that hide nothing
+# (verification/results/posterior.md).
+SEATED = 0.08
+UNHEARD = 1e3  # times a number: a deviation with which it counts for nothing
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Features with their measured means (m,) and, per feature, how they were measured.
 
     target_variance (m,) is the variance of a target's measured mean; repeats (m,) counts
-    the curves behind a curve feature and is 0 for a target.
+    the curves behind a curve feature and is 0 for a target; scatter (m,) is the relative
+    standard deviation of one curve's feature among these, NaN where it is not known; seating (m,)
+    is a feature's slope with the zero of its test's displacement, per mm.
     """
 
     features: tuple[AbstractFeature, ...]
     measured: np.ndarray
     target_variance: np.ndarray
     repeats: np.ndarray
+    scatter: np.ndarray = field(default_factory=lambda: np.full(1, np.nan))
+    seating: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
     def simulated(self, runs: list[Run]) -> np.ndarray:
         """Features of each run, shape (packings, m); NaN where a run failed."""
@@ -53,8 +68,29 @@ class Problem:
         scatter = relative_scatter * np.outer(self.measured, self.measured)
         of_curve = self.repeats > 0
         both = np.outer(of_curve, of_curve)
-        weight = 1 / packings + np.where(both, 1 / np.maximum(self.repeats, 1), 0.0)
-        return scatter * weight + np.diag(self.target_variance)
+        more = np.sqrt(self._wider(np.diag(relative_scatter)))
+        of_repeats = np.outer(more, more) / np.maximum(self.repeats, 1)
+        weight = 1 / packings + np.where(both, of_repeats, 0.0)
+        same = np.equal.outer(*[[feature.test for feature in self.features]] * 2)
+        touch = SEATED * np.broadcast_to(self.seating, self.measured.shape)
+        return scatter * weight + np.diag(self.target_variance) + same * np.outer(touch, touch)
+
+    def _wider(self, variance: np.ndarray) -> np.ndarray:
+        """By how much (m,) the records of each feature's test scatter more than packings, whose
+        relative variance is `variance` (m,); at least 1."""
+        found = np.ones(len(self.features))
+        shown = np.broadcast_to(self.scatter, found.shape) ** 2
+        known = np.isfinite(shown) & (variance > 0)
+        for test in {feature.test for feature in self.features}:
+            mine = known & np.array([feature.test == test for feature in self.features])
+            if mine.any():
+                found[mine] = max(1.0, float(shown[mine].sum() / variance[mine].sum()))
+        return found
+
+    def without(self, unknown: np.ndarray) -> "Problem":
+        """The same in which features `unknown` (m,) have no say, as they count for nothing."""
+        wide = (UNHEARD * self.measured) ** 2
+        return replace(self, target_variance=np.where(unknown, wide, self.target_variance))
 
 
 def finished_features(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
@@ -66,7 +102,16 @@ def finished_features(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
     return problem.simulated([run for run in runs if not run.failure])
 
 
-Row = tuple[AbstractFeature, float, float, int]  # feature, mean, variance of a target, repeats
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A feature and how it was measured, as `Problem` has them."""
+
+    feature: AbstractFeature
+    measured: float
+    target_variance: float = 0.0
+    repeats: int = 0
+    scatter: float = np.nan
+    seating: float = 0.0
 
 
 def pose(lab: Lab) -> Problem:
@@ -77,12 +122,11 @@ def pose(lab: Lab) -> Problem:
     lab = lab.on_soil()
     rows = [_target(lab, name) for name in lab.targets]
     rows += [row for test in lab.tests for row in _of_curves(lab, test)]
-    return Problem(
-        features=tuple(row[0] for row in rows),
-        measured=np.array([row[1] for row in rows]),
-        target_variance=np.array([row[2] for row in rows]),
-        repeats=np.array([row[3] for row in rows]),
-    )
+    columns = {
+        name: np.array([getattr(row, name) for row in rows])
+        for name in ("measured", "target_variance", "repeats", "scatter", "seating")
+    }
+    return Problem(features=tuple(row.feature for row in rows), **columns)
 
 
 def begun_late(lab: Lab) -> list[str]:
@@ -125,7 +169,7 @@ def _target(lab: Lab, name: str) -> Row:
     target, known = lab.targets[name], described(name)
     test = name.rpartition(".")[0]
     variance = target.scatter**2 / target.repeats
-    return ScalarTarget(name, known.unit, test), target.mean, variance, 0
+    return Row(ScalarTarget(name, known.unit, test), target.mean, variance)
 
 
 def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
@@ -156,7 +200,12 @@ def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
                 f"it has no '{feature.name}' as the first curve has",
                 "give curves of one protocol to one test, others to a test of their own",
             )
-        yield feature, float(np.mean(values)), 0.0, len(values)
+        mean = float(np.mean(values))
+        spread = float(np.std(values, ddof=1) / abs(mean)) if len(values) > 1 and mean else np.nan
+        ends = [feature.begun_later(by) for by in (-SEATED, SEATED)]
+        early, late = ([_measured(end, curve) for curve in curves] for end in ends)
+        slope = float(np.mean(np.subtract(late, early))) / (2 * SEATED)
+        yield Row(feature, mean, 0.0, len(values), spread, slope)
 
 
 def _measured(feature: AbstractFeature, curve: Curve) -> float:

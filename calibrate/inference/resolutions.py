@@ -95,6 +95,10 @@ class AbstractCoarse(abc.ABC):
         """Slopes (m, p) of the mean features per unit of ln p at parameters (p,); None: they have
         to be measured, by pairs of runs."""
 
+    def heard(self, problem: Problem, soil: SoilParameters) -> Problem:
+        """The problem in which only features have a say that it knows."""
+        return problem
+
     @property
     def solver(self) -> Callable[..., Any] | None:
         """Of a fit on it; None: a descent by evaluations."""

@@ -9,7 +9,7 @@ is reached.
 
 import abc
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -32,7 +32,6 @@ from jdem.observables import Curve as RunCurve
 
 SEATING = 2.0  # N; force at which displacement starts to count, where every record holds it
 SEATED = Zero(SEATING)
-SEATED_ROW = Zero(SEATING, on_row=True)
 REVERSAL = 0.05  # share of the largest force; smaller ups and downs are noise
 A_BRANCH = (0.25, 0.5, 0.75, 1.0)  # where a continuous record is read, shares of a branch's forces
 NARROWEST = 0.05  # mm to either side, over which a force is averaged
@@ -52,6 +51,13 @@ class AbstractFeature(abc.ABC):
     def of(self, observables: Mapping[str, float], curves: Mapping[str, np.ndarray]) -> float:
         """This feature of a specimen; curves by test have shape (points, 2), in mm and N."""
         return float(self.read(observables, curves))
+
+    def begun_later(self, by: float) -> "AbstractFeature":
+        """The same, counting displacement `by` (mm) later, where it has a zero at a force."""
+        zero = getattr(self, "zero", None)
+        if zero is None or zero.force is None:
+            return self
+        return replace(self, zero=replace(zero, beyond=zero.beyond + by))  # pyright: ignore[reportCallIssue]
 
     @abc.abstractmethod
     def read(self, observables: Mapping[str, Any], curves: Mapping[str, Any]) -> Any:
@@ -113,11 +119,11 @@ class ForceAtDisplacement(AbstractCurveFeature):
     displacement, at least `NARROWEST`."""
 
     displacement: float | np.ndarray
-    zero: Zero = SEATED_ROW
+    zero: Zero = SEATED
     half_width: float | None = None
 
     def of_curve(self, displacement_mm, force_n):
-        seated = displacement_mm - self.zero.of(displacement_mm, force_n)
+        seated = displacement_mm - self.zero.of(*loading(displacement_mm, force_n))
         near = self.half_width
         if near is None:
             near = max(0.05 * float(self.displacement), NARROWEST)

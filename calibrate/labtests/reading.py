@@ -30,24 +30,18 @@ PEAK_PLACES = 401  # along a curve, where its peak is looked for
 
 @dataclass(frozen=True)
 class Zero:
-    """Where displacement begins to count: at a force (N) on loading, or as recorded (None).
-
-    on_row: at the first row that carries the force (that of the largest force where none does),
-    not between two rows.
-    """
+    """Where displacement begins to count: at a force (N) on loading, straight between two rows, so
+    that it does not depend on how often readings were taken; or as recorded (None).  `beyond` (mm)
+    is added to it."""
 
     force: float | None = None
-    on_row: bool = False
+    beyond: float = 0.0
 
     def of(self, displacement, force):
-        """Displacement at the zero of a curve, or of a part on which force rises."""
+        """Displacement at the zero of a curve's part on which force rises."""
         if self.force is None:
-            return 0.0
-        if not self.on_row:
-            return displacement_on_rise(displacement, force, self.force)
-        numbers = force.__array_namespace__()
-        reached = force >= self.force
-        return displacement[numbers.argmax(numbers.where(reached.any(), reached, force))]
+            return self.beyond
+        return displacement_on_rise(displacement, force, self.force) + self.beyond
 
 
 AS_RECORDED = Zero()

@@ -23,7 +23,7 @@ from calibrate.labtests.features import (
 )
 from calibrate.labtests.measured import Curve, Cylinder
 from calibrate.labtests.protocol import LOAD, PLATEN, WAIT
-from calibrate.labtests.reading import Zero
+from calibrate.labtests.reading import Zero, loading
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.observables import CrushingForce
@@ -133,9 +133,9 @@ class UnconfinedTest(AbstractLabTest):
     def features(self, cylinder: Cylinder, curves: Sequence[Curve]) -> list[AbstractFeature]:
         if self.protocol:
             return super().features(cylinder, curves)
-        zero = Zero(zero_of(curves), on_row=True)
+        zero = Zero(zero_of(curves))
         reach = min(
-            curve.displacement_mm.max() - zero.of(curve.displacement_mm, curve.force_n)
+            curve.displacement_mm.max() - zero.of(*loading(curve.displacement_mm, curve.force_n))
             for curve in curves
         )
         places = [share * 1e3 * cylinder.height for share in CRUSHING]

@@ -18,6 +18,8 @@ from calibrate.labtests.diagnosis.curves import TESTS
 from calibrate.response.process import SoilResponse
 from jdem.materials.soil import SoilParameters
 
+FAR = 1.0  # mm, on which a curve goes on that is not known
+
 
 class Beds(eqx.Module):
     """Features (m,) of a soil, and the observables and curves that they make up.
@@ -67,6 +69,17 @@ class Beds(eqx.Module):
         pressed, crushed = self.called
         return observables, {pressed: self._pressed(values), crushed: self._crushed(values)}
 
+    def continued(self, curves: Mapping[str, Array]) -> dict[str, np.ndarray]:
+        """The same curves with a course of their own beyond what is known of them: a larger force
+        at the top of the confined test, no force after the end of both."""
+        pressed, crushed = (np.asarray(curves[test]) for test in self.called)
+        top = int(pressed[:, 1].argmax())
+        spike = pressed[[top, top]] * [[1.0, 2.0], [1.0, 1.0]] + [[FAR, 0.0], [0.0, 0.0]]
+        pressed = np.concatenate([pressed[: top + 1], spike, pressed[top + 1 :]])
+        ends = ([pressed[-1, 0] - FAR, 0.0], [crushed[-1, 0] + FAR, 0.0])
+        more = zip(self.called, (pressed, crushed), ends, strict=True)
+        return {test: np.vstack([curve, end]) for test, curve, end in more}
+
     def _pressed(self, values: Array) -> Array:
         """To the largest force and back.  It begins at no force, where the straight line through
         the first two features leads."""
@@ -81,13 +94,21 @@ class Beds(eqx.Module):
         return jnp.column_stack([travel - first, force])
 
     def _crushed(self, values: Array) -> Array:
-        """From the first touch over the peak to the last displacement of a feature."""
+        """From no force over the peak to the last displacement of a feature.
+
+        Displacements of features count from a force, so the curve begins before, where the straight
+        line through that zero and the first feature leads; it has a row at the zero.
+        """
         rows, places = self._of(TESTS[1], "crushing")
         ((peak,), _), ((at,), _) = (
             self._of(TESTS[1], kind) for kind in ("peak force", "peak displacement")
         )
-        travel = jnp.concatenate([jnp.zeros(1), places, values[at][None]])
-        force = jnp.concatenate([jnp.zeros(1), values[rows], values[peak][None]])
+        seat = self.features[rows[0]].zero.force
+        assert seat  # N
+        before = places[0] * seat / jnp.maximum(values[rows[0]] - seat, seat)
+        ends, none = jnp.concatenate([places, values[at][None]]), jnp.zeros(1)
+        travel = jnp.concatenate([none, before[None], before + ends])
+        force = jnp.concatenate([none, jnp.array([seat]), values[rows], values[peak][None]])
         return jnp.column_stack([travel, force])[jnp.argsort(travel)]
 
     def _of(self, test: str, kind: str) -> tuple[np.ndarray, np.ndarray]:

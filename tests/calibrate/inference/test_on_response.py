@@ -21,6 +21,7 @@ from calibrate.inference.calibration import explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.evaluation import Calibration
 from calibrate.inference.on_response import (
+    BEYOND,
     FeaturesOfBeds,
     Residual,
     slopes_of,
@@ -31,7 +32,13 @@ from calibrate.inference.problem import Problem, pose
 from calibrate.io.lab import ParameterChoice, bundled_lab, load_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
-from calibrate.labtests.features import DisplacementOnLoading, ScalarTarget
+from calibrate.labtests.features import (
+    SEATING,
+    DisplacementOnLoading,
+    DisplacementOnUnloading,
+    ForceAtDisplacement,
+    ScalarTarget,
+)
 from calibrate.labtests.reading import Zero
 from calibrate.response.beds import Beds
 from calibrate.simulation.resolution import PRESETS
@@ -259,6 +266,48 @@ def test_curves_of_beds_give_back_the_features_that_they_are_made_of():
     of_curves = np.array([f.test == TESTS[0] for f in features]) & known
     assert of_curves.sum() > 20
     assert again[of_curves] == pytest.approx(values[of_curves], abs=0.06)
+
+
+def crushed_beds(values):
+    """Beds of the usual features, and curves of a press and of these forces (N) of crushing."""
+    features = library().features
+    numbers = {"largest force": 400.0, "travel at the top": 0.01, "peak force": 190.0,
+               "peak displacement": 3.5}  # fmt: skip
+    pressed = {"loading": lambda f: 0.01 * f.abscissa, "unloading": lambda f: 3 + f.abscissa / 400}
+    found = [
+        numbers[f.kind] if f.kind in numbers
+        else pressed[f.kind](f) if f.kind in pressed
+        else values(f.abscissa) if f.kind == "crushing" else 1.0
+        for f in features
+    ]  # fmt: skip
+    beds = Beds(None, None, None, None, None, None, (), features, TESTS)
+    return beds, beds.shown(jnp.asarray(found))[1]
+
+
+def test_displacements_of_a_crushed_specimen_count_from_where_it_carries_little():
+    """A line of 60 N/mm through the library's zero, at which it carries some newtons already."""
+    seat = next(f.zero.force for f in library().features if f.kind == "crushing")
+    _, curves = crushed_beds(lambda at: seat + 60.0 * at)
+    for zero in (SEATING, seat, 20.0):
+        found = ForceAtDisplacement("", "N", TESTS[1], 0.5, Zero(zero), 0.0).read({}, curves)
+        assert float(found) == pytest.approx(zero + 30.0, rel=1e-9)
+
+
+def test_what_lies_beyond_the_ends_of_curves_is_known_as_such():
+    beds, curves = crushed_beds(lambda at: 100.0)
+    end = float(curves[TESTS[1]][-1, 0])
+    features = (
+        ForceAtDisplacement("", "N", TESTS[1], 0.8 * end),
+        ForceAtDisplacement("", "N", TESTS[1], 1.2 * end),
+        DisplacementOnLoading("", "mm", TESTS[0], 300.0),
+        DisplacementOnLoading("", "mm", TESTS[0], 500.0),
+        DisplacementOnUnloading("", "mm", TESTS[0], 100.0),
+        DisplacementOnUnloading("", "mm", TESTS[0], 0.1),
+    )
+    other = beds.continued(curves)
+    shown = {test: np.asarray(curve) for test, curve in curves.items()}
+    moved = [f.read({}, shown) != pytest.approx(f.read({}, other), rel=BEYOND) for f in features]
+    assert moved == [False, True, False, True, False, True]
 
 
 # ------------------------------------------------------------------ the bundled library

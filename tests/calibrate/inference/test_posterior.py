@@ -195,6 +195,33 @@ def test_runs_that_were_asked_for_are_made_and_draws_are_taken_again(asked, tmp_
     assert none.added == 0
 
 
+def test_numbers_that_no_soil_explains_together_are_said_to_be_so(asked, tmp_path):
+    """Depth and force of a soil of the response, and a depth eight deviations off with a force that
+    asks for the contrary."""
+    for measured, contradicts in ((MEASURES, False), (MEASURES * [3.0, 3.0], True)):
+        problem = replace(asked.problem, measured=measured, target_variance=(0.01 * measured) ** 2)
+        narrow = tuple(replace(r, prior_sd=0.05) for r in asked.space.ranges)
+        strict = replace(asked, problem=problem, space=replace(asked.space, ranges=narrow))
+        strict = asked if not contradicts else strict
+        found = sampled(strict, [], None, {}, 0, tmp_path, Silent(), SHORT)
+        said = described(strict, found, inference_data(strict, found, 0, {}), [])
+        assert (said["chance"] < 0.01) == contradicts
+        assert any("all measured numbers together" in w for w in said["warnings"]) == contradicts
+
+
+def test_a_number_beyond_the_response_s_curves_has_no_say(asked, tmp_path):
+    unknown = np.array([False, True])
+    deaf = replace(asked, problem=asked.problem.without(unknown), unknown=unknown)
+    off = replace(deaf.problem, measured=deaf.problem.measured * [1.0, 1.5])
+    logs = []
+    for each in (deaf, replace(deaf, problem=off)):
+        found = sampled(each, [], None, {}, 0, tmp_path, Silent(), SHORT)
+        logs.append(np.log(values_of(found.density, found.draws.y)).mean(axis=(0, 1)))
+        said = described(each, found, inference_data(each, found, 0, {}), [])
+        assert any("without a say: crushing_force_n" in sentence for sentence in said["warnings"])
+    assert logs[0] == pytest.approx(logs[1], abs=0.1)
+
+
 MEASURES = np.array([*MEASURED.values()])
 
 

@@ -19,7 +19,7 @@ from calibrate.core.errors import InputError
 from calibrate.inference.curve_points import CurveReading
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
 from calibrate.inference.parameters import RANGES, Space, space
-from calibrate.inference.problem import Problem, begun_late, pose, shrunk_covariance
+from calibrate.inference.problem import SEATED, Problem, begun_late, pose, shrunk_covariance
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.base import UsualSizes
@@ -399,6 +399,51 @@ def test_covariance_adds_packings_and_repeats():
         [0.01 * 20 / 3, 0.09 * 100 * (1 / 3 + 1 / 4)],
     ]
     np.testing.assert_allclose(problem.covariance(relative, 3), expected)
+
+
+def test_records_that_scatter_more_than_packings_count_for_less():
+    """Four times the variance of packings in one test, a quarter of it in the other."""
+    features = tuple(ForceAtEnd(name, "N", name) for name in ("confined", "unconfined"))
+    relative, scatter = np.diag([0.01, 0.01]), np.array([0.2, 0.05])
+    problem = Problem(features, np.ones(2), np.zeros(2), np.array([4, 4]), scatter)
+    found = np.diag(problem.covariance(relative, 10**9))
+    np.testing.assert_allclose(found, [4 * 0.01 / 4, 0.01 / 4])
+
+
+def test_where_a_platen_touches_is_known_so_far_only():
+    """Displacements move with the zero of their test as it does, forces as the curve falls."""
+    names = ("confined", "confined", "unconfined")
+    features = tuple(ForceAtEnd(f"{n}", "N", name) for n, name in enumerate(names))
+    seating = np.array([-1.0, -1.0, 50.0])
+    problem = Problem(features, np.ones(3), np.zeros(3), np.ones(3), seating=seating)
+    expected = SEATED**2 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2500.0]])
+    np.testing.assert_allclose(problem.covariance(np.zeros((3, 3)), 1), expected)
+    later = DisplacementOnLoading("", "mm", "confined", 400.0).begun_later(0.1)
+    x, force = confined_curve()
+    assert later.of_curve(x, force) == pytest.approx(3.98 - 0.1)
+    line = ForceAtDisplacement("", "N", "unconfined", 2.0, half_width=0.0)
+    travel = np.linspace(0.0, 10.0, 401)
+    moved = line.begun_later(0.1).of_curve(travel, 30.0 * travel)
+    assert moved - line.of_curve(travel, 30.0 * travel) == pytest.approx(3.0)
+    as_recorded = ForceAtDisplacement("", "N", "unconfined", 2.0, AS_RECORDED)
+    assert as_recorded.begun_later(0.1) is as_recorded
+
+
+def test_a_feature_without_a_say_counts_for_nothing():
+    features = tuple(ForceAtEnd(name, "N", name) for name in ("confined", "unconfined"))
+    problem = Problem(features, np.array([2.0, 3.0]), np.full(2, 0.01), np.zeros(2))
+    silent = problem.without(np.array([False, True]))
+    found = np.diag(silent.covariance(np.zeros((2, 2)), 1))
+    assert found[0] == 0.01 and found[1] > 1e5 * 9.0
+
+
+@pytest.mark.parametrize("every", (0.01, 0.1, 0.2))
+def test_a_force_does_not_depend_on_how_often_readings_were_taken(every):
+    """A straight rise of 100 N/mm that begins 0.013 mm after a reading."""
+    x = np.arange(0.0, 5.0, every)
+    force = 100.0 * np.maximum(x - 0.013, 0.0)
+    found = ForceAtDisplacement("", "N", "unconfined", 0.5, half_width=0.0).of_curve(x, force)
+    assert found == pytest.approx(SEATING + 50.0, abs=100.0 * 0.013)
 
 
 # ------------------------------------------------------------------ bounded parameters
