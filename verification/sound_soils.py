@@ -330,9 +330,9 @@ def _sentences(found: dict, ratio: np.ndarray) -> list[str]:
     return [
         f"Given curves, 90 % intervals hold {share_of(inside.ravel())} of the true parameters of "
         f"{len(inside)} soils.",
-        f"Up to {100 * BEGUN[0]:.3g} and {100 * BEGUN[1]:.3g} % of the largest force, records move more or less than the "
-        f"library's curves of the true soil by {zeros[0]:.3f} mm (confined) and {zeros[1]:.3f} mm "
-        "(unconfined), root mean square over soils.",
+        f"Up to {100 * BEGUN[0]:.3g} and {100 * BEGUN[1]:.3g} % of the largest force, records move "
+        f"more or less than the library's curves of the true soil by {zeros[0]:.3f} mm (confined) "
+        f"and {zeros[1]:.3f} mm (unconfined), root mean square over soils.",
         f"Of specimens that took no part, 90 % intervals hold {' and '.join(numbers)}; of the "
         f"points of their curves {confined} (confined) and {free} (unconfined).",
         f"Whole curves of {len(ratio)} soils leave {middle:.2f} times ({low:.2f} to {high:.2f}, "
