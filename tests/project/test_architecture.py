@@ -91,6 +91,8 @@ ORDER = {
         "kills",
         "overdamped",
         "posterior",
+        "hidden_soils",
+        "sound_soils",
         "prior",
         "recovery",
         "calibration",

@@ -395,7 +395,7 @@ def test_names_in_examples_exist(page):
 def examples() -> dict[str, type]:
     """Everything that the examples define, each run as a module of its own."""
     found: dict[str, type] = {}
-    pages = sorted((ROOT / "docs" / "howto").glob("add-*.md"))
+    pages = [*sorted((ROOT / "docs" / "howto").glob("add-*.md")), ROOT / "docs" / "walk.md"]
     for number, code in enumerate(code for page in pages for code in blocks(page, "python")):
         names: dict = {"__name__": f"example_{number}"}
         exec(compile(code, names["__name__"], "exec"), names)
