@@ -32,6 +32,7 @@ from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, calibrate
 from calibrate.inference.curve_points import CurvePoints
+from calibrate.inference.draws import laboratory_scatter
 from calibrate.inference.on_response import OnResponse
 from calibrate.inference.posterior import Density, Question
 from calibrate.inference.prediction import Prediction, by_response
@@ -140,7 +141,7 @@ class Laboratory:
         """Of its own tests, as `calibrate predict` does."""
         drawn = np.random.default_rng(21).choice(len(weights), PREDICTED, p=weights)
         soils = [question.space.soil(np.exp(prior.logs[number])) for number in drawn]
-        return by_response(self.response, None, soils, self.points, 0)
+        return by_response(self.response, None, soils, self.points, 0, laboratory_scatter(question))
 
 
 def _all_finished(runs: list[Run], number: int) -> None:

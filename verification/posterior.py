@@ -4,7 +4,8 @@ Brute force weighs DRAWN soils of the prior, with the density that is sampled:
 
 - the bundled soil's targets by the library alone: quantiles of NUTS beside brute force, and
   effective draws a second of processor time beside a random walk that is given the posterior's own
-  covariance to step by (Metropolis; Roberts, Gelman and Gilks 1997);
+  covariance to step by (Metropolis; Roberts, Gelman and Gilks 1997), and beside GrainLearning where
+  it is installed (version 2.0.5 was);
 - simulation-based calibration (Talts et al. 2018, arXiv 1804.06788): HIDDEN soils of the prior,
   numbers as the response with all its errors would give them, ranks of the truth in the posterior,
   tested by Kolmogorov and Smirnov.
@@ -17,7 +18,7 @@ Writes a section of verification/results/posterior.md.
 import argparse
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -39,6 +40,8 @@ from verification import reporting
 DRAWN, HIDDEN = 100_000, 200
 QUANTILES = (0.05, 0.5, 0.95)
 STEPS = 20_000  # of each random walk
+FILTERED = 4_000  # samples of an iteration of GrainLearning
+UNIT = 0.1  # of what it observes: one deviation
 
 
 def question_of(lab: Lab, preset: Preset) -> Question:
@@ -143,7 +146,59 @@ def agreement(question: Question, density: Density, brute: Brute, steps: int) ->
         "nuts": {"seconds": spent, "least_ess": float(ess.min()),
                  "diverging": int(draws.diverging.sum())},
         "walk": {"seconds": walking, "least_ess": float(mixing(walked)[1].min())},
+        "grain_learning": filtered(question, density, brute),
     }  # fmt: skip
+
+
+def filtered(question: Question, density: Density, brute: Brute) -> dict:
+    """The iterative Bayesian filter of GrainLearning (Cheng et al. 2019, Comput. Methods Appl. Mech.
+    Eng. 350, 268) on the same density; empty where it is not installed.
+
+    Its samples are uniform in a box and its errors equal shares of what was observed, so it gets
+    quantiles of the prior in place of parameters, and whitened residuals in place of features.
+    """
+    try:
+        from grainlearning import (  # pyright: ignore[reportMissingImports]
+            BayesianCalibration,
+            DynamicSystem,
+        )
+    except ImportError:
+        return {}
+    names, prior = question.space.names, question.prior
+    mean, own = density.shown(jnp.asarray(question.space.start()))
+    whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(density.covariance + own)))
+
+    observed = 1.0 + np.arange(len(mean))
+
+    def simulate(calibration) -> None:
+        share = np.clip(calibration.system.param_data, 1e-9, 1 - 1e-9)
+        shown = np.asarray(_shown(density, jnp.asarray(np.exp(prior.ppf(share))))[0])
+        off = (shown - question.problem.measured) @ whitening.T
+        calibration.system.set_sim_data((observed * (1 + UNIT * off))[:, :, None])
+
+    calibration = BayesianCalibration.from_dict({
+        "num_iter": 10, "callback": simulate, "save_fig": -1,
+        "system": {
+            "system_type": DynamicSystem, "model_name": "response", "param_names": [*names],
+            "param_min": [0.0] * len(names), "param_max": [1.0] * len(names),
+            "num_samples": FILTERED, "obs_data": observed[:, None], "ctrl_data": [0.0],
+            "sigma_tol": UNIT**2,
+        },
+        "inference": {"Bayes_filter": {"ess_target": 0.3},
+                      "sampling": {"max_num_components": 2, "random_state": 0}},
+    })  # fmt: skip
+    clock = time.process_time()
+    calibration.run()
+    spent = time.process_time() - clock
+    weights = np.asarray(calibration.inference.posterior)
+    share = calibration.system.param_data[: len(weights)]
+    found = replace(brute, logs=prior.ppf(np.clip(share, 1e-9, 1 - 1e-9)))
+    exact = brute.weights(question.problem.measured)
+    width = np.sqrt(exact @ (brute.logs - exact @ brute.logs) ** 2)
+    apart = found.quantiles(weights, QUANTILES) - brute.quantiles(exact, QUANTILES)
+    return {"seconds": spent, "least_ess": float(1 / (weights**2).sum()),
+            "iterations": calibration.num_iter, "samples": FILTERED,
+            "quantiles_apart": (np.abs(apart) / width).tolist()}  # fmt: skip
 
 
 # ---------------------------------------------------------------- calibration of ranks
@@ -177,7 +232,9 @@ def markdown(found: dict, names: Sequence[str], origin: dict) -> str:
     samplers = [
         [name, f"{row['seconds']:.0f}", f"{row['least_ess']:.0f}",
          f"{row['least_ess'] / row['seconds']:.1f}"]
-        for name, row in (("NUTS", agreed["nuts"]), ("random walk", agreed["walk"]))
+        for name, row in (("NUTS", agreed["nuts"]), ("random walk", agreed["walk"]),
+                          ("GrainLearning", agreed["grain_learning"]))
+        if row
     ]  # fmt: skip
     parameters = [
         [name, *(f"{100 * column:.0f}" for column in apart[:, i]), f"{ranked['p'][i]:.2f}"]
@@ -192,12 +249,23 @@ def markdown(found: dict, names: Sequence[str], origin: dict) -> str:
         + reporting.table(("sampler", "seconds of processor time", "least effective draws",
                            "a second"), samplers)
         + "\nSeconds of NUTS are those with compiling and warm-up; the random walk begins with "
-        "the posterior's own covariance.\n\n"
+        "the posterior's own covariance." + _of_filter(agreed["grain_learning"]) + "\n\n"
         + reporting.table(
             ("parameter", "5 % quantile of draws off, in hundredths of a deviation", "50 %",
              "95 %", "ranks of hidden soils: p"), parameters)
         + reporting.footer(origin)
     )  # fmt: skip
+
+
+def _of_filter(found: dict) -> str:
+    if not found:
+        return ""
+    apart = 100 * np.max(found["quantiles_apart"])
+    return (
+        f" GrainLearning's filter weighs {found['samples']} samples in each of "
+        f"{found['iterations']} iterations; its quantiles are up to {apart:.0f} hundredths of a "
+        "deviation off those of brute force."
+    )
 
 
 def main() -> None:

@@ -148,6 +148,11 @@ class Seated:
         ends = (tuple(each.points.tolist()) for each in (press, crush))
         return Seated(press.test, crush.test, *ends)
 
+    def by_group(self, of: Mapping[str, float]) -> np.ndarray:
+        """As that of `CurvePoints`."""
+        each = [of[name] for name in NAMES]
+        return np.concatenate([each, *(np.full(POINTS, number) for number in each)])
+
     def named(self, curves: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
         """Curves of both tests, by test."""
         return {self.pressed: curves[0], self.crushed: curves[1]}
@@ -199,7 +204,9 @@ def judged(sound: Sequence[Sound], count: int) -> dict:
             known = _weights(brute, each.numbers[:KNOWN], scatter)
             drawn = np.random.default_rng(21).choice(len(known), PREDICTED, p=known)
             soils = [question.space.soil(np.exp(brute.logs[number])) for number in drawn]
-            low, high = _band(question, soils, points)
+            luck = np.diag(question.scatter)
+            wider = dict(zip(NAMES, np.maximum(1.0, scatter**2 / luck), strict=True))
+            low, high = _band(question, soils, points, wider)
             numbers = dict(zip(NAMES, each.numbers[-1], strict=True))
             seen = np.asarray(points.shown(numbers, points.named(each.record(-1))))
             known = np.isfinite(low) & np.isfinite(seen)
@@ -230,10 +237,12 @@ def _begun(curve: np.ndarray, test: int) -> float:
     return float(np.diff([displacement_on_rise(*rise, end) for end in ends])[0])
 
 
-def _band(question: Question, soils: Sequence[SoilParameters], points: Seated):
+def _band(
+    question: Question, soils: Sequence[SoilParameters], points: Seated, wider: Mapping
+) -> tuple[np.ndarray, np.ndarray]:
     """Ends between which 90 % of specimens lie, each (m,)."""
-    read = cast(CurvePoints, points)  # it is asked for `shown` alone
-    return by_response(question.response, None, soils, read, 0).of_specimens
+    read = cast(CurvePoints, points)  # it is asked for `shown` and `by_group` alone
+    return by_response(question.response, None, soils, read, 0, wider).of_specimens
 
 
 def _weights(brute: Brute, numbers: np.ndarray, scatter: np.ndarray) -> np.ndarray:

@@ -113,6 +113,14 @@ class CurvePoints:
         single = [order.index(test) for test, _ in self.called]
         return np.array([*single, *np.repeat(np.arange(len(order)), POINTS)])
 
+    def by_group(self, of: Mapping[str, float]) -> np.ndarray:
+        """A number for each of those that `read` returns: the largest that `of` has of its test by
+        name, or of one of the test's observables; 1 where there is none."""
+        found = {reading.test: of.get(reading.test, 1.0) for reading in self.readings}
+        for (test, _), (name, _) in self.called.items():
+            found[test] = max(found[test], of.get(name, 1.0))
+        return np.array([*found.values()])[self.tests()]
+
     def slices(self) -> dict[str, slice]:
         """Where each test's curve stands among what `read` returns."""
         first = len(self.called)

@@ -104,9 +104,16 @@ def inference_data(
         "soil": question.lab.name,
         "conventions": question.lab.particles.conventions,
         "base": json.dumps(soil_json(question.space.base)),
+        "wider": json.dumps(laboratory_scatter(question)),
         **more,
     }
     return tree
+
+
+def laboratory_scatter(question: Question) -> dict[str, float]:
+    """By what factor the laboratory's specimens vary more than packings, by target and test."""
+    found = question.problem.wider(np.diag(question.scatter))
+    return dict(zip(question.problem.groups, found.tolist(), strict=True))
 
 
 def _curves(question: Question, values: np.ndarray) -> xr.Dataset:
@@ -150,6 +157,12 @@ class SoilDraws:
     def soil(self, number: int) -> SoilParameters:
         """That of one draw."""
         return self.in_soil(self.base, number)
+
+    @property
+    def wider(self) -> dict[str, float]:
+        """By what factor the laboratory's specimens vary more than simulated packings, in variance:
+        of targets by name, of curves by test."""
+        return json.loads(self.tree.attrs.get("wider", "{}"))
 
     def base_in(self, lab: Lab) -> SoilParameters:
         """The soil of a lab file, in which draws set their parameters; `InputError` where the

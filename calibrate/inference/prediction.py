@@ -2,13 +2,15 @@
 
     number of a specimen = number(soil) + error of the response + luck of a packing
 
+A laboratory's specimens may vary more than packings do: then luck is as large as theirs.
+
 Numbers are observables and points of curves (`CurvePoints`).  A response gives them of every soil
 at once.  Where it does not know the test, runs of a few soils do: their variance is split into that
 between soils and that between packings of one soil (one-way analysis of variance with random
 effects; Searle, Casella and McCulloch 1992, Variance Components, section 3.6).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -52,14 +54,16 @@ class Prediction:
 
 def by_response(
     response: OnResponse, fewer: OnResponse | None, soils: Sequence[SoilParameters],
-    points: CurvePoints, seed: int,
+    points: CurvePoints, seed: int, wider: Mapping[str, float] | None = None,
 ) -> Prediction:  # fmt: skip
     """From a response, of soils (n) that are drawn; `fewer` is the same with half as many spheres,
-    if there is any."""
+    if there is any; `wider` as of `SoilDraws`."""
     beds = response.campaign.beds
     values = np.array([shown(beds, points, soil) for soil in soils])
     asked = soils[:: max(1, len(soils) // ASKED)][:ASKED]
+    more = np.sqrt(points.by_group(wider or {}))
     rows = [response.deviations(soil, points.shown) for soil in asked]
+    rows = [(error, more * luck) for error, luck in rows]
     random = np.random.default_rng([seed, 4])
     errors, lucky = [], []
     for number in range(LUCK * len(soils)):

@@ -38,10 +38,10 @@ UNHEARD = 1e3  # times a number: a deviation with which it counts for nothing
 class Problem:
     """Features with their measured means (m,) and, per feature, how they were measured.
 
-    target_variance (m,) is the variance of a target's measured mean; repeats (m,) counts
-    the curves behind a curve feature and is 0 for a target; scatter (m,) is the relative
-    standard deviation of one curve's feature among these, NaN where it is not known; seating (m,)
-    is a feature's slope with the zero of its test's displacement, per mm.
+    target_variance (m,) is the variance of a target's measured mean; repeats (m,) counts the curves
+    behind a curve feature and is 0 for a target; scatter (m,) is the relative standard deviation of
+    one specimen's feature, NaN where there are no repeats; seating (m,) is a feature's slope with
+    the zero of its test's displacement, per mm.
     """
 
     features: tuple[AbstractFeature, ...]
@@ -68,24 +68,30 @@ class Problem:
         scatter = relative_scatter * np.outer(self.measured, self.measured)
         of_curve = self.repeats > 0
         both = np.outer(of_curve, of_curve)
-        more = np.sqrt(self._wider(np.diag(relative_scatter)))
+        more = np.sqrt(self.wider(np.diag(relative_scatter)))
         of_repeats = np.outer(more, more) / np.maximum(self.repeats, 1)
         weight = 1 / packings + np.where(both, of_repeats, 0.0)
         same = np.equal.outer(*[[feature.test for feature in self.features]] * 2)
         touch = SEATED * np.broadcast_to(self.seating, self.measured.shape)
         return scatter * weight + np.diag(self.target_variance) + same * np.outer(touch, touch)
 
-    def _wider(self, variance: np.ndarray) -> np.ndarray:
-        """By how much (m,) the records of each feature's test scatter more than packings, whose
-        relative variance is `variance` (m,); at least 1."""
+    def wider(self, variance: np.ndarray) -> np.ndarray:
+        """By how much (m,) the variance of a laboratory's specimens is larger than that of
+        packings, relatively `variance` (m,): of a target, or of all features of a test's curves; at
+        least 1."""
         found = np.ones(len(self.features))
         shown = np.broadcast_to(self.scatter, found.shape) ** 2
         known = np.isfinite(shown) & (variance > 0)
-        for test in {feature.test for feature in self.features}:
-            mine = known & np.array([feature.test == test for feature in self.features])
+        for group in set(self.groups):
+            mine = known & np.array([each == group for each in self.groups])
             if mine.any():
                 found[mine] = max(1.0, float(shown[mine].sum() / variance[mine].sum()))
         return found
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """What a feature is read of: the name of a target, or of the test that has curves."""
+        return tuple(f.name if f.is_target else f.test for f in self.features)
 
     def without(self, unknown: np.ndarray) -> "Problem":
         """The same in which features `unknown` (m,) have no say, as they count for nothing."""
@@ -169,7 +175,8 @@ def _target(lab: Lab, name: str) -> Row:
     target, known = lab.targets[name], described(name)
     test = name.rpartition(".")[0]
     variance = target.scatter**2 / target.repeats
-    return Row(ScalarTarget(name, known.unit, test), target.mean, variance)
+    scatter = target.scatter / abs(target.mean) if target.repeats > 1 and target.mean else np.nan
+    return Row(ScalarTarget(name, known.unit, test), target.mean, variance, 0, scatter)
 
 
 def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:

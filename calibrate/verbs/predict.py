@@ -204,7 +204,7 @@ def _by_library(
     smaller = replace(session.preset, spheres=session.preset.spheres // 2)
     fewer, _ = served(session.lab, smaller, known.names, base, work)
     drawn = [known.in_soil(base, n) for n in _some(known, DRAWS)]
-    return by_response(response, fewer, drawn, points, seed), ""
+    return by_response(response, fewer, drawn, points, seed, known.wider), ""
 
 
 def _warnings(session: Session, known: SoilDraws) -> Iterator[str]:

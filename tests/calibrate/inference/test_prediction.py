@@ -71,6 +71,20 @@ def test_each_cause_has_the_deviation_that_it_was_given():
     assert (found.by, found.runs, found.soils) == ("the library of runs", 0, 300)
 
 
+def test_specimens_of_a_laboratory_scatter_as_its_repeats_do_where_these_scatter_more():
+    """Four times the variance of packings in the numbers and curve of one test, no less."""
+    usual = predicted(spread=(0.03, 0.0, 0.05, 0.0))
+    wider = {"depression_depth_mm": 4.0, "crushing_force_n": 0.5}
+    made = response(spread=(0.03, 0.0, 0.05, 0.0))
+    found = by_response(made, None, soils(300), POINTS, 0, wider)
+    rate = found.sd["packings"] / np.where(usual.sd["packings"] > 0, usual.sd["packings"], 1.0)
+    test = POINTS.tests()
+    assert rate[test == test[DEPTH]] == pytest.approx(2.0)
+    assert rate[FORCE] == pytest.approx(1.0)
+    for cause in ("parameters", "library"):
+        assert found.sd[cause] == pytest.approx(usual.sd[cause], nan_ok=True)
+
+
 def test_intervals_hold_the_share_of_specimens_that_they_promise():
     """Of other soils from the same distribution, with errors and luck of the same size."""
     found, random = predicted(spread=(0.03, 0.0, 0.05, 0.0)), np.random.default_rng(5)
