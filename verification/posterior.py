@@ -151,7 +151,7 @@ def agreement(question: Question, density: Density, brute: Brute, steps: int) ->
 
 
 def filtered(question: Question, density: Density, brute: Brute) -> dict:
-    """The iterative Bayesian filter of GrainLearning (Cheng et al. 2019, Comput. Methods Appl. Mech.
+    """GrainLearning's iterative Bayesian filter (Cheng et al. 2019, Comput. Methods Appl. Mech.
     Eng. 350, 268) on the same density; empty where it is not installed.
 
     Its samples are uniform in a box and its errors equal shares of what was observed, so it gets
