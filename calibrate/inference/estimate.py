@@ -22,13 +22,15 @@ from calibrate.simulation.specimens import curves_json, measured_json, soil_json
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The best point of the library of runs; `error` (m,) is its own deviation of each feature
-    there, of which the calibration's covariance holds account."""
+    there, of which the calibration's covariance holds account; features `unknown` (m,) lie beyond
+    its curves and had no say."""
 
     explored: Explored
     calibration: Calibration
     best: Evaluation
     run: Run
     error: np.ndarray
+    unknown: np.ndarray
     identifiability: Identifiability
 
 
@@ -55,7 +57,8 @@ def estimated(explored: Explored, response: OnResponse) -> Estimate:
         space.bounds(),
     )
     (run,) = response.campaign.runs([soil], [0], "")[0]
-    return Estimate(explored, calibration, best, run, error, found)
+    unknown = response.unknown(problem, soil)
+    return Estimate(explored, calibration, best, run, error, unknown, found)
 
 
 def estimate_json(found: Estimate) -> dict:
@@ -63,7 +66,8 @@ def estimate_json(found: Estimate) -> dict:
     calibration, setup, best = found.calibration, found.explored.setup, found.best
     features = compared(calibration.problem, calibration.covariance, best)
     met = not misses(features)
-    errors = dict(zip(features, found.error.tolist(), strict=True))
+    rows = zip(features, found.error.tolist(), (~found.unknown).tolist(), strict=True)
+    own = {name: {"library_sd": error, "known": known} for name, error, known in rows}
     return {
         "simulated": False,
         "parameters": soil_json(calibration.space.soil(best.values)),
@@ -72,7 +76,7 @@ def estimate_json(found: Estimate) -> dict:
         "observables": found.run.observables,
         "curves": curves_json(found.run),
         "measured": measured_json(setup.lab),
-        "features": {k: {**row, "library_sd": errors[k]} for k, row in features.items()},
+        "features": {name: {**row, **own[name]} for name, row in features.items()},
         "met": met,
         "identifiability": found.identifiability.as_json(met),
         "screening": found.explored.screening,

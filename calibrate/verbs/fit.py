@@ -185,6 +185,9 @@ class EstimateResult(AbstractResult):
         )
         yield table
         for name, row in self.content["features"].items():
+            if not row["known"]:
+                yield line(f"{name}: beyond the library's curves, so without a say")
+                continue
             yield line(
                 f"{name}: {row['simulated']:.4g} estimated (the library's own error: "
                 f"{row['library_sd']:.2g}), {row['measured']:.4g} measured; their difference is "

@@ -228,6 +228,7 @@ def test_an_estimate_takes_no_run_and_is_as_unsure_as_the_response():
     assert work.simulated == 0 and content["simulated"] is False and content["met"]
     depth, force = content["features"].values()
     assert force["library_sd"] == pytest.approx(0.01 * force["simulated"], rel=1e-3)
+    assert depth["known"] and force["known"]
     assert 0.01 < depth["library_sd"] / depth["simulated"] < 0.02  # of D, and of the exponent
     sure = replace(explorer, errors=lambda soil: np.zeros((1, 4)))
     narrower = estimated(explored, sure).identifiability
