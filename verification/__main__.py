@@ -119,11 +119,17 @@ def standing(rows: Sequence[Row], scripts: Mapping[str, Script], root: Path = RO
     for row in (row for row in rows if row.page == README):
         note = f" ({row.note})" if row.note else ""
         names[scripts[row.script].is_current(root)].append(row.name + note)
-    present, earlier = (" and ".join(names[current]) for current in (True, False))
+    present, earlier = (listed(names[current]) for current in (True, False))
     physics = "stand on the present version of the physics"
     if not earlier:
         return f"All of these {physics}"
     return f"Of these, {present or 'none'} {physics}; {earlier} do not yet"
+
+
+def listed(names: Sequence[str]) -> str:
+    """In words: with commas, and an "and" before the last one."""
+    *most, last = names or [""]
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def write_status(root: Path = ROOT) -> None:

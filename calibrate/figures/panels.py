@@ -1,7 +1,8 @@
 """Panels of simulations and calibrations: each function fills one axis.
 
 Everything is drawn from records, so a figure can be made again from a result's file.  Packings
-that were not fitted are dashed, with diamonds; measured curves are dotted.
+that were not fitted are dashed, with diamonds; measured curves are dotted, and begin where the
+platen touches.
 """
 
 from collections.abc import Sequence
@@ -9,9 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
 from calibrate.labtests.composite import described
+from calibrate.labtests.features import SEATED, SEATING
+from calibrate.labtests.reading import loading
 from calibrate.records.base import Curve, Measured, Target, Test
 from calibrate.records.fit import FitRecord, Packing
 
@@ -55,7 +59,8 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
             axis.plot(*points, look.line, color=look.colour, lw=1, label=name)
     for number, curve in enumerate(c for c in measured.curves if c.test == test):
         name = "measured" if number == 0 else None
-        axis.plot(curve.displacement_mm, curve.force_n, ":", color="0.35", lw=1.5, label=name)
+        way = from_seating(curve.displacement_mm, curve.force_n)
+        axis.plot(way, curve.force_n, ":", color="0.35", lw=1.5, label=name)
     shown = measured.tests[test]
     for force in shown.guides_n:
         axis.axhline(force, color="0.7", lw=0.7)
@@ -63,6 +68,13 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
         if name in measured.targets:
             _target_force(axis, measured.targets[name], name)
     axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=shown.title)
+
+
+def from_seating(displacement_mm: ArrayLike, force_n: ArrayLike) -> np.ndarray:
+    """Displacement (mm) of a record, counted from where it first carries the seating force, as
+    simulated curves begin; as recorded where it begins beyond."""
+    way, force = np.asarray(displacement_mm, float), np.asarray(force_n, float)
+    return way if force[0] > SEATING else way - SEATED.of(*loading(way, force))
 
 
 def _band(axis: Axes, curves: Sequence[Curve], look: Look) -> None:

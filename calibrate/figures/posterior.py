@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
-from calibrate.figures.panels import compression
+from calibrate.figures.panels import compression, from_seating
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.records.base import Curve, Measured
@@ -165,11 +165,12 @@ def _panel(axis: Axes, curve: dict, share: float) -> None:
 
 
 def _placed(curve: dict, measured: dict) -> tuple[np.ndarray, np.ndarray]:
-    """A measured curve (mm, N).  Where force is what a test is read along, it is moved to meet the
-    expected curve at its first point: where a laboratory's displacement begins is arbitrary."""
+    """A measured curve (mm, N), moved: where a laboratory's displacement begins is arbitrary.
+    Where force is what a test is read along, it meets the expected curve at its first point, else
+    it begins where the platen touches."""
     way, force = (np.array(measured[name]) for name in ("displacement_mm", "force_n"))
     if "force_n" not in curve:
-        return way, force
+        return from_seating(way, force), force
     rising = np.maximum.accumulate(force[: force.argmax() + 1])
     begins = np.interp(curve["force_n"][0], rising, way[: len(rising)])
     return way + (curve["middle"][0] - begins), force
