@@ -20,6 +20,7 @@ settings.load_profile("compiling")
 # Test workers, processes that tests start and kernels of notebooks (`calibrate.core.runtime`)
 # share what any of them, now or in an earlier run, has compiled, however small.
 CACHE = Path(__file__).parents[1] / ".jax_cache" / "differentiable-soil"
+os.environ["XDG_CACHE_HOME"] = str(CACHE.parent)
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # As the program does (`calibrate.cli`): modules and traced programs are no garbage.
@@ -39,6 +40,16 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     gc.freeze()
+
+
+@pytest.fixture
+def cheaply_compiled(request):
+    """Programs of a quick test are compiled without optimisation, in two thirds of the time: for
+    modules whose programs take longer to compile than to run."""
+    cheap = not request.node.get_closest_marker("slow")
+    jax.config.update("jax_disable_most_optimizations", cheap)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture
