@@ -1,5 +1,6 @@
 """What every test shares: float64, the CPU, one cache of compiled programs, a command line."""
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -19,8 +20,11 @@ settings.load_profile("compiling")
 # Test workers, processes that tests start and kernels of notebooks (`calibrate.core.runtime`)
 # share what any of them, now or in an earlier run, has compiled, however small.
 CACHE = Path(__file__).parents[1] / ".jax_cache" / "differentiable-soil"
+os.environ["XDG_CACHE_HOME"] = str(CACHE.parent)
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# As the program does (`calibrate.cli`): modules and traced programs are no garbage.
+gc.set_threshold(50_000, 20, 20)
 
 
 def pytest_collection_modifyitems(items):
@@ -32,6 +36,20 @@ def pytest_collection_modifyitems(items):
         if item.get_closest_marker("slow") or item.get_closest_marker("thorough")
     }
     items.sort(key=lambda item: (item.path not in long, "project" not in item.path.parts))
+
+
+def pytest_collection_finish():
+    gc.freeze()
+
+
+@pytest.fixture
+def cheaply_compiled(request):
+    """Programs of a quick test are compiled without optimisation, in two thirds of the time: for
+    modules whose programs take longer to compile than to run."""
+    cheap = not request.node.get_closest_marker("slow")
+    jax.config.update("jax_disable_most_optimizations", cheap)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture

@@ -8,11 +8,13 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import pint
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from calibrate.core.errors import BadValue, shown
+
+if TYPE_CHECKING:
+    import pint
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,17 @@ class Range:
         return value <= 0 or low * (1 - 1e-9) <= value <= high * (1 + 1e-9)
 
 
-UNITS = pint.UnitRegistry()
+# What most lab files are written in, as pint knows it: dimensions, and factors to SI units.
+OFTEN = {
+    "m": ("m", 1.0), "cm": ("m", 0.01), "mm": ("m", 1e-3), "um": ("m", 1e-6),
+    "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "mm/min": ("m/s", 1e-3 / 60),
+    "N": ("N", 1.0), "kN": ("N", 1e3),
+    "Pa": ("Pa", 1.0), "kPa": ("Pa", 1e3), "MPa": ("Pa", 1e6), "GPa": ("Pa", 1e9),
+    "s": ("s", 1.0), "min": ("s", 60.0), "h": ("s", 3600.0), "day": ("s", 86400.0),
+    "kg/m^3": ("kg/m^3", 1.0),
+    "J/m^2": ("J/m^2", 1.0), "mJ/m^2": ("J/m^2", 1e-3),
+    "": ("", 1.0), "%": ("", 0.01),
+}  # fmt: skip
 _LONGEST = 60  # characters of a quantity; also bounds the work of the patterns
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
@@ -71,19 +83,43 @@ _FACTOR = r"[A-Za-z\u00b5\u03bc%]+(?:\s*(?:\^|\*\*)\s*-?[1-9]|[²³])?"
 _UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR})*")
 
 
+@cache
+def registry() -> "pint.UnitRegistry":
+    """What pint knows; to load it takes a second, which most lab files do without (`OFTEN`)."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
 def unit_factor(unit: Any, kind: Kind) -> float:
     """How many `kind.unit` one `unit` is, e.g. 1000 N for "kN"."""
     repair = f'use a unit of {kind.noun}, as in "{kind.example}"'
     if not isinstance(unit, str) or len(unit) > _LONGEST or not _UNIT.fullmatch(unit):
         raise BadValue(f"unit {shown(unit)} is not understood", repair)
+    if unit not in OFTEN or kind.unit not in OFTEN:
+        return by_pint(unit, kind, repair)
+    (dimension, factor), (wanted, per) = OFTEN[unit], OFTEN[kind.unit]
+    if dimension != wanted:
+        raise _other_kind(unit, kind, repair)
+    return factor / per
+
+
+def by_pint(unit: str, kind: Kind, repair: str = "") -> float:
+    """The same of any unit."""
+    import pint
+
     try:
-        return float(UNITS.Quantity(1.0, unit).to(kind.unit).magnitude)
+        return float(registry().Quantity(1.0, unit).to(kind.unit).magnitude)
     except pint.UndefinedUnitError:
         raise BadValue(f"unit {shown(unit)} is not known", repair) from None
     except pint.DimensionalityError:
-        raise BadValue(f"{shown(unit)} is not a unit of {kind.noun}", repair) from None
+        raise _other_kind(unit, kind, repair) from None
     except (pint.PintError, ValueError, ArithmeticError, AssertionError):
         raise BadValue(f"unit {shown(unit)} is not understood", repair) from None
+
+
+def _other_kind(unit: str, kind: Kind, repair: str) -> BadValue:
+    return BadValue(f"{shown(unit)} is not a unit of {kind.noun}", repair)
 
 
 def quantity(text: Any, kind: Kind) -> float:

@@ -7,8 +7,17 @@ file; `bed` looks inside a specimen; all share `style`.
 
 from collections.abc import Callable
 from pkgutil import resolve_name
+from typing import TYPE_CHECKING
 
-from calibrate.figures.style import Figure, closed, save
+import lazy_loader
+
+if TYPE_CHECKING:
+    from calibrate.figures.style import Figure, closed, save
+
+# matplotlib takes a second to load, which what draws nothing does without
+__getattr__, _, _ = lazy_loader.attach(
+    __name__, submod_attrs={"style": ["Figure", "closed", "save"]}
+)
 
 # By verb and by name, file and function; the one that `plot()` draws first stands first.  Each is
 # drawn from what the verb's result has as `drawn`; where that has nothing for it, the function
@@ -59,7 +68,7 @@ FIGURES: dict[str, dict[str, str]] = {
 }
 
 
-def functions(verb: str) -> dict[str, Callable[..., Figure | None]]:
+def functions(verb: str) -> dict[str, Callable[..., "Figure | None"]]:
     """The functions that draw a verb's figures, by name; only their files are loaded."""
     return {name: resolve_name(f"{__name__}.{of}") for name, of in FIGURES[verb].items()}
 

@@ -20,6 +20,7 @@ import numpy as np
 import optimistix as optx
 from jax import Array
 
+from calibrate.core.kept import kept
 from calibrate.core.progress import AbstractProgress
 from calibrate.inference.evaluation import Calibration, Evaluation, Whitened
 from calibrate.inference.fit import SOLVER, row, said
@@ -117,7 +118,7 @@ def solved(
     return Solved(best, slopes_of(residual.features, best.values), history, stopped)
 
 
-@eqx.filter_jit
+@kept
 def _solution(residual: Residual, y: Array) -> tuple[Array, Array, Array]:
     found = optx.least_squares(residual, SOLVER, y, max_steps=MOST_STEPS, throw=False)
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
@@ -128,7 +129,7 @@ def slopes_of(features: FeaturesOfBeds, values: np.ndarray) -> np.ndarray:
     return np.asarray(_slopes(features, jnp.log(jnp.asarray(values))))
 
 
-@eqx.filter_jit
+@kept
 def _slopes(features: FeaturesOfBeds, logs: Array) -> Array:
     return jax.jacfwd(lambda logs: features(jnp.exp(logs)))(logs)
 
@@ -174,7 +175,7 @@ class ResponseCampaign:
         )
 
 
-@eqx.filter_jit
+@kept
 def _shown(beds: Beds, soil: SoilParameters):
     return beds.shown(beds.values(soil))
 
@@ -307,7 +308,7 @@ def _read_slopes(beds: Beds, soil: Callable, read: Callable, start: Array) -> tu
     return of_beds(values), jax.jacfwd(of)(jnp.log(start)), jax.jacfwd(of_beds)(values)
 
 
-@eqx.filter_jit
+@kept
 def _read(features: FeaturesOfBeds, soil: SoilParameters) -> tuple[Array, Array]:
     """A problem's features (m,) of a soil, and their slopes (m, l) with those of the beds."""
     values = features.beds.values(soil)

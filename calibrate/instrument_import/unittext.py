@@ -12,7 +12,7 @@ from functools import cache
 
 import pint
 
-from calibrate.core.units import UNITS
+from calibrate.core.units import registry
 from calibrate.instrument_import.vocabulary import WORDS, Quantity
 
 KEPT = {  # the unit in which numbers are kept
@@ -93,13 +93,13 @@ def _of_pint(name: str, expression: str) -> Unit | None:
     """The unit "lbf/ft^2" or "1000 lbf/ft^2" as pint knows it; None for another kind of
     quantity."""
     number, _, unit = expression.rpartition(" ")
-    quantity = UNITS.Quantity(float(number or 1), unit)
+    quantity = registry().Quantity(float(number or 1), unit)
     for kind, kept in KEPT.items():
-        if quantity.check(UNITS.get_dimensionality(kept)):
+        if quantity.check(registry().get_dimensionality(kept)):
             return Unit(kind, name, float(quantity.to(kept).magnitude))
     weights = ((Quantity.FORCE, "kg", GRAVITY), (Quantity.STRESS, "kg/m^2", 1e-3 * GRAVITY))
     for kind, of_mass, per in weights:
-        if quantity.check(UNITS.get_dimensionality(of_mass)):
+        if quantity.check(registry().get_dimensionality(of_mass)):
             return Unit(kind, name, per * float(quantity.to(of_mass).magnitude), True)
     return None
 
@@ -150,8 +150,8 @@ def _known_to_pint(text: str) -> Unit | None:
     if len(name) < 2 or not re.fullmatch(r"[A-Za-z_0-9]+", name) or name[0].isdigit():
         return None
     try:
-        readings = UNITS.parse_unit_name(name)
-        readings += UNITS.parse_unit_name(name.lower()) if name[1:].islower() else ()
+        readings = registry().parse_unit_name(name)
+        readings += registry().parse_unit_name(name.lower()) if name[1:].islower() else ()
     except (pint.PintError, ValueError):
         return None
     for prefix, base, _ in readings:

@@ -18,7 +18,7 @@ import pint
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from calibrate.core.errors import BadValue, shown, suggestion
-from calibrate.core.units import UNITS
+from calibrate.core.units import registry
 from calibrate.io.labfile import explained, read_toml
 from calibrate.labtests.composite import TYPES
 
@@ -106,7 +106,7 @@ def _known_units(units: dict[str, tuple[str, ...]]):
     for name in units:
         number, _, unit = name.rpartition(" ")
         try:
-            UNITS.Quantity(float(number or 1), unit)
+            registry().Quantity(float(number or 1), unit)
         except (pint.PintError, ValueError):
             repair = 'write a unit that pint knows, such as "kPa" or "1000 lbf/ft^2"'
             raise BadValue("no such unit", repair, name) from None

@@ -16,7 +16,6 @@ import jinja2
 import numpy as np
 
 from calibrate.figures import functions
-from calibrate.figures.style import svg
 from calibrate.io.labfile import PARAMETER_UNITS
 
 TEMPLATES = jinja2.Environment(
@@ -81,6 +80,8 @@ def pictures_of(
 ) -> dict[str, Picture]:
     """A verb's figures by name, drawn from `drawn`, but for the first few that a page shows its own
     way; alt text and caption are the first paragraph of the docstring where `captions` has none."""
+    from calibrate.figures.style import svg  # matplotlib, which a page without figures needs not
+
     pictures = {}
     for name, draw in list(functions(verb).items())[skipped:]:
         said = " ".join((inspect.getdoc(draw) or "").partition("\n\n")[0].split())

@@ -25,7 +25,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import xarray as xr
 from filelock import BaseFileLock, FileLock, Timeout
 
 from calibrate.core.errors import CalibrationError
@@ -157,6 +156,8 @@ def _explained(folder: Path) -> Iterator[None]:
 
 
 def _bytes_of(run: Run) -> bytes:
+    import xarray as xr  # a second, which what simulates nothing does without
+
     data = xr.Dataset(
         {name: ((f"{name}_point", "column"), curve) for name, curve in run.curves.items()},
         coords={"column": ["displacement_mm", "force_n"]},
@@ -172,6 +173,8 @@ def _bytes_of(run: Run) -> bytes:
 
 def _run_of(content: bytes, had_seal: bool) -> Run:
     """What `_bytes_of` wrote.  Entries made before there were seals do not ask for one."""
+    import xarray as xr
+
     with h5py.File(io.BytesIO(content)):
         pass  # what HDF5 cannot open makes h5netcdf complain on standard error
     with xr.open_dataset(io.BytesIO(content), engine=NETCDF) as data:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from numbers import Integral
 from pathlib import Path
-from typing import Any, ClassVar, ForwardRef, ParamSpec, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, ForwardRef, ParamSpec, TypeVar, get_args
 
 from rich.console import Console, RenderableType
 from rich.text import Text
@@ -18,8 +18,10 @@ from calibrate import figures
 from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, shown
 from calibrate.core.files import as_json, write_text
-from calibrate.figures import Figure
 from calibrate.io.labfile import check_parameter
+
+if TYPE_CHECKING:
+    from calibrate.figures import Figure
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -85,7 +87,7 @@ class AbstractDrawnResult(AbstractResult):
     def drawn(self) -> tuple:
         """What each picture is drawn from: the arguments of its function."""
 
-    def plot(self, name: str | None = None) -> Figure:
+    def plot(self, name: str | None = None) -> "Figure":
         """A picture of the result.
 
         Args:

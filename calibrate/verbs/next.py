@@ -13,12 +13,6 @@ from rich.console import RenderableType
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.diagnosis import Diagnosis
-from calibrate.discrepancy.library.stand_in import served
-from calibrate.inference.curve_points import CurvePoints
-from calibrate.inference.draws import SoilDraws, read_draws
-from calibrate.inference.narrowing import REPEATS, Told, left, menu, relative_scatter, row
-from calibrate.inference.on_response import OnResponse
-from calibrate.inference.prediction import shown
 from calibrate.io.lab import Lab
 from calibrate.records.base import record
 from calibrate.records.diagnosis import DiagnosisRecord, NextTestRecord
@@ -31,6 +25,9 @@ from calibrate.verbs.base import AbstractDrawnResult, AbstractResult, line, verb
 from calibrate.verbs.diagnose import NO_PRESET, found_by_library
 
 if TYPE_CHECKING:
+    from calibrate.inference.curve_points import CurvePoints
+    from calibrate.inference.draws import SoilDraws
+    from calibrate.inference.on_response import OnResponse
     from calibrate.io.lab import LabLike
 
 READ = {"numbers": "their numbers", "curves": "whole curves"}
@@ -192,6 +189,11 @@ def _narrowing(
     lab: "LabLike", posterior: str | Path, prediction: "LabLike", folder: Path
 ) -> NarrowingResult:
     """What further tests would leave of what a posterior leaves open."""
+    # numpyro and Optimistix take a second, which weighing tests by a gap does without
+    from calibrate.inference.draws import read_draws
+    from calibrate.inference.narrowing import REPEATS, Told, left, menu, relative_scatter, row
+    from calibrate.inference.prediction import shown
+
     known = read_draws(posterior)
     session = Session.open(lab, str(known.tree.attrs["preset"]), folder)
     step = max(1, len(known.values) // DRAWS)
@@ -229,8 +231,11 @@ def _narrowing(
     return NarrowingResult(session.lab, folder, content)
 
 
-def _asked(session: Session, known: SoilDraws) -> tuple[OnResponse | None, CurvePoints, str]:
+def _asked(session: Session, known: "SoilDraws") -> "tuple[OnResponse | None, CurvePoints, str]":
     """The library in the place of a session's tests, what they show, and why there is none."""
+    from calibrate.discrepancy.library.stand_in import served
+    from calibrate.inference.curve_points import CurvePoints
+
     work = session.on_soil().campaign(session.out)
     base = known.base_in(session.lab)
     response, why = served(session.lab, session.preset, known.names, base, work)

@@ -29,6 +29,7 @@ from calibrate.simulation import session
 from calibrate.simulation.resolution import specimen, virtual_lab
 from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
 from jdem.core.smooth import Smoothing
+from jdem.materials.conventions import liggghts
 from jdem.materials.soil import SoilParameters, particle_law
 from tests import ROOT
 from tests.support import malformed
@@ -301,6 +302,19 @@ def test_a_program_is_traced_at_the_first_start_and_where_its_file_is_spoilt(cac
     assert np.asarray(kept.kept(squares)(given, 3)[0]).tolist() == [0.0, 1.0, 8.0]
     assert kept.kept(squares)({**given, "x": np.arange(2.0)}, 2)[0].shape == (2,)
     assert len(list(cache.glob("kept-program-*"))) == 3  # one for each power and shape
+
+
+def test_a_program_with_a_law_is_kept_and_one_with_a_local_function_is_not(cache):
+    pytest.importorskip(kept.FORMAT)
+    soil, stiffer = SoilParameters(), SoilParameters(shear_modulus=9e6)
+    doubled = kept.kept(lambda soil: 2 * soil.shear_modulus)
+    assert [float(doubled(each)) for each in (soil, stiffer)] == [1.4e7, 1.8e7]
+    assert len(list(cache.glob("kept-program-*"))) == 1
+    assert float(doubled(SoilParameters(conventions=liggghts))) == 1.4e7
+    assert len(list(cache.glob("kept-program-*"))) == 2  # one for each law
+    local = SoilParameters(conventions=lambda parts: liggghts(parts))
+    assert float(doubled(local)) == 1.4e7
+    assert len(list(cache.glob("kept-program-*"))) == 2
 
 
 def test_arrays_are_worked_out_again_where_their_file_is_spoilt_or_inputs_differ(cache):

@@ -263,11 +263,14 @@ def test_help_names_the_verbs(calibrate):
     assert all(verb in out for verb in VERBS)
 
 
-@pytest.mark.parametrize("program", [[sys.executable, "-m", "calibrate"], ["calibrate"]])
-def test_the_process_has_the_exit_status(tmp_path, program):
+@pytest.mark.parametrize(
+    ("program", "wrong"),
+    [([sys.executable, "-m", "calibrate"], ["contact", "--path-um", "x"]), (["calibrate"], ["x"])],
+)
+def test_the_process_has_the_exit_status(tmp_path, program, wrong):
     folder = Path(sys.executable).parent
     environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
-    for arguments, status in ((["contact", "--path-um", "x"], 2), (["contact", "--help"], 0)):
+    for arguments, status in ((wrong, 2), (["contact", "--help"], 0)):
         done = subprocess.run(
             [*program, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True
         )

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import xarray as xr
 
 from calibrate import cli
@@ -181,8 +182,10 @@ class FormulaPlace(AbstractPlace):
     def prepare(self, specimen, seed, soil):
         import jax.numpy as jnp
 
+        places = np.random.default_rng(seed).uniform(size=(specimen.count, 3))
         ones = jnp.ones(specimen.count)
-        return Packing(Vector(ones, ones, ones), Spheres(ones, ones), 1.0 + seed, 1.0)
+        position = Vector.from_rows(jnp.asarray(places))
+        return Packing(position, Spheres(ones, ones), 1.0 + seed, 1.0)
 
 
 def prepare_process(dem: bool) -> None:

@@ -1,8 +1,8 @@
 """Calibration: parameters come back, failures stay in the record, a killed fit resumes.
 
 Recovery runs on a soil of formulas with the scatter of packings and the interface of a
-campaign, so that it is statistics and not DEM that is tested.  The cache, the damaged
-file and the killed fit run real simulations of 48 spheres.
+campaign, so that it is statistics and not DEM that is tested.  The cache and the damaged
+file run formulas in a campaign, the killed fit real simulations of 48 spheres.
 """
 
 import json
@@ -35,7 +35,7 @@ from calibrate.inference.slopes import (
 )
 from calibrate.labtests.features import ScalarTarget
 from calibrate.labtests.measured import Curve
-from calibrate.simulation import Campaign
+from calibrate.simulation.run import _bad_input
 from calibrate.simulation.specimens import campaign
 from tests import ROOT
 from tests.support.formulas import (
@@ -47,6 +47,7 @@ from tests.support.formulas import (
     tiny_campaign,
     tiny_lab,
 )
+from tests.support.pieces import FormulaPlace
 
 pytestmark = pytest.mark.thorough
 
@@ -197,11 +198,11 @@ def test_the_density_of_a_straight_response_has_the_covariance_of_the_slopes():
     whitened = case.whitened(np.asarray(slopes))
     prior = case.space.prior_sd()
     information = whitened.T @ whitened + np.diag(1 / prior**2)
-    np.testing.assert_allclose(jax.hessian(density)(point), -information, rtol=1e-9)
+    np.testing.assert_allclose(jax.jit(jax.hessian(density))(point), -information, rtol=1e-9)
     features = np.array([2.9, 190.0]) + np.asarray(slopes) @ [0.2, -0.3]
     residual = case.residual(np.exp(np.asarray(point)), features)
     downhill = np.concatenate([-whitened, np.diag(1 / prior)]).T @ residual
-    np.testing.assert_allclose(jax.grad(density)(point), -downhill, rtol=1e-9)
+    np.testing.assert_allclose(jax.jit(jax.grad(density))(point), -downhill, rtol=1e-9)
 
 
 def test_an_evaluation_holds_the_public_residual_and_its_cost_is_the_density():
@@ -457,13 +458,14 @@ from dataclasses import replace
 from pathlib import Path
 import tests.conftest
 from tests.calibrate.inference.test_fit import tiny_fit
-json.dump(tiny_fit(Path(sys.argv[1])), open(sys.argv[2], "w"))
+from tests.support.formulas import tiny_campaign
+json.dump(tiny_fit(tiny_campaign(Path(sys.argv[1]))), open(sys.argv[2], "w"))
 """
 
 
-def tiny_fit(folder):
-    """Best values, features and slopes of a short fit with everything cached in `folder`."""
-    lab, work = tiny_lab(), tiny_campaign(folder)
+def tiny_fit(work):
+    """Best values, features and slopes of a short fit with everything in the campaign's cache."""
+    lab = tiny_lab()
     problem = pose(lab)
     scatter = packing_scatter(problem, lambda s: work.runs([BASE], s, "scatter")[0], range(3))
     settings = Settings(evaluations=2, tolerance=0.0)
@@ -485,14 +487,28 @@ def tiny_folder(tmp_path_factory):
 @pytest.fixture(scope="session")
 def tiny_result(tiny_folder):
     """The fit that nobody interrupts."""
-    return tiny_fit(tiny_folder)
+    return tiny_fit(on_formulas(tiny_folder))
 
 
+def on_formulas(folder):
+    """The tiny campaign with formulas in place of spheres."""
+    return replace(tiny_campaign(folder), place=FormulaPlace())
+
+
+def broken(packing):
+    return eqx.tree_at(lambda p: p.position.x, packing, packing.position.x.at[3].set(jnp.nan))
+
+
+def test_a_packing_that_is_no_numbers_is_found(tmp_path):
+    packing = on_formulas(tmp_path).packings([0])[0]
+    assert _bad_input(packing, BASE) == ""
+    assert "the packing holds numbers that are not finite" in _bad_input(broken(packing), BASE)
+
+
+@pytest.mark.slow
 def test_a_packing_that_is_no_numbers_is_named(tmp_path):
     work = tiny_campaign(tmp_path)
-    packing = work.packings([0])[0]
-    broken = eqx.tree_at(lambda p: p.position.x, packing, packing.position.x.at[3].set(jnp.nan))
-    work._store.keep_packing(work._packing_name(0), broken)
+    work._store.keep_packing(work._packing_name(0), broken(work.packings([0])[0]))
     run = work.runs([BASE], [0], "broken bed")[0][0]
     assert "the packing holds numbers that are not finite" in run.failure
 
@@ -521,9 +537,10 @@ def killed_after(process, folder, more, delay):
 
 
 @pytest.mark.slow
-def test_a_fit_killed_at_any_moment_resumes_to_the_same_end(tiny_result, tiny_folder, tmp_path):
+def test_a_fit_killed_at_any_moment_resumes_to_the_same_end(tmp_path):
     """Bit for bit, and without repeating a finished simulation."""
-    luck, folder = random.Random(7), tmp_path / "killed"
+    luck, folder, whole = random.Random(7), tmp_path / "killed", tmp_path / "whole"
+    undisturbed = tiny_fit(tiny_campaign(whole))
     for _ in range(3):
         before = finished_runs(folder)
         process = start_fit(folder, tmp_path)
@@ -533,31 +550,31 @@ def test_a_fit_killed_at_any_moment_resumes_to_the_same_end(tiny_result, tiny_fo
     assert not (tmp_path / "result.json").exists(), "the fit ended before it was killed"
     assert start_fit(folder, tmp_path).wait() == 0
     assert after.items() <= finished_runs(folder).items()
-    assert set(finished_runs(folder)) == set(finished_runs(tiny_folder))
-    assert json.loads((tmp_path / "result.json").read_text()) == tiny_result
+    assert set(finished_runs(folder)) == set(finished_runs(whole))
+    assert json.loads((tmp_path / "result.json").read_text()) == undisturbed
 
 
 def test_a_finished_fit_simulates_nothing_when_repeated(tiny_result, tiny_folder):
     before = finished_runs(tiny_folder)
-    assert tiny_fit(tiny_folder) == tiny_result
+    assert tiny_fit(on_formulas(tiny_folder)) == tiny_result
     assert finished_runs(tiny_folder) == before
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty", "nonsense"])
 def test_a_damaged_run_is_simulated_again(tiny_result, tiny_folder, damage):
-    work = tiny_campaign(tiny_folder)
+    work = on_formulas(tiny_folder)
     path = tiny_folder / "runs" / f"{work.key(BASE, 0)}.nc"
     whole = path.read_bytes()
     path.write_bytes({"truncated": whole[: len(whole) // 2], "empty": b""}.get(damage, b"x" * 999))
     run = work.runs([BASE], [0], "again")[0][0]
     assert work.simulated == 1
-    again = tiny_campaign(tiny_folder).runs([BASE], [0], "stored")[0][0]
+    again = on_formulas(tiny_folder).runs([BASE], [0], "stored")[0][0]
     np.testing.assert_array_equal(again.curves["confined"], run.curves["confined"])
     assert again.observables == run.observables
 
 
 def test_a_damaged_packing_is_prepared_again(tiny_result, tiny_folder):
-    work = tiny_campaign(tiny_folder)
+    work = on_formulas(tiny_folder)
     path = work._packing_path(0)
     before = work.packings([0])[0]
     path.write_bytes(path.read_bytes()[:100])
@@ -567,20 +584,20 @@ def test_a_damaged_packing_is_prepared_again(tiny_result, tiny_folder):
 
 def test_keys_tell_runs_apart(tiny_folder):
     """Soil, seed, protocol and numerics each change the key; the same run keeps its key."""
-    work = tiny_campaign(tiny_folder)
+    work = on_formulas(tiny_folder)
     other = space(LAB, TWO, BASE).soil(START_TWO * [1.0, 1 + 1e-15])
     slower = campaign(tiny_lab(), replace(TINY, rate_in_mould=0.05), tiny_folder, Silent())
     taller = campaign(LAB, TINY, tiny_folder, Silent())
     keys = [work.key(BASE, 0), work.key(BASE, 1), work.key(other, 0)]
     keys += [lab.key(BASE, 0) for lab in (slower, taller)]
     assert len(set(keys)) == len(keys)
-    assert work.key(BASE, 0) == tiny_campaign(tiny_folder).key(BASE, 0)
+    assert work.key(BASE, 0) == on_formulas(tiny_folder).key(BASE, 0)
 
 
 def test_a_run_comes_back_from_disk_as_it_was_written(tiny_result, tiny_folder):
-    work = tiny_campaign(tiny_folder)
+    work = on_formulas(tiny_folder)
     stored = work.runs([BASE], [0], "stored")[0][0]
-    fresh = Campaign(work.lab, work.specimen, tiny_folder / "other", workers=1)
+    fresh = on_formulas(tiny_folder / "other")
     run = fresh.runs([BASE], [0], "fresh")[0][0]
     assert work.simulated == 0
     assert stored.observables == run.observables

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calibrate.core.errors import BadValue, InputError, suggestion
-from calibrate.core.units import FORCE, LENGTH, quantity, unit_factor
+from calibrate.core.units import FORCE, LENGTH, OFTEN, Kind, by_pint, quantity, unit_factor
 from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS, check_parameter
 from calibrate.labtests.measured import Target
@@ -398,6 +398,22 @@ def test_suggestion_names_the_nearest_or_all():
 def test_units_are_converted():
     assert unit_factor("kN", FORCE) == pytest.approx(1000)
     assert quantity(" +5.0e1mm ", LENGTH) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("stored", OFTEN)
+def test_units_of_most_lab_files_are_those_of_pint(stored):
+    kind = Kind("kind", stored, "1")
+    for unit in filter(None, OFTEN):
+        known, own = (_answer(read, unit, kind) for read in (by_pint, unit_factor))
+        same = own == known if isinstance(own, str) else np.isclose(own, known, 1e-15, 0.0)
+        assert same, unit  # or both refuse it in the same words
+
+
+def _answer(read, *given):
+    try:
+        return read(*given)
+    except BadValue as bad:
+        return str(bad.problem)
 
 
 @given(st.text(max_size=20) | st.text("0123456789 .-+eE^*/()mNskgPa%µ²·", max_size=20))

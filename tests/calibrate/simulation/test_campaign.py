@@ -21,6 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import PlainLines, Silent, duration
@@ -160,7 +161,7 @@ def test_entries_without_seal_from_earlier_versions_are_read(filled):
     """As they were written before: no seal, and no word of one inside."""
     folder, expected = filled
     for path in entries(folder, "runs/*.nc"):
-        with store.xr.open_dataset(io.BytesIO(path.read_bytes()), engine=NETCDF) as data:
+        with xr.open_dataset(io.BytesIO(path.read_bytes()), engine=NETCDF) as data:
             old = data.load()
         del old.attrs["sealed"]
         old.to_netcdf(path, engine=NETCDF)
@@ -175,7 +176,7 @@ def test_sealed_entries_open_with_other_programs(filled):
     """NetCDF and .npz as they are, for whoever looks at a cache."""
     folder, expected = filled
     curves = [
-        store.xr.open_dataset(path, engine=NETCDF)["confined"].values.tolist()
+        xr.open_dataset(path, engine=NETCDF)["confined"].values.tolist()
         for path in entries(folder, "runs/*.nc")
     ]
     assert sorted(curves) == sorted(confined for _, confined, _ in expected[0])

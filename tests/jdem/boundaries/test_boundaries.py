@@ -141,12 +141,14 @@ def resting(soil, spheres=1, **given):
     return bed, state_of(bed, places)
 
 
-def ran(bed, state, segment, steps=1000):
-    programme = stack([segment])
-    return run(bed, state, programme, jnp.asarray(steps), CAPACITY)
+@eqx.filter_jit
+def ran(bed, state, segment, steps):
+    return run(bed, state, stack([segment]), steps, CAPACITY)
 
 
-running = eqx.filter_jit(ran)
+def running(bed, state, segment, steps):
+    """One program serves every bed of one sphere, whatever its segment and steps of a sample."""
+    return ran(bed, state, segment, jnp.asarray(steps))
 
 
 def test_a_spun_base_carries_a_sphere_along_and_feels_its_torque():
@@ -208,18 +210,17 @@ def test_a_servo_holds_a_torque():
 
 @pytest.mark.parametrize(("response", "calm"), [(5e-4, True), (0.0, False)])
 def test_a_drive_that_follows_at_once_swings_from_step_to_step(response, calm):
-    """The dashpots of four spheres answer the platen's speed v with C v: where C exceeds width/v
+    """The dashpots of a sphere answer the platen's speed v with C v: where C exceeds width/v
     the force alternates between two values, unless the drive takes time."""
-    bed = bed_of(spheres_of(4), soil_of(restitution=0.2), gravity=0.0, skin=20.0)
-    x = RADIUS * np.array([-9.0, -3.0, 3.0, 9.0])
-    state = state_of(bed, np.stack([x, 0 * x, 0 * x + RADIUS], axis=-1))
+    bed = bed_of(spheres_of(1), soil_of(restitution=0.2), gravity=0.0, skin=20.0)
+    state = state_of(bed, [[0.0, 0.0, RADIUS]])
     state = eqx.tree_at(lambda s: s.boundaries, state, cell(2 * RADIUS, FAR, float))
-    servo = {"force_target": 1.0, "servo_width": 0.16, "response": response}
+    servo = {"force_target": 0.25, "servo_width": 0.04, "response": response}
     segment = cell_segment(platen_speed=0.2, damping=500.0, duration=1.0, **servo)
     samples = running(bed, state, segment, 1).samples
     force = np.asarray(samples.platen_force)[np.asarray(samples.segment) >= 0][-40:]
     swing = np.abs(np.diff(force)).max()
-    assert (swing < 0.02) == calm and (swing > 0.2) != calm
+    assert (swing < 0.005) == calm and (swing > 0.05) != calm
 
 
 def test_any_boundary_can_be_driven():

@@ -20,7 +20,7 @@ from jdem.sensitivity.overdamped import OverdampedMotion
 from tests import ROOT
 from tests.support.hand_made_beds import RADIUS, bed_of, soil_of, spheres_of
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
 
 LENGTHS = (1, 7, BLOCK, BLOCK + 1, 3 * BLOCK)
 

@@ -1,7 +1,8 @@
 """Effects on one small bed: off bit for bit at strength 0, and the curve moves where they say.
 
 One program with all effects serves every strength, which `assert_max_traces` checks while the
-tests use it; a second one is the base model.
+tests use it; a second one is the base model.  Tests that run them are slow; the numbers that each
+effect gives are in `test_physics`, its own formulas in `test_effects_library`.
 """
 
 import math
@@ -15,13 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jdem.bodies.spheres import Spheres
 from jdem.core.quantity import Real, as_quantity, quantity
+from jdem.core.vector import Vector
 from jdem.effects.base import FADING_STRAIN, About, AbstractEffect, with_contacts_scaled
 from jdem.effects.cementation import STRAIN
 from jdem.effects.composite import EFFECTS, Altered, with_strengths
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.observables import Curve, displacement_at
 from jdem.packing.composite import prepare
+from jdem.packing.specimen import Packing
 from tests.support.effect_lab import (
     HOLD,
     NUMERICS,
@@ -53,6 +57,15 @@ STEP = 0.4  # of the stable time step, the same for all strengths
 @pytest.fixture(scope="session")
 def packing():
     return prepare(SMALL, 0)
+
+
+@pytest.fixture(scope="session")
+def heap():
+    """The small bed's spheres, none in its place: enough to trace a run or for a time step."""
+    radius = SMALL.mean_radius() * np.linspace(1 - SMALL.spread, 1 + SMALL.spread, SMALL.count)
+    spheres = Spheres(jnp.asarray(radius), jnp.asarray(2650 * 4 / 3 * np.pi * radius**3))
+    place = jnp.zeros(SMALL.count)
+    return Packing(Vector(place, place, place), spheres, SMALL.height, SMALL.diameter / 2)
 
 
 @pytest.fixture(scope="session")
@@ -117,11 +130,11 @@ def test_strength_zero_is_the_base_model_bit_for_bit(base, outcome):
     assert_same(nothing.record.state.motion, base.record.state.motion)
 
 
-def test_effects_keep_single_precision(packing):
+def test_effects_keep_single_precision(heap):
     """Traced only: a loop whose numbers changed their precision could not be traced."""
     numerics = replace(NUMERICS, dtype="float32")
     lab = VirtualLab.of(SMALL, both_tests(), numerics, ALL.effects)
-    outcome = eqx.filter_eval_shape(VirtualLab.run, lab, packing, SOIL)
+    outcome = eqx.filter_eval_shape(VirtualLab.run, lab, heap, SOIL)
     shown = (
         depth_of(outcome),
         outcome.curves["confined"],
@@ -176,6 +189,7 @@ def test_compliance_flattens_slopes_by_the_closed_form(outcome):
     assert force_of(shown) == force_of(true)
 
 
+@pytest.mark.slow
 def test_a_seating_gap_is_a_toe(outcome):
     gap = 5e-4
     true, shown = outcome(), outcome(seating_gap=gap)
@@ -189,6 +203,7 @@ def test_a_seating_gap_is_a_toe(outcome):
     assert force_of(shown) == force_of(true)
 
 
+@pytest.mark.slow
 def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
     """in_servo = 0: the specimen's history is the base model's."""
     values = {"load_cell_gain": 0.01, "load_cell_offset": 2.0, "load_cell_drift": 0.01}
@@ -213,6 +228,7 @@ def test_a_false_record_scales_and_shifts_forces_exactly(packing, outcome):
     assert np.asarray(true.nominal_time)[valid][-1] == pytest.approx(1e-3 / 1e-5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_machine_turns_at_what_its_load_cell_shows(outcome):
     """The record tops out where the base model's does; the true force is 3 % lower."""
     gain = 0.03
@@ -226,6 +242,7 @@ def test_the_machine_turns_at_what_its_load_cell_shows(outcome):
     assert depth_of(shown) == pytest.approx(float(reached[1] - reached[0]), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_late_reading_shifts_loading_and_overshoots(outcome):
     """Loading lies v tau further; the true force exceeds the reading by v tau S at reversal."""
     lag, speed = 0.05, 8e-3
@@ -247,6 +264,7 @@ def test_a_late_reading_shifts_loading_and_overshoots(outcome):
     assert shown.curves["confined"].force.max() > true.curves["confined"].force.max() + 2.0
 
 
+@pytest.mark.slow
 def test_drift_shows_only_in_the_slow_test(outcome):
     drift = 0.014
     true, shown = outcome(), outcome(load_cell_drift=drift)
@@ -263,6 +281,7 @@ def test_drift_shows_only_in_the_slow_test(outcome):
 # ------------------------------------------------------------------ soil and mould
 
 
+@pytest.mark.slow
 def test_wall_friction_keeps_force_from_the_base_and_falls_fast_after_reversal(outcome):
     low, high = outcome(), outcome(wall_friction=0.3)
     shares, drops = [], []
@@ -285,6 +304,7 @@ def secant(outcome, travel=5e-4):
     return force[d < travel].mean()
 
 
+@pytest.mark.slow
 def test_platen_friction_acts_without_the_mould(outcome):
     """So few spheres are stronger or weaker by chance: asked is where it acts, not which way."""
     low, high = outcome(), outcome(platen_friction=1.0)
@@ -294,6 +314,7 @@ def test_platen_friction_acts_without_the_mould(outcome):
     assert abs(depth) < 0.03 < abs(force)
 
 
+@pytest.mark.slow
 def test_the_second_test_alone_is_multiplied(outcome):
     low, high = outcome(), outcome(second_test_factor=0.3)
     assert_same(high.curves["confined"], low.curves["confined"])
@@ -303,6 +324,7 @@ def test_the_second_test_alone_is_multiplied(outcome):
     )
 
 
+@pytest.mark.slow
 def test_rate_dependence_lowers_the_slow_test_and_relaxes_in_a_hold(outcome):
     rho = 0.1
     low, high = outcome(), outcome(rate_dependence=rho)
@@ -353,6 +375,7 @@ def standing_at(height, time):
     return SimpleNamespace(time=jnp.asarray(time), platen_height=jnp.asarray(height))
 
 
+@pytest.mark.slow
 def test_capillary_tension_strengthens_without_the_mould(outcome):
     low, high = outcome(), outcome(capillary_tension=1e4)
     depth = float(depth_of(high) / depth_of(low) - 1)
@@ -362,6 +385,7 @@ def test_capillary_tension_strengthens_without_the_mould(outcome):
     assert abs(depth) < 0.3 * force
 
 
+@pytest.mark.slow
 def test_cementation_acts_after_the_confined_test(outcome):
     low, high = outcome(), outcome(cementation=5e4)
     assert_same(high.curves["confined"], low.curves["confined"])
@@ -369,6 +393,7 @@ def test_cementation_acts_after_the_confined_test(outcome):
     assert secant(high) > secant(low)
 
 
+@pytest.mark.slow
 def test_a_denser_specimen_is_stiffer(outcome):
     loose, usual, dense = (outcome(specimen_density=e) for e in (-0.01, 0.0, 0.01))
     at = [float(displacement_at(o.curves["confined"], 100.0)) for o in (loose, usual, dense)]
@@ -430,25 +455,25 @@ def test_sensitivities_at_zero_are_differences(name, slopes, outcome):
 # ------------------------------------------------------------------ the time step
 
 
-def test_the_time_step_is_that_of_the_stiffest_stage(packing):
+def test_the_time_step_is_that_of_the_stiffest_stage(heap):
     """Forces times 1 + e in the second test: the step of a soil with these forces throughout."""
-    step = lab_with(EFFECTS["second_test_factor"](0.75)).time_step(packing, SOIL)
-    scaled = lab_with().time_step(packing, with_contacts_scaled(SOIL, jnp.asarray(1.75)))
+    step = lab_with(EFFECTS["second_test_factor"](0.75)).time_step(heap, SOIL)
+    scaled = lab_with().time_step(heap, with_contacts_scaled(SOIL, jnp.asarray(1.75)))
     assert float(step) == pytest.approx(float(scaled), rel=1e-12)
-    weaker = lab_with(EFFECTS["second_test_factor"](-0.5)).time_step(packing, SOIL)
-    assert float(weaker) == float(lab_with().time_step(packing, SOIL))
+    weaker = lab_with(EFFECTS["second_test_factor"](-0.5)).time_step(heap, SOIL)
+    assert float(weaker) == float(lab_with().time_step(heap, SOIL))
 
 
-def test_bonds_shorten_the_time_step_by_their_stiffness(packing):
+def test_bonds_shorten_the_time_step_by_their_stiffness(heap):
     """1/dt^2 grows by k/(4 m) in units of the limit, k = T/w of a bond, m that of sliding."""
     numerics, stress = lab_with().numerics, 2e5
     plain, bonded = (
-        float(lab_with(EFFECTS["cementation"](s)).time_step(packing, SOIL)) for s in (0.0, stress)
+        float(lab_with(EFFECTS["cementation"](s)).time_step(heap, SOIL)) for s in (0.0, stress)
     )
-    assert plain == float(lab_with().time_step(packing, SOIL))
-    smallest = int(np.argmin(np.asarray(packing.spheres.radius)))
-    radius = float(packing.spheres.radius[smallest])
-    sliding = 2 / 7 * 0.5 * float(packing.spheres.mass[smallest])
+    assert plain == float(lab_with().time_step(heap, SOIL))
+    smallest = int(np.argmin(np.asarray(heap.spheres.radius)))
+    radius = float(heap.spheres.radius[smallest])
+    sliding = 2 / 7 * 0.5 * float(heap.spheres.mass[smallest])
     stiffness = stress * 2 * radius / STRAIN
     added = bonded**-2 - plain**-2
     assert added == pytest.approx(stiffness / (4 * sliding) / numerics.safety**2, rel=0.02)

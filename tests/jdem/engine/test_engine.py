@@ -39,7 +39,7 @@ from tests.support.hand_made_beds import (
     state_of,
 )
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
 
 # ------------------------------------------------------------------ action = reaction
 

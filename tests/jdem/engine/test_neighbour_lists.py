@@ -15,7 +15,7 @@ from jdem.engine.neighbors import ContactList, Grid, rebuild
 from jdem.laws.base import AbstractContactLaw
 from tests.support.hand_made_beds import RADIUS, spheres_of
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
 
 CLOUD = 60
 

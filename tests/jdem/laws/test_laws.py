@@ -38,7 +38,7 @@ from tests.support.law_cases import (
     stiffness_of,
 )
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
 
 # ------------------------------------------------------------------ no overlap
 

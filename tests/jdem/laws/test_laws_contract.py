@@ -30,7 +30,7 @@ from tests.support.law_cases import (
     stacked,
 )
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
 
 SMOOTHINGS = {"sharp": Smoothing.sharp(), "default": Smoothing()}
 every_law = pytest.mark.parametrize("name", LAWS)

@@ -29,6 +29,8 @@ from tests import DATA
 from tests.support.hand_made_beds import SHARP, advanced, bed_of, spheres_of, state_of
 from tests.support.law_cases import MOST, PAIR, SLIP, contact_at, law_of, path_through_every_kink
 
+pytestmark = pytest.mark.usefixtures("cheaply_compiled")
+
 CURVES = DATA / "export_contact" / "liggghts_conventions.csv"
 FIT = DATA / "fit_result"
 LIGGGHTS = [name for name in CONVENTIONS if name != DEFAULT]

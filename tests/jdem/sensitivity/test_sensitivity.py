@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -48,6 +49,7 @@ POINT = jnp.asarray(RNG.normal(size=PARAMETERS))
 GROUPED = Ensemble(0.2, ((0, 3, 6), (1, 4), (2, 5)))
 
 
+@jax.jit
 def quadratic(points: Array) -> Array:
     """Values (k, n, 2) of a full quadratic around POINT, at another level on each packing."""
     x = points - POINT

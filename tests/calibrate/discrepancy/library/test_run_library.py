@@ -8,6 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
@@ -269,9 +270,9 @@ def test_rows_of_one_soil_may_differ_in_pace():
 def test_a_file_without_soil_blocks_has_none(tmp_path: Path):
     path = tmp_path / "library.nc"
     store.save(toy_library.library(), path)
-    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_vars("kernel_twin")
-    older.to_netcdf(path, engine=store.NETCDF)
+    older.to_netcdf(path, engine="h5netcdf")
     assert all(kernel.soil_block == store.NOTHING for kernel in store.load(path).kernels)
 
 
@@ -279,9 +280,9 @@ def test_a_file_whose_soils_do_not_bend_effects_is_read(tmp_path: Path):
     path = tmp_path / "library.nc"
     library = toy_library.library()
     store.save(library, path)
-    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_vars(["kernel_local", "kernel_local_length"])
-    older.to_netcdf(path, engine=store.NETCDF)
+    older.to_netcdf(path, engine="h5netcdf")
     for kernel, now in zip(store.load(path).kernels, library.kernels, strict=True):
         assert (kernel.local == store.NOTHING).all() and kernel.local.shape == now.local.shape
         assert kernel.local_length.shape == now.local_length.shape
@@ -291,10 +292,10 @@ def test_a_file_whose_scatter_depends_on_size_alone_is_read(tmp_path: Path):
     path = tmp_path / "library.nc"
     library = toy_library.library()
     store.save(library, path)
-    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_vars("kernel_scattering")
     older["kernel_coarse"] = (("component", "one"), np.full((len(library.kernels), 1), 0.4))
-    older.to_netcdf(path, engine=store.NETCDF)
+    older.to_netcdf(path, engine="h5netcdf")
     for kernel in store.load(path).kernels:
         assert kernel.scattering[-1] == 0.4 and not kernel.scattering[:-1].any()
 
@@ -525,9 +526,9 @@ def test_emulator_errors_survive_their_file(tmp_path):
     again = store.load(path).emulator_errors
     assert again is not None and (again.directions == known.directions).all()
     assert (again.misfit == known.misfit).all() and again.dropped == known.dropped
-    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_vars(["missed_directions", "missed_effect", "misfit", "dropped"])
-    older.to_netcdf(path, engine=store.NETCDF)
+    older.to_netcdf(path, engine="h5netcdf")
     again = store.load(path).emulator_errors
     assert again is not None and again.directions.shape == (m, 0)
     assert (again.widening == known.widening).all()
@@ -667,9 +668,9 @@ def test_the_pace_of_a_lab_is_that_of_its_test_in_the_mould():
 def test_a_library_without_the_pace_of_its_runs_is_refused(tmp_path: Path):
     path = tmp_path / "library.nc"
     store.save(small_library(), path)
-    with store.xr.open_dataset(path, engine=store.NETCDF) as stored:
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_sel(coordinate="pace")
-    older.to_netcdf(path, engine=store.NETCDF)
+    older.to_netcdf(path, engine="h5netcdf")
     with pytest.raises(InputError, match="do not state pace"):
         store.load(path)
 
