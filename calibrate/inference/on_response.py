@@ -237,9 +237,9 @@ class OnResponse(AbstractCoarse):
     def unknown(self, problem: Problem, soil: SoilParameters) -> np.ndarray:
         """Mask (m,) of the features that are read beyond the ends of its curves."""
         beds = self.campaign.beds
-        observables, curves = beds.shown(beds.values(soil))
+        observables, curves = _shown(beds, soil)
         shown = {test: np.asarray(curve) for test, curve in curves.items()}
-        other = beds.continued(curves)
+        other = beds.continued(shown)
         read = [(f.read(observables, shown), f.read(observables, other)) for f in problem.features]
         return np.array([not np.isclose(*both, rtol=BEYOND, atol=0.0) for both in read])
 
