@@ -69,10 +69,10 @@ class Beds(eqx.Module):
         pressed, crushed = self.called
         return observables, {pressed: self._pressed(values), crushed: self._crushed(values)}
 
-    def continued(self, curves: Mapping[str, Array]) -> dict[str, np.ndarray]:
+    def continued(self, curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The same curves with a course of their own beyond what is known of them: a larger force
         at the top of the confined test, no force after the end of both."""
-        pressed, crushed = (np.asarray(curves[test]) for test in self.called)
+        pressed, crushed = (curves[test] for test in self.called)
         top = int(pressed[:, 1].argmax())
         spike = pressed[[top, top]] * [[1.0, 2.0], [1.0, 1.0]] + [[FAR, 0.0], [0.0, 0.0]]
         pressed = np.concatenate([pressed[: top + 1], spike, pressed[top + 1 :]])

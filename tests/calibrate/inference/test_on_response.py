@@ -305,8 +305,8 @@ def test_what_lies_beyond_the_ends_of_curves_is_known_as_such():
         DisplacementOnUnloading("", "mm", TESTS[0], 100.0),
         DisplacementOnUnloading("", "mm", TESTS[0], 0.1),
     )
-    other = beds.continued(curves)
     shown = {test: np.asarray(curve) for test, curve in curves.items()}
+    other = beds.continued(shown)
     moved = [f.read({}, shown) != pytest.approx(f.read({}, other), rel=BEYOND) for f in features]
     assert moved == [False, True, False, True, False, True]
 
