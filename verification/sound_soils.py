@@ -14,11 +14,12 @@ The library of runs alone judges them:
     python -m verification.sound_soils                   half an hour of a core
     python -m verification.sound_soils --part promises   the others as they were
 
-Writes a section of verification/results/posterior.md.
+Writes a section of verification/results/posterior.md after each soil; a second call goes on with
+promises.
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -255,13 +256,15 @@ def _weights(brute: Brute, numbers: np.ndarray, scatter: np.ndarray) -> np.ndarr
 # ---------------------------------------------------------------- promises
 
 
-def promises(sound: Sequence[Sound], count: int) -> list[dict]:
+def promises(sound: Sequence[Sound], count: int, found: list[dict]) -> Iterator[list[dict]]:
     """Of each parameter's deviation given H and F: the share that whole curves of as many
-    specimens leave, promised and come; shares of draws given curves below the truth."""
-    found = []
-    for question, brute, these in by_porosity(sound, count):
+    specimens leave, promised and come; shares of draws given curves below the truth.  Goes on from
+    what was `found`, and gives all after each soil."""
+    known, spread = {row["case"] for row in found}, scatter_of(sound)
+    left_over = [each for each in sound if each.case.name not in known]
+    for question, brute, these in by_porosity(left_over, count):
         for each in these:
-            weights = _weights(brute, each.numbers, scatter_of(sound))
+            weights = _weights(brute, each.numbers, spread)
             drawn = np.random.default_rng(23).choice(len(weights), ASKED, p=weights)
             logs = brute.logs[drawn]
             soils = [question.space.soil(np.exp(row)) for row in logs]
@@ -278,8 +281,7 @@ def promises(sound: Sequence[Sound], count: int) -> list[dict]:
                 "least_ess": float(mixing(after)[1].min()),
                 "rhat": float(mixing(after)[0].max()),
             })  # fmt: skip
-            print(found[-1], flush=True)
-    return found
+            yield found
 
 
 def walked(question: Question) -> np.ndarray:
@@ -364,17 +366,21 @@ def main() -> None:
     reporting.configure()
     open_cases.unpack(("sound_cases.tar.xz",))
     sound = Sound.every(sound_cases.WORK)[: chosen.most]
-    made: dict[str, Callable] = {
-        "judged": lambda: judged(sound, chosen.drawn),
-        "promises": lambda: promises(sound[:PROMISED], chosen.drawn),
-    }
-    found = {part: reporting.earlier("sound_soils", part) for part in made}
-    for part, make in made.items():
-        if chosen.part in (None, part):
-            found[part] = make()
-            reporting.write_content("sound_soils", {**reporting.provenance(), **found})
+    found: dict = {part: reporting.earlier("sound_soils", part) for part in ("judged", "promises")}
+    if chosen.part in (None, "judged"):
+        found["judged"] = judged(sound, chosen.drawn)
+        _save(found)
+    if chosen.part in (None, "promises"):
+        before = list(found["promises"] or [])
+        for found["promises"] in promises(sound[:PROMISED], chosen.drawn, before):
+            _save(found)
+
+
+def _save(found: dict) -> None:
+    """What there is; the page as soon as there is some of both."""
+    origin = reporting.provenance()
+    reporting.write_content("sound_soils", {**origin, **found})
     if all(found.values()):
-        origin = reporting.provenance()
         reporting.write_section("posterior", markdown(found, origin))
 
 
