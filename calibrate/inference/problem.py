@@ -9,10 +9,10 @@ of packings and repeats:
     Sigma = S_packing / n_packings + scatter^2 / repeats    for scalar targets
 
 A laboratory's specimens scatter at least as packings do: a >= 1 is how much larger the variance is
-that the records of a test show.  Where a platen begins to touch is known to SEATED only, which all
-records of a test share:
+that the records of a test show.  Where a platen begins to touch is known to ZERO_KNOWN only, which
+all records of a test share:
 
-    Sigma + SEATED^2 s s'        s: slope of features with the zero of their displacement
+    Sigma + ZERO_KNOWN^2 s s'        s: slope of features with the zero of their displacement
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ from calibrate.simulation import Run
 
 # mm, of the zero of displacement; rms over records of simulated soils that hide nothing
 # (verification/results/posterior.md).
-SEATED = 0.08
+ZERO_KNOWN = 0.08
 UNHEARD = 1e3  # times a number: a deviation with which it counts for nothing
 
 
@@ -72,7 +72,7 @@ class Problem:
         of_repeats = np.outer(more, more) / np.maximum(self.repeats, 1)
         weight = 1 / packings + np.where(both, of_repeats, 0.0)
         same = np.equal.outer(*[[feature.test for feature in self.features]] * 2)
-        touch = SEATED * np.broadcast_to(self.seating, self.measured.shape)
+        touch = ZERO_KNOWN * np.broadcast_to(self.seating, self.measured.shape)
         return scatter * weight + np.diag(self.target_variance) + same * np.outer(touch, touch)
 
     def wider(self, variance: np.ndarray) -> np.ndarray:
@@ -209,9 +209,9 @@ def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
             )
         mean = float(np.mean(values))
         spread = float(np.std(values, ddof=1) / abs(mean)) if len(values) > 1 and mean else np.nan
-        ends = [feature.begun_later(by) for by in (-SEATED, SEATED)]
+        ends = [feature.begun_later(by) for by in (-ZERO_KNOWN, ZERO_KNOWN)]
         early, late = ([_measured(end, curve) for curve in curves] for end in ends)
-        slope = float(np.mean(np.subtract(late, early))) / (2 * SEATED)
+        slope = float(np.mean(np.subtract(late, early))) / (2 * ZERO_KNOWN)
         yield Row(feature, mean, 0.0, len(values), spread, slope)
 
 

@@ -19,7 +19,7 @@ from calibrate.core.errors import InputError
 from calibrate.inference.curve_points import CurveReading
 from calibrate.inference.identifiability import IDENTIFIED, assess, choose_free
 from calibrate.inference.parameters import RANGES, Space, space
-from calibrate.inference.problem import SEATED, Problem, begun_late, pose, shrunk_covariance
+from calibrate.inference.problem import ZERO_KNOWN, Problem, begun_late, pose, shrunk_covariance
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.base import UsualSizes
@@ -416,7 +416,7 @@ def test_where_a_platen_touches_is_known_so_far_only():
     features = tuple(ForceAtEnd(f"{n}", "N", name) for n, name in enumerate(names))
     seating = np.array([-1.0, -1.0, 50.0])
     problem = Problem(features, np.ones(3), np.zeros(3), np.ones(3), seating=seating)
-    expected = SEATED**2 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2500.0]])
+    expected = ZERO_KNOWN**2 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2500.0]])
     np.testing.assert_allclose(problem.covariance(np.zeros((3, 3)), 1), expected)
     later = DisplacementOnLoading("", "mm", "confined", 400.0).begun_later(0.1)
     x, force = confined_curve()
