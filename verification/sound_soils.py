@@ -65,7 +65,6 @@ PROMISED = 20
 STEPS = (3_000, 8_000)  # of random walks: to learn how they have to step, and to draw
 ASKED = 400  # draws by which a test is weighed, as `calibrate next` does
 NAMES = ("depression_depth_mm", "crushing_force_n")
-PARTS = ("parameters", "predictions", "promises")
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,8 +376,8 @@ def main() -> None:
 
 
 def _save(found: dict) -> None:
-    """What there is; the page as soon as there is some of both."""
-    origin = reporting.provenance()
+    """What there is; the page as soon as there is some of both, which one command makes."""
+    origin = {**reporting.provenance(), "command": "python -m verification.sound_soils"}
     reporting.write_content("sound_soils", {**origin, **found})
     if all(found.values()):
         reporting.write_section("posterior", markdown(found, origin))

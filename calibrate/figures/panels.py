@@ -72,9 +72,11 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
 
 def from_seating(displacement_mm: ArrayLike, force_n: ArrayLike) -> np.ndarray:
     """Displacement (mm) of a record, counted from where it first carries the seating force, as
-    simulated curves begin; as recorded where it begins beyond."""
+    simulated curves begin; as recorded where it begins beyond, or never carries it."""
     way, force = np.asarray(displacement_mm, float), np.asarray(force_n, float)
-    return way if force[0] > SEATING else way - SEATED.of(*loading(way, force))
+    if not force[0] <= SEATING <= force.max():
+        return way
+    return way - SEATED.of(*loading(way, force))
 
 
 def _band(axis: Axes, curves: Sequence[Curve], look: Look) -> None:
