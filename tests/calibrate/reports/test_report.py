@@ -336,7 +336,6 @@ def test_a_damaged_result_is_shown_or_refused(folders, tmp_path, monkeypatch, ki
     found, file = kinds.find(folders[kind])
     monkeypatch.setattr("calibrate.figures.style.svg", drawn_only)
     monkeypatch.setattr("calibrate.reports.audit.svg", drawn_only)
-    monkeypatch.setattr("calibrate.reports.html.svg", drawn_only)
     rng, text = random.Random(kind), file.read_text()
     every, ends = list(places(json.loads(text))), Counter()
     for _ in range(60):
