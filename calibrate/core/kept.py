@@ -7,7 +7,8 @@ JAX keeps what it compiles, but traces and lowers a program anew at every start,
 formulas takes longer than all else.  So the lowered program lies in the same folder
 (`jax.export`), under a digest of all that it depends on: the source of the packages here, the
 versions of the libraries, shapes of arrays, and whatever of the arguments is no array.
-Arrays that take long to work out are kept in the same way (`arrays`).
+Arrays that take long to work out are kept in the same way (`arrays`); of one kind of them the
+oldest go when together they need too much room.
 
 Whatever cannot be read, or is not what was written, is made again.
 """
@@ -40,6 +41,7 @@ ADDRESS = re.compile(" at 0x")  # in the text of an object that another start do
 # What another version of jaxlib may call otherwise; here the version is part of the digest.
 UNSTABLE = (jax.export.DisabledSafetyCheck.custom_call("lapack_dormqr_ffi"),)
 DIGEST = hashlib.sha256().digest_size
+ROOM = 1 << 30  # bytes, for arrays of one kind
 
 
 def kept(function: Callable[..., R]) -> Callable[..., R]:
@@ -124,7 +126,21 @@ def arrays(
             data = io.BytesIO()
             np.save(data, found, allow_pickle=False)
             _write(path, data.getvalue())
+            _make_room(path.parent, f"kept-{what}-*")
     return found
+
+
+def _make_room(folder: Path, pattern: str) -> None:
+    """Removes the oldest of such files until all of them fit into ROOM."""
+    try:
+        found = [(file.stat(), file) for file in folder.glob(pattern)]
+        used = sum(state.st_size for state, _ in found)
+        for state, file in sorted(found, key=lambda each: each[0].st_mtime):
+            if used > ROOM:
+                file.unlink(missing_ok=True)
+                used -= state.st_size
+    except OSError:
+        pass  # another process was faster
 
 
 def _path(what: str, parts: Sequence[bytes]) -> Path | None:

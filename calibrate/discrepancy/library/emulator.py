@@ -242,7 +242,7 @@ def fit_emulator(
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
     components already known are kept, others estimated from about `most_rows`.  noise (n, c):
     factors on the variance that rows scatter with in each component; `always` as its own;
-    again: it is made at other starts as well, so that its weights are kept (`kept.arrays`)."""
+    again: it is made at other starts as well, so that weights and factors are kept."""
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
@@ -253,7 +253,7 @@ def fit_emulator(
     )  # fmt: skip
     noise = np.ones_like(scores) if noise is None else noise
     pairs = Pairs.of(x, packing)
-    rows = [RowCovariance(k, x, s, pairs, noise[:, c]) for c, k in enumerate(kernels)]
+    rows = [RowCovariance(k, x, s, pairs, noise[:, c], again) for c, k in enumerate(kernels)]
     factors = Factors(rows)
     weights = arrays(
         "weights", (x, s, packing, scores, noise, *(part for k in kernels for part in k)),

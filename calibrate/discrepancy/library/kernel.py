@@ -6,7 +6,8 @@ slopes rest on differences within packings (blocks); so has what it does to all 
 an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
 all three deviations go with exp(g.x).
 
-Factors of covariances are made by LAPACK, in threads, when they are first asked for.
+Factors of covariances are made by LAPACK, in threads, when they are first asked for; those of a
+library that serves again are kept beside the compiled programs (`calibrate.core.kept`).
 
 Rows that follow other conventions of the contact law (`other_law`) have one column of strengths
 more, 1 for them and 0 for all others: what conventions change is a function of the soil, as what an
@@ -26,9 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dtfttr, dtrttf
 from scipy.optimize import minimize
 
-from calibrate.core.kept import kept
+from calibrate.core.kept import arrays, kept
 from calibrate.discrepancy.library.design import SETTINGS
 from calibrate.response.process import Kernel, covariance
 from calibrate.simulation import cores
@@ -130,13 +132,15 @@ def _of_block(kernel: Kernel, x, s, x2, s2):
 @dataclass(frozen=True, eq=False)
 class RowCovariance:
     """What rows at scaled points (n, p), (n, k) have in common in a component: the covariance
-    (n, n) of its process and of their scatter, by whose variance noise (n,) are factors."""
+    (n, n) of its process and of their scatter, by whose variance noise (n,) are factors; again: it
+    is made at other starts as well, so that its factor is kept."""
 
     kernel: Kernel
     x: np.ndarray
     s: np.ndarray
     pairs: Pairs
     noise: np.ndarray
+    again: bool = False
 
     @cached_property
     def shared(self) -> np.ndarray:
@@ -150,8 +154,17 @@ class RowCovariance:
         return np.bincount(self.pairs.row, self.shared * weights[self.pairs.other])
 
     def lower(self) -> np.ndarray:
-        """The Cholesky factor (n, n).  Rows come in blocks: temporary arrays of all rows at once
-        are so large that the system clears their memory anew for each component."""
+        """The Cholesky factor (n, n), its upper part as LAPACK leaves it.  What is kept is the
+        lower part alone."""
+        if not self.again:
+            return self._lower()
+        known = (self.x, self.s, *self.pairs, self.noise, *self.kernel)
+        packed = arrays("factor", known, lambda: dtrttf(self._lower(), uplo="L")[0])
+        return dtfttr(len(self.x), packed, uplo="L")[0]
+
+    def _lower(self) -> np.ndarray:
+        """Rows come in blocks: temporary arrays of all rows at once are so large that the system
+        clears their memory anew for each component."""
         total = np.empty((len(self.x), len(self.x)), order="F")
         for rows in _blocks(len(self.x)):
             found = _of_block(self.kernel, self.x[rows], self.s[rows], self.x, self.s)
