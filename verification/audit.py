@@ -1,33 +1,51 @@
 """The audit of the derivatives that fits use, on two sets of packings.
 
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
+    python -m verification.audit --others 4            some 30 minutes on two cores
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
 +-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same
-packings; then all of it again on others.
-Runs are kept in results/benchmarks; a second call resumes.  Writes after
-every seed notebooks/data/audit.json, verification/results/audit.md and docs/images/audit*.png.
+packings; then all of it again on others.  With --others the library alone, at so many soils of the
+bundled lab file's prior, each on packings of its own; there it is also asked for its own regression
+over the same steps, which tells a bent response from a wrong one.
+
+Runs are kept in results/benchmarks; a second call resumes.  Writes after every seed
+notebooks/data/audit.json, the first section of verification/results/audit.md and
+docs/images/audit*.png; after every other soil the second section of the page.
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.figures import save
 from calibrate.figures.audit import audit_figure, curve_slopes_figure
-from calibrate.inference.audit import Audit, audit, audit_json, judged
-from calibrate.inference.parameters import FACTORS, space
+from calibrate.inference.audit import (
+    REFERENCE,
+    RESPONSE,
+    Audit,
+    audit,
+    audit_json,
+    judged,
+    simulated_response,
+)
+from calibrate.inference.on_response import OnResponse
+from calibrate.inference.parameters import FACTORS, Space, space
 from calibrate.io.lab import bundled_lab, load_lab
-from calibrate.io.soil import base_soil
+from calibrate.io.soil import base_soil, with_values
 from calibrate.records.audit import AuditSlopes
 from calibrate.records.base import record
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from jdem.materials.soil import SoilParameters
 from verification import reporting
+from verification.posterior import question_of, share_of
 
 STRATEGIES = {
     "response": "Of the library of runs, by JAX",
@@ -36,15 +54,32 @@ STRATEGIES = {
 }
 
 
-def audited(spheres: int, seeds: range, folder: Path) -> Audit:
+NEAR = {"depression_depth_mm": 0.10, "crushing_force_n": 0.15}  # of the library's slopes
+ERRORS = 3.0  # of both together, within which two slopes agree
+FIRST_OF_OTHERS = 23  # seed of the packings of the first of the other soils; and of the draw
+
+
+def audited(
+    spheres: int, seeds: range, folder: Path, names: list[str], base: SoilParameters | None = None
+) -> tuple[Audit, list[list[float]]]:
+    """The audit of strategies, at the bundled soil or another one, and the library's own
+    regression (m, p) over the steps of the reference."""
     lab = load_lab(bundled_lab())
     preset = replace(PRESETS["standard"], spheres=spheres)
     work = Campaign(virtual_lab(lab, preset), specimen(lab, preset), folder, for_terminal())
-    base = base_soil(lab)
+    base = base_soil(lab) if base is None else base
     library, why = served(lab, preset, None, base, work)
     assert library is not None, why
-    audited = space(lab, (*FACTORS, "shear_modulus"), base)
-    return audit(audited, work, seeds, list(STRATEGIES), library)
+    about = space(lab, (*FACTORS, "shear_modulus"), base)
+    found = audit(about, work, seeds, names, library)
+    return found, _over_the_steps(found, about, library)
+
+
+def _over_the_steps(found: Audit, about: Space, library: OnResponse) -> list[list[float]]:
+    campaign: Any = library.campaign
+    response = simulated_response(about, campaign, [0], found.points)(RESPONSE)
+    slopes = REFERENCE(response, jnp.log(jnp.asarray(about.start())), 1).slopes
+    return np.asarray(slopes)[: len(found.points.observables)].tolist()
 
 
 def markdown(audits: dict[str, dict], spheres: int, packings: int, origin: dict) -> str:
@@ -126,6 +161,94 @@ def _word(row: dict) -> str:
     return "passed" if row["passed"] else "FAILED"
 
 
+# ---------------------------------------------------------------- other soils
+
+
+def other_soils(count: int) -> list[dict[str, float]]:
+    """Parameters by name, SI, of soils of the bundled lab file's prior that its library reaches."""
+    question = question_of(load_lab(bundled_lab()), PRESETS["standard"])
+    drawn = np.random.default_rng(FIRST_OF_OTHERS)
+    logs = question.prior.rvs((count, len(question.space.names)), drawn)
+    return [dict(zip(question.space.names, np.exp(row).tolist(), strict=True)) for row in logs]
+
+
+def rows_of_other(values: dict[str, float], seeds: range, spheres: int, folder: Path) -> list[dict]:
+    """The audit's rows of one soil that can be judged, with the library's regression."""
+    base = with_values(base_soil(load_lab(bundled_lab())), values)
+    found, chords = audited(spheres, seeds, folder, [RESPONSE], base)
+    rows = [
+        {**row, "chord": chords[m][p]}
+        for (m, p), row in zip(np.ndindex(np.shape(chords)), found.rows(RESPONSE), strict=True)
+    ]
+    return [row for row in rows if row["judged"]]
+
+
+def markdown_of_others(soils: list[dict], spheres: int, packings: int, origin: dict) -> str:
+    """A row for each slope, and how many are near."""
+    header = ("soil", "parameter", "of", "reference", "library, at the point",
+              "library, over the steps", "differs by", "in errors")  # fmt: skip
+    rows = [_row_of_other(n, row) for n, soil in enumerate(soils, 1) for row in soil["rows"]]
+    described = [
+        f"{n}. " + ", ".join(f"{name} {value:.3g}" for name, value in soil["values"].items())
+        for n, soil in enumerate(soils, 1)
+    ]
+    return (
+        f"# Other soils\n\nSlopes of the library of runs at soils of the prior, {spheres} spheres, "
+        f"{packings} packings each, per unit of ln p (H in mm, F in N). The last columns compare "
+        "its regression over the steps of the reference with the reference; errors are those of "
+        "both together.\n\n"
+        + reporting.table(header, rows)
+        + "\nSoils (SI):\n\n" + "\n".join(described) + "\n\n" + _near(soils)
+        + reporting.footer(origin)
+    )  # fmt: skip
+
+
+def _row_of_other(soil: int, row: dict) -> list[str]:
+    off, errors = _apart(row)
+    return [
+        str(soil), row["parameter"], "H" if row["observable"] == "depression_depth_mm" else "F",
+        f"{row['reference']:.3g} ± {row['reference_se']:.2g}",
+        f"{row['estimate']:.3g} ± {row['estimate_se']:.2g}",
+        f"{row['chord']:.3g}" if np.isfinite(row["chord"]) else "beyond its runs",
+        f"{100 * off:+.0f} %", f"{errors:+.1f}",
+    ]  # fmt: skip
+
+
+def _apart(row: dict) -> tuple[float, float]:
+    """By which share, and by how many errors, the library's regression is off; its slope where the
+    steps leave the library's runs."""
+    theirs = row["chord"] if np.isfinite(row["chord"]) else row["estimate"]
+    apart = theirs - row["reference"]
+    return apart / abs(row["reference"]), apart / np.hypot(row["reference_se"], row["estimate_se"])
+
+
+def _near(soils: list[dict]) -> str:
+    """How many slopes of each number are near enough, and agree within errors."""
+    said = []
+    for observable, share in NEAR.items():
+        rows = [r for soil in soils for r in soil["rows"] if r["observable"] == observable]
+        off, errors = np.array([_apart(row) for row in rows]).reshape(-1, 2).T
+        if len(rows):
+            said.append(
+                f"- {observable}: {share_of(np.abs(off) < share)} of {len(rows)} slopes within "
+                f"{100 * share:.0f} %, {share_of(np.abs(errors) < ERRORS)} within {ERRORS:g} errors"
+            )
+    return "\n".join(said) + "\n"
+
+
+def audit_others(chosen: argparse.Namespace) -> None:
+    """Writes the section of other soils, after each of them."""
+    soils = []
+    for number, values in enumerate(other_soils(chosen.others)):
+        first = 100 * (FIRST_OF_OTHERS + number)
+        seeds = range(first, first + chosen.packings)
+        rows = rows_of_other(values, seeds, chosen.spheres, chosen.folder)
+        soils.append({"values": values, "rows": rows})
+        origin = reporting.provenance()
+        text = markdown_of_others(soils, chosen.spheres, chosen.packings, origin)
+        reporting.write_section("audit", text)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -134,12 +257,15 @@ def main() -> None:
     parser.add_argument("--packings", type=int, default=4, help="packings a seed")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
+    parser.add_argument("--others", type=int, default=0, help="soils of the prior, and no other")
     chosen = parser.parse_args()
     reporting.configure()
+    if chosen.others:
+        return audit_others(chosen)
     audits: dict[str, dict] = {}
     for seed in chosen.seeds:
         seeds = range(100 * seed, 100 * seed + chosen.packings)
-        found = audited(chosen.spheres, seeds, chosen.folder)
+        found, _ = audited(chosen.spheres, seeds, chosen.folder, list(STRATEGIES))
         audits[str(seed)] = audit_json(found)
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, audits[str(seed)])
@@ -148,7 +274,9 @@ def main() -> None:
             save(slopes, reporting.IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
-        reporting.write("audit", {**origin, "spheres": chosen.spheres, "audits": audits}, text)
+        content = {**origin, "spheres": chosen.spheres, "audits": audits}
+        reporting.write_content("audit", content)
+        reporting.write_section("audit", text)
 
 
 if __name__ == "__main__":
