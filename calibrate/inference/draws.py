@@ -74,16 +74,16 @@ def inference_data(
     """All that was drawn, as ArviZ reads it, with what made it (`more`, plain values)."""
     from arviz_base import from_dict  # a second, which who reads draws does without
 
-    names, features = question.space.names, [f.name for f in question.problem.features]
+    names, features = question.names, [f.name for f in question.problem.features]
     draws = found.draws
     values = values_of(found.density, draws.y)
     shown, own, total, off = predicted(found.density, values, seed)
     flat = values.shape[0] * values.shape[1]
-    drawn = np.random.default_rng([seed, 3])
-    prior = np.exp(question.prior.rvs((1, flat, len(names)), drawn))
+    prior = question.drawn(flat, np.random.default_rng([seed, 3]))
+    prior[:, : len(question.space.names)] = np.exp(prior[:, : len(question.space.names)])
     groups = {
         "posterior": dict(zip(names, np.moveaxis(values, -1, 0), strict=True)),
-        "prior": dict(zip(names, np.moveaxis(prior, -1, 0), strict=True)),
+        "prior": dict(zip(names, prior.T[:, None], strict=True)),
         "posterior_predictive": {"features": shown},
         "observed_data": {"features": question.problem.measured},
         "sample_stats": {
@@ -98,13 +98,14 @@ def inference_data(
     }
     dims = {"features": ["feature"], "response_share": ["feature"]}
     tree = from_dict(groups, coords={"feature": features}, dims=dims)
-    tree["curves"] = xr.DataTree(_curves(question, values.reshape(-1, len(names))))
+    tree["curves"] = xr.DataTree(_curves(question, values.reshape(flat, -1)))
     tree.attrs = {
         "physics": PHYSICS,
         "soil": question.lab.name,
         "conventions": question.lab.particles.conventions,
         "base": json.dumps(soil_json(question.space.base)),
         "wider": json.dumps(laboratory_scatter(question)),
+        "effects": json.dumps(question.strengths.names),
         **more,
     }
     return tree
@@ -117,11 +118,10 @@ def laboratory_scatter(question: Question) -> dict[str, float]:
 
 
 def _curves(question: Question, values: np.ndarray) -> xr.Dataset:
-    """Curves of CURVES draws among parameters (n, p), by test: means over packings as the response
-    has them, without what runs correct."""
+    """Curves of CURVES draws among parameters and strengths (n, q), by test: means over packings as
+    the response has them, without what runs correct."""
     rows = np.linspace(0, len(values) - 1, CURVES).round().astype(int)
-    features = FeaturesOfBeds.of(question.response.campaign.beds, question.problem, question.space)
-    found = _shown(features, jnp.asarray(values[rows]))
+    found = _shown(question.features(), jnp.asarray(values[rows]))
     columns = {"what": ["displacement (mm)", "force (N)"]}
     return xr.Dataset(
         {test: (("soil", f"{test}_point", "what"), np.asarray(c)) for test, c in found.items()},
@@ -132,8 +132,7 @@ def _curves(question: Question, values: np.ndarray) -> xr.Dataset:
 @eqx.filter_jit
 def _shown(features: FeaturesOfBeds, values: Array) -> Mapping[str, Array]:
     def one(values: Array) -> Mapping[str, Array]:
-        beds = features.beds
-        return beds.shown(beds.values(features.soil(values)))[1]
+        return features.beds.shown(features.of_beds(values))[1]
 
     return jax.lax.map(one, values)
 
@@ -195,8 +194,8 @@ def read_draws(folder: str | Path) -> SoilDraws:
     """The draws that `calibrate posterior` left in a folder.
 
     Raises:
-        InputError: there are none, they cannot be read, or another version of the physics made
-            them.
+        InputError: there are none, they cannot be read, another version of the physics made them,
+            or they hold strengths of effects.
     """
     path = Path(folder) / FILE
     again = "run calibrate posterior again (finished simulations are on disk)"
@@ -208,12 +207,16 @@ def read_draws(folder: str | Path) -> SoilDraws:
         physics = int(tree.attrs["physics"])
         conventions = CONVENTIONS[tree.attrs["conventions"]]
         known = json.loads(tree.attrs["base"])
+        acting = json.loads(tree.attrs.get("effects", "[]"))
         columns = {str(name): column for name, column in tree["posterior"].data_vars.items()}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(str(path), "", f"not draws of a posterior: {error}", again) from None
     if physics != PHYSICS:
         problem = f"draws of another physics version, {physics}; this program has {PHYSICS}"
         raise InputError(str(path), "physics", problem, again)
+    if acting:
+        problem = f"its draws hold strengths of effects ({', '.join(acting)})"
+        raise InputError(str(path), "", problem, "run calibrate posterior without --effect")
     base = with_values(SoilParameters(conventions=conventions), known)
     values = np.stack([np.asarray(column).ravel() for column in columns.values()], axis=1)
     return SoilDraws(tuple(columns), values, base, tree)
@@ -222,6 +225,8 @@ def read_draws(folder: str | Path) -> SoilDraws:
 # ---------------------------------------------------------------- in plain data and in words
 
 INTERVAL = (5.0, 95.0)  # per cent of draws
+ENDS = (50.0, *INTERVAL)
+KEYS = ("median", "low", "high", "rhat", "ess", "width")
 SURPRISE = (0.05, 99.95)  # per cent, beyond which a number is not met
 LITTLE = 0.25  # of the largest weight, below which a parameter is no part of a direction
 CUT = 0.02  # of a range in ln p: draws that lie so near the end of the library
@@ -234,19 +239,20 @@ def described(
     question: Question, found: Sampled, tree: xr.DataTree, notes: Sequence[str]
 ) -> dict[str, Any]:
     """What posterior.json says of draws: parameters, features, directions, warnings."""
-    names = question.space.names
-    values = np.stack([np.asarray(tree["posterior"][name]) for name in names], axis=-1)
+    names, every = question.space.names, question.names
+    columns = {name: np.ravel(tree["posterior"][name]) for name in every}
     rhat, ess = mixing(found.draws.y)
-    logs = np.log(values.reshape(-1, len(names)))
+    logs = np.log(np.stack([columns[name] for name in names], axis=1))
     width = logs.std(axis=0) / question.prior.std()
-    low, median, high = np.exp(np.percentile(logs, [INTERVAL[0], 50, INTERVAL[1]], axis=0))
-    rows = zip(names, median, low, high, rhat, ess, width, strict=True)
-    keys = ("median", "low", "high", "rhat", "ess", "width")
-    parameters = {name: dict(zip(keys, map(float, row), strict=True)) for name, *row in rows}
+    ends = np.exp(np.percentile(logs, ENDS, axis=0))
+    rows = zip(names, *ends, rhat, ess, width, strict=False)
+    parameters = {name: dict(zip(KEYS, map(float, row), strict=True)) for name, *row in rows}
     features, chance = _features_json(question, tree), _chance(question, tree)
     diverging = int(found.draws.diverging.sum())
+    effects = _effects_json(question, columns, rhat[len(names) :], ess[len(names) :])
     return {
         "parameters": parameters,
+        **({"effects": effects} if effects else {}),
         "divergences": diverging,
         "points_added": found.added,
         "features": features,
@@ -254,10 +260,23 @@ def described(
         "directions": list(_directions(question, logs)),
         "reach": _reach_json(question),
         "warnings": [
-            *notes, *_of_chains(names, rhat, ess, diverging), *_of_features(features),
+            *notes, *_of_chains(every, rhat, ess, diverging), *_of_features(features),
             *_of_agreement(question, chance), *_of_reach(question, logs),
         ],
     }  # fmt: skip
+
+
+def _effects_json(
+    question: Question, columns: Mapping[str, np.ndarray], rhat: np.ndarray, ess: np.ndarray
+) -> dict[str, dict]:
+    """Strengths of effects, in their units."""
+    found, rows = {}, zip(question.acting, question.strengths.prior_sd(), rhat, ess, strict=True)
+    for each, prior, *chains in rows:
+        drawn = columns[each.name]
+        row = *(each.typical * np.percentile(drawn, ENDS)), *chains, drawn.std() / prior
+        known = dict(zip(KEYS, map(float, row), strict=True))
+        found[each.name] = {**known, "unit": each.unit, "typical": each.typical}
+    return found
 
 
 def _features_json(question: Question, tree: xr.DataTree) -> dict[str, dict]:

@@ -24,12 +24,13 @@ from calibrate.core.kept import kept
 from calibrate.core.progress import AbstractProgress
 from calibrate.inference.evaluation import Calibration, Evaluation, Whitened
 from calibrate.inference.fit import SOLVER, row, said
-from calibrate.inference.parameters import Space, to_digits, within
+from calibrate.inference.parameters import Acting, Space, to_digits, within
 from calibrate.inference.problem import Problem, shrunk_covariance
 from calibrate.inference.resolutions import AbstractCoarse
 from calibrate.io.soil import with_values
 from calibrate.labtests.features import AbstractFeature
 from calibrate.response.beds import Beds
+from calibrate.response.response import Response
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.run import Run
 from calibrate.simulation.specimens import Seeds
@@ -39,27 +40,58 @@ from jdem.sensitivity.base import Sensitivity
 
 MOST_STEPS = 200  # of the solver
 BEYOND = 2e-3  # of a number, by which it may move with what comes after a curve's end
+NO_STRENGTHS = np.zeros(0)
 DIGITS = 6  # of a point that a response leads to: a last digit that differs moves no simulation
 
 
+class UnderEffects(eqx.Module):
+    """Beds' features where effects act: the response with its machine, whose base coordinates begin
+    with ln p over the beds' centre, and which of its strengths are asked for."""
+
+    response: Response
+    columns: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, beds: Beds, soil: SoilParameters, strengths: Array) -> Array:
+        """Features (m,) of a soil at strengths (e,), in typical ones."""
+        return self.response(*self.point(beds, soil, strengths))[: len(beds.units)]
+
+    def point(self, beds: Beds, soil: SoilParameters, strengths: Array) -> tuple[Array, Array]:
+        """Where the response is asked for them."""
+        logs = beds.logs(soil)
+        delta = jnp.zeros_like(self.response.offset).at[: len(logs)].set(logs)
+        return delta, jnp.zeros_like(self.response.lag).at[np.array(self.columns)].set(strengths)
+
+
 class FeaturesOfBeds(eqx.Module):
-    """A problem's features (m,) of free parameters (p,), SI; the others as in `base`."""
+    """A problem's features (m,) of free parameters (p,), SI; the others as in `base`.  Behind the
+    parameters may stand strengths (e,) of effects, in typical ones; without them none acts."""
 
     beds: Beds
     base: SoilParameters
     names: tuple[str, ...] = eqx.field(static=True)
     features: tuple[AbstractFeature, ...] = eqx.field(static=True)
+    under: UnderEffects | None = None
 
     @staticmethod
-    def of(beds: Beds, problem: Problem, space: Space) -> "FeaturesOfBeds":
-        return FeaturesOfBeds(beds, space.base, space.names, problem.features)
+    def of(
+        beds: Beds, problem: Problem, space: Space, under: UnderEffects | None = None
+    ) -> "FeaturesOfBeds":
+        return FeaturesOfBeds(beds, space.base, space.names, problem.features, under)
 
     def __call__(self, values: Array) -> Array:
-        return self.read(self.beds.values(self.soil(values)))
+        return self.read(self.of_beds(values))
+
+    def of_beds(self, values: Array) -> Array:
+        """Features of the beds (l,)."""
+        soil, strengths = self.soil(values), values[len(self.names) :]
+        if self.under is None or not len(strengths):
+            return self.beds.values(soil)
+        return self.under(self.beds, soil, strengths)
 
     def soil(self, values: Array) -> SoilParameters:
         """The soil with these parameters."""
-        return with_values(self.base, dict(zip(self.names, values, strict=True)))
+        known = values[: len(self.names)]
+        return with_values(self.base, dict(zip(self.names, known, strict=True)))
 
     def read(self, values: Array) -> Array:
         """The same of the beds' features."""
@@ -196,7 +228,9 @@ class OnResponse(AbstractCoarse):
     """A response of beds as large as those that decide.  At a soil, `specimens` gives deviations
     (n, l) of single packings from the mean features of its beds, `errors` those (n, l) of its own,
     one deviation each, and `slope_errors` those (n, l, q) of the slopes of features per unit of
-    ln p, p being the parameters of the beds; `reach` is where it knows soils."""
+    ln p, p being the parameters of the beds; `reach` is where it knows soils.  `acting` are the
+    effects that it knows, `under` gives the features of its beds where some act, and `errors_under`
+    its own errors (n, l) of these at strengths (e,)."""
 
     campaign: ResponseCampaign
     specimens: Callable[[SoilParameters], np.ndarray]
@@ -204,6 +238,9 @@ class OnResponse(AbstractCoarse):
     slope_errors: Callable[[SoilParameters], np.ndarray]
     spheres: int
     reach: Reach = field(default_factory=lambda: Reach((), *3 * (np.zeros(0),)))
+    acting: tuple[Acting, ...] = ()
+    under: Callable[[Sequence[str]], UnderEffects | None] = lambda names: None
+    errors_under: Callable[[SoilParameters, UnderEffects, np.ndarray], np.ndarray] | None = None
     near: ClassVar[bool] = True
 
     @property
@@ -250,17 +287,23 @@ class OnResponse(AbstractCoarse):
         self, problem: Problem, soil: SoilParameters, seeds: Seeds, large: AbstractCampaign
     ) -> tuple[np.ndarray, int]:
         """As the library's packings scatter, at this soil and size."""
-        means, deviations = self._deviating(problem, soil, self.specimens)
+        means, deviations = _deviating(self._features(problem, soil), self.specimens(soil))
         return shrunk_covariance(deviations / means), len(deviations)
 
     def error(self, problem: Problem, soil: SoilParameters) -> np.ndarray:
         """Its own deviation of each feature (m,) at a soil."""
         return np.sqrt((self.error_rows(problem, soil)[1] ** 2).sum(axis=0))
 
-    def error_rows(self, problem: Problem, soil: SoilParameters) -> tuple[np.ndarray, np.ndarray]:
-        """Features (m,) at a soil, and its own deviations of them (n, m), independent rows of one
-        deviation each."""
-        return self._deviating(problem, soil, self.errors)
+    def error_rows(
+        self, problem: Problem, soil: SoilParameters, under: UnderEffects | None = None,
+        strengths: np.ndarray = NO_STRENGTHS,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Features (m,) at a soil, and at strengths (e,) of effects, and its own deviations of them
+        (n, m), independent rows of one deviation each."""
+        features = self._features(problem, soil, under)
+        if under is None or self.errors_under is None:
+            return _deviating(features, self.errors(soil))
+        return _deviating(features, self.errors_under(soil, under, strengths), strengths)
 
     def sensitivity(self, space: Space, read: Callable) -> Sensitivity:
         """Numbers that `read` takes of observables and curves, at the space's base soil, their
@@ -279,13 +322,20 @@ class OnResponse(AbstractCoarse):
         by_beds = np.asarray(_by_beds(self.campaign.beds, read, soil))
         return self.errors(soil) @ by_beds.T, self.specimens(soil) @ by_beds.T
 
-    def _deviating(
-        self, problem: Problem, soil: SoilParameters, rows: Callable[[SoilParameters], np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """A problem's features (m,) at a soil, and their deviations (n, m)."""
-        features = FeaturesOfBeds(self.campaign.beds, soil, (), problem.features)
-        means, slopes = map(np.asarray, _read(features, soil))
-        return means, rows(soil) @ slopes.T
+    def _features(
+        self, problem: Problem, soil: SoilParameters, under: UnderEffects | None = None
+    ) -> FeaturesOfBeds:
+        """Those of one soil, of which only strengths may vary."""
+        return FeaturesOfBeds(self.campaign.beds, soil, (), problem.features, under)
+
+
+def _deviating(
+    features: FeaturesOfBeds, rows: np.ndarray, strengths: np.ndarray = NO_STRENGTHS
+) -> tuple[np.ndarray, np.ndarray]:
+    """A problem's features (m,) of one soil, and their deviations (n, m), of rows (n, l) of those
+    of the beds."""
+    means, slopes = map(np.asarray, _read(features, jnp.asarray(strengths)))
+    return means, rows @ slopes.T
 
 
 @eqx.filter_jit
@@ -309,7 +359,7 @@ def _read_slopes(beds: Beds, soil: Callable, read: Callable, start: Array) -> tu
 
 
 @kept
-def _read(features: FeaturesOfBeds, soil: SoilParameters) -> tuple[Array, Array]:
+def _read(features: FeaturesOfBeds, values: Array) -> tuple[Array, Array]:
     """A problem's features (m,) of a soil, and their slopes (m, l) with those of the beds."""
-    values = features.beds.values(soil)
-    return features.read(values), jax.jacfwd(features.read)(values)
+    known = features.of_beds(values)
+    return features.read(known), jax.jacfwd(features.read)(known)

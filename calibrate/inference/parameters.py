@@ -1,4 +1,5 @@
-"""The parameters that a fit may free: bounds, priors and the space a solver moves in.
+"""The parameters that a fit may free: bounds, priors and the space a solver moves in; strengths of
+effects, which a posterior may free with them.
 
     y = logit((t(p) - t(low)) / (t(high) - t(low))),   t = ln
 
@@ -8,9 +9,14 @@ normal in ln p around the starting value.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from scipy.stats import truncnorm
 
 from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 from calibrate.io.conventions import check_free
@@ -113,6 +119,57 @@ def within(y, log_bounds):
     """Values (p,) of unbounded y (p,), of numpy or JAX, between the bounds' logarithms."""
     numbers, (low, high) = y.__array_namespace__(), log_bounds
     return numbers.exp(low + (high - low) / (1 + numbers.exp(-y)))
+
+
+class Acting(NamedTuple):
+    """An effect that may act on the tests: the strength that is typical of it, in its unit, and how
+    many typical strengths runs reach down and up to."""
+
+    name: str
+    typical: float
+    unit: str
+    low: float
+    high: float
+
+
+class Strengths(eqx.Module):
+    """Strengths (e,) of effects, in typical ones, between low and high."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    low: Array
+    high: Array
+
+    @staticmethod
+    def of(acting: Sequence[Acting]) -> "Strengths":
+        ends = np.array([(each.low, each.high) for each in acting]).reshape(-1, 2)
+        return Strengths(tuple(each.name for each in acting), *map(jnp.asarray, ends.T))
+
+    def values(self, y: Array) -> Array:
+        """At unbounded y (e,)."""
+        return self.low + (self.high - self.low) * jax.nn.sigmoid(y)
+
+    @property
+    def prior(self):
+        """Of each (e,): normal, of deviation 1."""
+        return truncnorm(np.asarray(self.low), np.asarray(self.high))
+
+    def drawn(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Of the prior (count, e)."""
+        shape = (count, len(self.names))
+        return self.prior.rvs(shape, random) if self.names else np.zeros(shape)
+
+    def prior_sd(self) -> np.ndarray:
+        """Of the prior (e,)."""
+        return np.asarray(self.prior.std()) if self.names else np.zeros(0)
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """The prior's middle, y (e,), and its variance (e,) there."""
+        if not self.names:
+            return np.zeros(0), np.zeros(0)
+        span = np.asarray(self.high - self.low)
+        share = (self.prior.median() - np.asarray(self.low)) / span
+        slope = span * share * (1 - share)
+        return np.log(share / (1 - share)), self.prior.var() / slope**2
 
 
 DIGITS = 12

@@ -8,6 +8,9 @@ each feature, whose deviation e(p) is the response's own error at the soil and w
 exp(-|ln p - ln p'|^2 / 2 REACHING^2), distances in units of `Reach.sd`.  Runs at some points are
 known: they show h there, and scatter as their packings do (Rasmussen and Williams 2006, section
 2.2).  Packings' scatter enters in this way alone; that of repeats is part of what was measured.
+
+Strengths of effects, where some are asked for, stand behind ln p: in typical ones, with a normal
+prior of deviation 1 as far as the runs reach.  Simulations have none, and correct soils without.
 """
 
 from collections.abc import Sequence
@@ -18,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.linalg import block_diag
 from scipy.stats import norm, truncnorm
 
 from calibrate.core.errors import CalibrationError, InputError
@@ -27,9 +31,10 @@ from calibrate.inference.on_response import (
     OnResponse,
     Reach,
     Solved,
+    UnderEffects,
     solved,
 )
-from calibrate.inference.parameters import RANGES, Space, space, within
+from calibrate.inference.parameters import RANGES, Acting, Space, Strengths, space, within
 from calibrate.inference.problem import Problem, pose
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab
@@ -48,8 +53,8 @@ EDGE = 0.05  # of a range in y's share, by which a sampler's start keeps off its
 
 
 class OwnError(eqx.Module):
-    """Relative deviations (n, m) of a response's features at ln p (q,), independent rows of one
-    deviation each.
+    """Relative deviations (n, m) of a response's features at ln p and strengths (q,), independent
+    rows of one deviation each.
 
     Working them out takes 15 ms by the library of runs, so they are known at SOILS soils of the
     prior.  Between these each row keeps its direction (n, m), and the logarithm of its length is a
@@ -63,10 +68,17 @@ class OwnError(eqx.Module):
     sd: Array
 
     @staticmethod
-    def of(response: OnResponse, problem: Problem, known: Space, logs: np.ndarray) -> "OwnError":
-        """From soils at ln p of `logs` (k, q)."""
+    def of(
+        response: OnResponse, problem: Problem, known: Space, logs: np.ndarray,
+        under: UnderEffects | None = None,
+    ) -> "OwnError":  # fmt: skip
+        """From soils at ln p and strengths of `logs` (k, q)."""
         centre, sd = logs.mean(axis=0), logs.std(axis=0) + 1e-12
-        found = [response.error_rows(problem, known.soil(np.exp(at))) for at in logs]
+        count = len(known.names)
+        found = [
+            response.error_rows(problem, known.soil(np.exp(at[:count])), under, at[count:])
+            for at in logs
+        ]
         rows = np.array([deviations / means for means, deviations in found])
         length = np.linalg.norm(rows, axis=2)
         nearest = np.argmin((((logs - centre) / sd) ** 2).sum(axis=1))
@@ -129,7 +141,9 @@ class FromRuns(eqx.Module):
         weights, known = np.zeros((len(scatter), size)), np.zeros((len(scatter), size, size))
         if shown:
             points[: len(shown)] = np.log([each.values for each in shown])
-            own = np.array([np.asarray(_deviation(error, jnp.asarray(p))) for p in points])
+            none = np.zeros(len(error.centre) - len(names))
+            at = [jnp.asarray([*point, *none]) for point in points]
+            own = np.array([np.asarray(_deviation(error, each)) for each in at])
             expected = [np.asarray(_features(features, jnp.asarray(s.values))) for s in shown]
             with np.errstate(invalid="ignore", divide="ignore"):
                 apart = np.log([s.features.mean(axis=0) for s in shown] / np.array(expected))
@@ -173,7 +187,7 @@ def _deviation(error: OwnError, logs: Array) -> Array:
 
 
 class Density(eqx.Module):
-    """Log density of unbounded parameters y (p,), but for the evidence; nats.
+    """Log density of unbounded parameters, and strengths, y (q,), but for the evidence; nats.
 
     measured (m,) with its own covariance (m, m); centre and prior_sd (p,) of ln p; log_bounds:
     where the prior ends, those of the fit or of the response.
@@ -187,20 +201,26 @@ class Density(eqx.Module):
     log_bounds: tuple[Array, Array]
     error: OwnError
     runs: FromRuns
+    strengths: Strengths
 
     def values(self, y: Array) -> Array:
-        """Parameters (p,), SI."""
-        return within(y, self.log_bounds)
+        """Parameters (..., p), SI, and strengths (..., e), in typical ones: (..., q)."""
+        count = len(self.centre)
+        parts = within(y[..., :count], self.log_bounds), self.strengths.values(y[..., count:])
+        return jnp.concatenate(parts, axis=-1)
 
     def shown(self, values: Array) -> tuple[Array, Array]:
-        """Mean features (m,) of a soil with these parameters (p,), and the covariance (m, m) of
-        what the response and the runs that correct it leave unknown of them."""
-        return self.corrected(jnp.log(values), self.features(values))
+        """Mean features (m,) of a soil with these parameters and strengths (q,), and the covariance
+        (m, m) of what the response and the runs that correct it leave unknown of them."""
+        count = len(self.centre)
+        logs = jnp.append(jnp.log(values[:count]), values[count:])
+        return self.corrected(logs, self.features(values))
 
     def corrected(self, logs: Array, features: Array) -> tuple[Array, Array]:
-        """The same of a soil at ln p of `logs` (p,), whose features (m,) the response gave."""
+        """The same of a soil at ln p and strengths of `logs` (q,), whose features (m,) the response
+        gave."""
         error = self.error(logs)
-        shift, left = self.runs(logs)
+        shift, left = self.runs(logs[: len(self.centre)])
         mean = features * jnp.exp(shift * jnp.sqrt((error**2).sum(axis=0)))
         rows = error * (jnp.sqrt(left) * mean)
         return mean, rows.T @ rows
@@ -212,9 +232,11 @@ class Density(eqx.Module):
         unit = jnp.eye(len(self.measured))
         whitening = jax.scipy.linalg.solve_triangular(lower, unit, lower=True)
         known = Whitened(self.measured, whitening, self.centre, self.prior_sd)
-        residual = known(values, mean)
+        count = len(self.centre)
+        residual = jnp.append(known(values[:count], mean), values[count:])
         low, high = self.log_bounds
-        slope = jnp.log(high - low) + jax.nn.log_sigmoid(y) + jax.nn.log_sigmoid(-y)
+        span = jnp.append(high - low, self.strengths.high - self.strengths.low)
+        slope = jnp.log(span) + jax.nn.log_sigmoid(y) + jax.nn.log_sigmoid(-y)
         scale = jnp.log(jnp.diag(lower)).sum()
         return -0.5 * (residual @ residual) - scale + slope.sum()
 
@@ -241,12 +263,15 @@ class Question:
     scatter: np.ndarray
     scattered: int
     seeds: Seeds
+    acting: tuple[Acting, ...] = ()
 
     @staticmethod
     def of(
-        lab: Lab, base: SoilParameters, response: OnResponse, work: AbstractCampaign, seeds: Seeds
-    ) -> "Question":
-        """`CalibrationError` where bounds leave nothing that the response knows."""
+        lab: Lab, base: SoilParameters, response: OnResponse, work: AbstractCampaign, seeds: Seeds,
+        acting: tuple[Acting, ...] = (),
+    ) -> "Question":  # fmt: skip
+        """With the strengths of effects that are acting.  `CalibrationError` where bounds leave
+        nothing that the response knows."""
         held = {name for name, choice in lab.parameters.items() if choice.free is False}
         held |= set(HELD.get(lab.particles.conventions, ()))
         names = tuple(n for n in response.reach.names if n in RANGES and n not in held)
@@ -258,7 +283,28 @@ class Question:
         unknown = response.unknown(problem, base)
         problem = problem.without(unknown)
         scatter, scattered = response.scatter(problem, base, seeds, work)
-        return Question(lab, problem, known, share, response, unknown, scatter, scattered, seeds)
+        return Question(
+            lab, problem, known, share, response, unknown, scatter, scattered, seeds, acting
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of parameters, then of effects whose strengths are asked for."""
+        return (*self.space.names, *self.strengths.names)
+
+    @property
+    def strengths(self) -> Strengths:
+        return Strengths.of(self.acting)
+
+    @property
+    def under(self) -> UnderEffects | None:
+        """What the response shows where these effects act."""
+        return self.response.under(self.strengths.names)
+
+    def drawn(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Soils of the prior: ln p and strengths (count, q)."""
+        logs = self.prior.rvs((count, len(self.space.names)), random)
+        return np.hstack([logs, self.strengths.drawn(count, random)])
 
     @property
     def prior(self):
@@ -269,12 +315,12 @@ class Question:
 
     def own_error(self) -> OwnError:
         """The response's, about soils of the prior."""
-        drawn = self.prior.rvs((SOILS, len(self.space.names)), np.random.default_rng(0))
-        return OwnError.of(self.response, self.problem, self.space, drawn)
+        drawn = self.drawn(SOILS, np.random.default_rng(0))
+        return OwnError.of(self.response, self.problem, self.space, drawn, self.under)
 
     def density(self, error: OwnError, shown: Sequence[Shown]) -> Density:
         """Given what runs showed."""
-        features = FeaturesOfBeds.of(self.response.campaign.beds, self.problem, self.space)
+        features = self.features()
         covariance = self.problem.covariance(self.scatter, UNLIMITED)
         covariance += LEAST * np.diag(self.problem.measured**2)
         scatter, reach = np.diag(self.scatter), self.response.reach
@@ -283,12 +329,17 @@ class Question:
         return Density(
             features, jnp.asarray(self.problem.measured), jnp.asarray(covariance),
             jnp.asarray(np.log(self.space.start())), jnp.asarray(self.space.prior_sd()),
-            (jnp.asarray(low), jnp.asarray(high)), error, runs,
+            (jnp.asarray(low), jnp.asarray(high)), error, runs, self.strengths,
         )  # fmt: skip
 
+    def features(self) -> FeaturesOfBeds:
+        """The response's, of parameters and strengths."""
+        beds = self.response.campaign.beds
+        return FeaturesOfBeds.of(beds, self.problem, self.space, self.under)
+
     def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the response fits best, y (p,), and the covariance (p, p) of y about it as slopes
-        say; a sampler begins there."""
+        """Where the response fits best, y (q,), and the covariance (q, q) of y about it as slopes
+        say; a sampler begins there.  Strengths are as beforehand."""
         calibration = Calibration(
             self.problem, self.space, self.response.campaign,  # pyright: ignore[reportArgumentType]
             self.seeds.fitted, self.scatter, self.scattered,
@@ -299,7 +350,12 @@ class Question:
         whitened = calibration.whitened(found.slopes)
         information = whitened.T @ whitened + np.diag(1 / self.prior.var())
         slope = (high - low) * share * (1 - share)
-        return np.log(share / (1 - share)), np.linalg.inv(information) / np.outer(slope, slope)
+        covariance = np.linalg.inv(information) / np.outer(slope, slope)
+        at, variance = self.strengths.start()
+        return (
+            np.append(np.log(share / (1 - share)), at),
+            np.asarray(block_diag(covariance, *variance[:, None, None])),
+        )
 
 
 def within_reach(known: Space, reach: Reach) -> tuple[Space, np.ndarray]:

@@ -220,12 +220,13 @@ def sampled(
 def further_points(
     question: Question, error: OwnError, shown: Sequence[Shown], values: np.ndarray, most: int
 ) -> list[tuple[np.ndarray, tuple[int, ...]]]:
-    """Draws among `values` (n, p) at which runs would narrow what is known most, one after the
+    """Soils of draws `values` (n, q) at which runs would narrow what is known most, one after the
     other until it is narrow enough or hardly narrows, with their packings, which take turns."""
     rows = np.linspace(0, len(values) - 1, ASKED).round().astype(int)
     asked, points, known = jnp.asarray(values[rows]), [], list(shown)
-    candidates = [to_digits(values[n], DIGITS) for n in rows[:: ASKED // CANDIDATES]]
-    every = [*question.seeds.fitted, *question.seeds.fresh]
+    soils = values[:, : len(question.space.names)]
+    candidates = [to_digits(soils[n], DIGITS) for n in rows[:: ASKED // CANDIDATES]]
+    every, none = [*question.seeds.fitted, *question.seeds.fresh], np.zeros(len(question.acting))
     count = len(question.seeds.fitted)
     density = question.density(error, known)
     part, variance = _unsure(question, density, asked)
@@ -234,7 +235,7 @@ def further_points(
         packings = tuple((every + every)[first : first + count])
         tried = []
         for number, at in enumerate(candidates):
-            expected = np.tile(_expected(density, jnp.asarray(at)), (count, 1))
+            expected = np.tile(_expected(density, jnp.asarray([*at, *none])), (count, 1))
             other = question.density(error, [*known, Shown(at, packings, expected)])
             tried.append((_unsure(question, other, asked)[1], number, expected))
         least, number, expected = min(tried, key=lambda each: each[0])
@@ -249,7 +250,7 @@ def further_points(
 
 def _unsure(question: Question, density: Density, values: Array) -> tuple[float, float]:
     """The response's part of the variance of targets, or where there are none of all numbers, and
-    this variance over the numbers' squares: means over soils (n, p), of targets the largest, else
+    this variance over the numbers' squares: means over draws (n, q), of targets the largest, else
     the mean over numbers."""
     share, variance = map(np.asarray, _variances(density, values))
     targets = [m for m, feature in enumerate(question.problem.features) if feature.is_target]
@@ -265,7 +266,7 @@ def _expected(density: Density, values: Array) -> Array:
 
 @eqx.filter_jit
 def _variances(density: Density, values: Array) -> tuple[Array, Array]:
-    """Means over soils of parameters (n, p): the response's part of the variance (m,), and all of
+    """Means over draws (n, q): the response's part of the variance (m,), and all of
     it over the squares of features (m,)."""
 
     def one(values: Array) -> tuple[Array, Array]:
@@ -334,5 +335,5 @@ def _kept(path: Path, structure: Any) -> tuple[Any, Draws] | None:
 
 
 def values_of(density: Density, y: np.ndarray) -> np.ndarray:
-    """Parameters (c, d, p), SI, of draws y (c, d, p)."""
+    """Parameters, SI, and strengths of effects (c, d, q) of draws y (c, d, q)."""
     return np.asarray(density.values(jnp.asarray(y)))

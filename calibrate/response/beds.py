@@ -45,10 +45,14 @@ class Beds(eqx.Module):
         """Names of observables that are among the features."""
         return tuple(f.name for f in self.features if f.kind == TARGET)
 
+    def logs(self, soil: SoilParameters) -> Array:
+        """ln p over the centre (q,)."""
+        logs = jnp.log(jnp.stack([jnp.asarray(getattr(soil, name)) for name in self.names]))
+        return logs - self.centre
+
     def scaled(self, soil: SoilParameters) -> Array:
         """The scaled point (p,) of a soil."""
-        logs = jnp.log(jnp.stack([jnp.asarray(getattr(soil, name)) for name in self.names]))
-        return jnp.concatenate([logs - self.centre, self.settings]) / self.spread
+        return jnp.concatenate([self.logs(soil), self.settings]) / self.spread
 
     def holding(self) -> "Beds":
         """The same, of which only the soil varies, at an eighth of the cost; as it is where an

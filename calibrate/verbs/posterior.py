@@ -11,11 +11,13 @@ import xarray as xr
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate.core.errors import COMMAND_LINE, InputError
+from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 from calibrate.core.files import write_json
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, calibrate
 from calibrate.inference.draws import FILE, described, inference_data, write_draws
+from calibrate.inference.on_response import OnResponse
+from calibrate.inference.parameters import Acting
 from calibrate.inference.posterior import Question, Shown
 from calibrate.inference.sampling import sampled
 from calibrate.io.lab import Lab
@@ -53,6 +55,12 @@ class PosteriorResult(AbstractDrawnResult):
         return self.content["parameters"]
 
     @property
+    def effects(self) -> dict[str, dict]:
+        """Strengths of the effects that were asked for, by name, in their `unit`, with the same
+        keys."""
+        return self.content.get("effects", {})
+
+    @property
     def warnings(self) -> list[str]:
         """What to know before the numbers are used, one sentence each."""
         return self.content["warnings"]
@@ -61,7 +69,7 @@ class PosteriorResult(AbstractDrawnResult):
     def drawn(self) -> tuple:
         """Draws of posterior and prior by parameter, curves by test, and what was measured."""
         draws = [
-            {str(name): np.ravel(column) for name, column in self.draws[group].data_vars.items()}
+            {name: np.ravel(self.draws[group][name]) for name in self.parameters}
             for group in ("posterior", "prior")
         ]
         curves = {
@@ -76,9 +84,10 @@ class PosteriorResult(AbstractDrawnResult):
         table = Table(title=title, title_justify="left")
         for column in ("", "median", "low", "high", "unit", "width, of the prior's"):
             table.add_column(column)
-        for name, row in self.parameters.items():
+        units = {**PARAMETER_UNITS, **{name: row["unit"] for name, row in self.effects.items()}}
+        for name, row in {**self.parameters, **self.effects}.items():
             numbers = (f"{row[key]:.4g}" for key in ("median", "low", "high"))
-            table.add_row(name, *numbers, PARAMETER_UNITS[name], f"{100 * row['width']:.0f} %")
+            table.add_row(name, *numbers, units[name], f"{100 * row['width']:.0f} %")
         yield table
         yield from map(line, [*self._features(), *self.content["directions"]])
         yield from (line(f"warning: {sentence}") for sentence in self.warnings)
@@ -113,6 +122,15 @@ def posterior(
     no_runs: Annotated[
         bool, typer.Option("--no-runs", help="By the library of runs alone; nothing is simulated.")
     ] = False,
+    effects: Annotated[
+        str | Sequence[str],
+        typer.Option(
+            "--effect",
+            metavar="NAME",
+            help="Effect whose strength is unknown too; may be given several times.",
+        ),
+        options.Typed(list[str] | None),
+    ] = (),
     out: options.Out = "results/posterior",
     dask: options.Dask = None,
 ) -> PosteriorResult:
@@ -132,6 +150,8 @@ def posterior(
         seed: choice of packings and of random numbers, from 0.
         prepare_with_soil: beds settle with the soil under test, not with a slippery one.
         no_runs: nothing is simulated; the library of runs alone answers.
+        effects: effects that may act on the tests, by name (docs/effects.md): their strengths are
+            drawn with the parameters.
         out: folder for results.
         dask: address of a Dask cluster that simulates; None: this machine.
 
@@ -155,7 +175,8 @@ def posterior(
         problem = f"the library of runs does not serve this laboratory: {why}"
         raise InputError(session.lab.file or COMMAND_LINE, "", problem, "use calibrate fit")
     seeds = Seeds.of(seed, session.preset.packings, session.preset.fresh)
-    question = Question.of(session.lab, base, response, work, seeds)
+    acting = asked_for([effects] if isinstance(effects, str) else effects or (), response)
+    question = Question.of(session.lab, base, response, work, seeds, acting)
     shown, notes = (), []
     if not no_runs:
         done = calibrate(session.lab, session.preset, None, base, seed, work, response)
@@ -173,6 +194,18 @@ def posterior(
     answer = PosteriorResult(session.lab, session.out, result, tree)
     answer.save_figures()
     return answer
+
+
+def asked_for(names: Sequence[str], response: OnResponse) -> tuple[Acting, ...]:
+    """The effects of these names that a response knows; refused where it does not know one."""
+    known = {each.name: each for each in response.acting}
+    for name in names:
+        if name not in known:
+            repair = suggestion(name, known) or f"give some of {', '.join(known)}"
+            raise InputError(COMMAND_LINE, "--effect", f"no effect '{name}'", repair)
+    if len(set(names)) < len(names):
+        raise InputError(COMMAND_LINE, "--effect", "one name twice", "name each effect once")
+    return tuple(known[name] for name in names)
 
 
 def shown_by_fit(question: Question, done: Calibrated, work: AbstractCampaign) -> Iterator[Shown]:

@@ -6,6 +6,7 @@ the library has, and the preset's beds grow, as the library's do.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +14,20 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import POROSITIES, SETTINGS, SHAPE, SOIL, SPEEDS
-from calibrate.discrepancy.library.lab_size import parameters_beyond, reach, soil_sd
+from calibrate.discrepancy.library.lab_size import (
+    SoilPrior,
+    parameters_beyond,
+    reach,
+    soil_sd,
+)
 from calibrate.discrepancy.library.store import bundled_library, load
-from calibrate.inference.on_response import OnResponse, Reach, ResponseCampaign
+from calibrate.inference.on_response import (
+    OnResponse,
+    Reach,
+    ResponseCampaign,
+    UnderEffects,
+)
+from calibrate.inference.parameters import Acting
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
@@ -67,12 +79,12 @@ def stands_in(
     emulated = emulated.for_lab(lab)
     library, design = emulated.library, emulated.library.design
     emulated.emulator.factors.begin()
-    pair = lab.pair()
+    pair, settings = lab.pair(), _settings(lab, preset, emulated)
     centre = np.log([design.centre[name] for name in design.soil_names])
     beds = Beds(
         soil=emulated.emulator.response,
         centre=jnp.asarray(centre),
-        settings=jnp.asarray(_settings(lab, preset, emulated)),
+        settings=jnp.asarray(settings),
         spread=jnp.asarray(design.spread()),
         none=jnp.zeros(len(design.limits)),
         units=jnp.asarray(emulated.units),
@@ -87,17 +99,25 @@ def stands_in(
         logs = np.log([float(getattr(soil, name)) for name in design.soil_names])
         return parameters_beyond(library, logs - centre)
 
-    def steep(x: np.ndarray) -> np.ndarray:
-        return emulated.units * emulated.emulator.steepness(x, none)
+    def steep(x: np.ndarray, s: np.ndarray = none) -> np.ndarray:
+        return emulated.units * emulated.emulator.steepness(x, s)
 
     def specimens(soil: SoilParameters) -> np.ndarray:
         x = np.asarray(beds.scaled(soil))
         return smaller * steep(x) * emulated.specimens(x)
 
+    def errors_at(x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return steep(x, s) * emulated.emulator_errors.of_values(emulated.emulator, x, s).T
+
     def errors(soil: SoilParameters) -> np.ndarray:
-        x = np.asarray(beds.scaled(soil))
-        directions = emulated.emulator_errors.of_values(emulated.emulator, x, none)
-        return steep(x) * directions.T
+        return errors_at(np.asarray(beds.scaled(soil)), none)
+
+    def errors_under(
+        soil: SoilParameters, under: UnderEffects, strengths: np.ndarray
+    ) -> np.ndarray:
+        point = under.point(beds, soil, jnp.asarray(strengths))
+        x, s = map(np.asarray, under.response.scaled(*point))
+        return errors_at(x, s)
 
     def slope_errors(soil: SoilParameters) -> np.ndarray:
         x = np.asarray(beds.scaled(soil))
@@ -112,7 +132,34 @@ def stands_in(
     campaign = ResponseCampaign(beds.holding(), too_far, work.folder, work.progress, work.apparatus)
     low, high = reach(library)
     known = Reach(design.soil_names, centre + low, centre + high, soil_sd(library))
-    return OnResponse(campaign, specimens, errors, slope_errors, preset.spheres, known)
+    acting, under = _acting(emulated), partial(_under, emulated, settings)
+    return OnResponse(
+        campaign, specimens, errors, slope_errors, preset.spheres, known, acting, under,
+        errors_under,
+    )  # fmt: skip
+
+
+def _acting(emulated: EmulatedLibrary) -> tuple[Acting, ...]:
+    """The effects that runs of the library have."""
+    design = emulated.library.design
+    rows = zip(emulated.candidates(), design.limits.values(), design.typical(), strict=True)
+    return tuple(
+        Acting(each.name, each.typical, each.unit, 0.0 if each.one_sided else low / typical,
+               high / typical)
+        for each, (low, high), typical in rows
+    )  # fmt: skip
+
+
+def _under(
+    emulated: EmulatedLibrary, settings: list[float], names: Sequence[str]
+) -> UnderEffects | None:
+    """What beds of these settings show under the named effects; None where there are none."""
+    if not names:
+        return None
+    design = emulated.library.design
+    offset = np.array([*np.zeros(len(design.soil_names)), *settings])
+    response = emulated.at(SoilPrior(offset, np.ones_like(offset))).response
+    return UnderEffects(response, tuple(design.effect_names.index(name) for name in names))
 
 
 def _settings(lab: Lab, preset: Preset, emulated: EmulatedLibrary) -> list[float]:

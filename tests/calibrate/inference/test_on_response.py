@@ -377,6 +377,28 @@ def test_slopes_of_the_bundled_library_are_those_of_the_audit_s_reference():
             assert abs(apart) < 3 * np.hypot(stated, error or 0.0)
 
 
+@pytest.mark.slow
+def test_the_bundled_library_shows_what_a_soft_machine_and_a_rough_platen_do():
+    """Where nothing acts, both ways to the features agree.  A frame of 1e-6 m/N gives way by
+    0.001 mm for each newton between the forces that the depression is counted from and to."""
+    found, problem = standing_in(), pose(LAB)
+    under = found.under(["load_frame_compliance", "platen_friction"])
+    typical = np.array([each.typical for each in found.acting if each.name in (
+        "load_frame_compliance", "platen_friction")])  # fmt: skip
+    features = FeaturesOfBeds.of(found.campaign.beds, problem, space(LAB, (), BASE), under)
+    still = FeaturesOfBeds.of(found.campaign.beds, problem, space(LAB, (), BASE))
+    assert features(jnp.zeros(2)) == pytest.approx(np.asarray(still(jnp.zeros(0))), rel=1e-9)
+    soft = np.asarray(features(jnp.array([1e-6, 0.0]) / typical) - still(jnp.zeros(0)))
+    test = LAB.pair().compression
+    assert soft[0] == pytest.approx(1e-3 * (test.force_high - test.force_low), rel=1e-3)  # mm
+    assert abs(soft[1]) < 2.0  # N
+    rough = np.asarray(features(jnp.array([0.0, 0.4]) / typical) - still(jnp.zeros(0)))
+    assert abs(rough[0]) < 0.1 and rough[1] > 5.0
+    own, theirs = (found.error_rows(problem, BASE, *at)[1] for at in (
+        (), (under, np.array([0.0, 1.0]))))  # fmt: skip
+    assert np.all((theirs**2).sum(axis=0) > 0.5 * (own**2).sum(axis=0))
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [

@@ -20,7 +20,7 @@ from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import Silent
 from calibrate.inference import draws as files
 from calibrate.inference.draws import described, inference_data, read_draws, write_draws
-from calibrate.inference.parameters import RANGES
+from calibrate.inference.parameters import RANGES, Acting
 from calibrate.inference.posterior import Question, Shown, within_reach
 from calibrate.inference.sampling import (
     FURTHER,
@@ -121,6 +121,80 @@ def test_no_mass_inside_the_bounds_is_one_sentence(asked):
     narrow = replace(asked.space, ranges=(replace(first, low=far, high=2 * far), second))
     with pytest.raises(CalibrationError, match="no mass inside the bounds: shear_modulus"):
         within_reach(narrow, reach)
+
+
+# ------------------------------------------------------------------ strengths of effects
+
+
+class Stronger(eqx.Module):
+    """In the place of `UnderEffects`: a typical strength adds a tenth to forces."""
+
+    def __call__(self, beds, soil, strengths):
+        return beds.values(soil) * (1 + jnp.array([0.0, 0.0, 0.1, 0.1]) * strengths[0])
+
+
+GAIN = Acting("load_cell_gain", 0.03, "1", -2.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def with_effect():
+    """The question with the strength of an effect that the data see in the force alone."""
+    response = replace(on_response(), acting=(GAIN,), under=lambda names: Stronger())
+    return Question.of(lab(), BASE, response, Formulas(), SEEDS, (GAIN,))
+
+
+def test_a_strength_is_normal_beforehand_and_moves_what_is_shown(asked, density, with_effect):
+    of_both = with_effect.density(with_effect.own_error(), [])
+    y, share = at(asked, 0.3, -0.2), 0.8  # of the way from -2 to 3 typical strengths
+    values = np.asarray(of_both.values(jnp.append(y, np.log(share / (1 - share)))))
+    assert values == pytest.approx(np.append(density.values(y), 2.0))
+    for strength, force in ((0.0, 1.0), (2.0, 1.2), (-1.5, 0.85)):
+        alone, both = density.shown(values[:2])[0], of_both.shown(jnp.append(values[:2], strength))
+        assert np.asarray(both[0] / alone) == pytest.approx([1.0, force], rel=1e-4)
+    narrow = replace(of_both, covariance=1e12 * of_both.covariance)  # the data say nothing
+    heights = [float(narrow(jnp.append(y, np.log((s + 2) / (3 - s))))) for s in (0.5, 2.0)]
+    slopes = [np.log((s + 2) * (3 - s)) for s in (0.5, 2.0)]
+    expected = norm.logpdf(2.0) - norm.logpdf(0.5) + slopes[1] - slopes[0]
+    assert heights[1] - heights[0] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_what_an_effect_may_have_done_is_left_open(asked, with_effect, tmp_path):
+    """The force no longer tells of the soil alone: the parameter behind it is less sure, and the
+    strength as open as before."""
+    said = []
+    for each in (asked, with_effect):
+        found = sampled(each, [], None, {}, 0, tmp_path, Silent(), SHORT)
+        tree = inference_data(each, found, 0, {})
+        said.append(described(each, found, tree, []))
+    alone, both = said
+    assert "effects" not in alone
+    row = both["effects"]["load_cell_gain"]
+    assert row["unit"] == "1" and -0.06 <= row["low"] < row["median"] < row["high"] <= 0.09
+    assert row["width"] == pytest.approx(1.0, abs=0.25)
+    width = [each["parameters"]["surface_energy"]["width"] for each in said]
+    assert width[1] > 1.1 * width[0]
+    write_draws(tree, tmp_path)
+    with pytest.raises(InputError, match=r"strengths of effects \(load_cell_gain\)"):
+        read_draws(tmp_path)
+
+
+def test_runs_are_asked_for_without_effects(with_effect, tmp_path):
+    work = Formulas()
+    wide = replace(with_effect, response=replace(with_effect.response, errors=lambda soil: (
+        10 * with_effect.response.errors(soil))))  # fmt: skip
+    found = sampled(wide, [], work, {}, 0, tmp_path, Silent(), SHORT)
+    assert 0 < found.added <= FURTHER
+    assert all(len(each.values) == len(NAMES) for each in found.shown)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"), [(["load_cell_gian"], "load_cell_gain"), (["load_cell_gain"] * 2, "twice")]
+)
+def test_effects_that_are_not_known_are_refused(with_effect, names, said):
+    with pytest.raises(InputError, match=said):
+        posterior_verb.asked_for(names, with_effect.response)
+    assert posterior_verb.asked_for(["load_cell_gain"], with_effect.response) == (GAIN,)
 
 
 # ------------------------------------------------------------------ what runs add
