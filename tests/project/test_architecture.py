@@ -82,7 +82,6 @@ ORDER = {
     "verification": (
         "reporting",
         "made_lab",
-        "audit",
         "convergence",
         "derivatives",
         "designs",
@@ -91,6 +90,7 @@ ORDER = {
         "kills",
         "overdamped",
         "posterior",
+        "audit",
         "hidden_soils",
         "sound_soils",
         "prior",
