@@ -78,9 +78,8 @@ def inference_data(
     draws = found.draws
     values = values_of(found.density, draws.y)
     shown, own, total, off = predicted(found.density, values, seed)
-    flat = values.shape[0] * values.shape[1]
-    prior = question.drawn(flat, np.random.default_rng([seed, 3]))
-    prior[:, : len(question.space.names)] = np.exp(prior[:, : len(question.space.names)])
+    prior = question.drawn(values[..., 0].size, np.random.default_rng([seed, 3]))
+    np.exp(of_soil := prior[:, : len(question.space.names)], out=of_soil)
     groups = {
         "posterior": dict(zip(names, np.moveaxis(values, -1, 0), strict=True)),
         "prior": dict(zip(names, prior.T[:, None], strict=True)),
@@ -98,7 +97,7 @@ def inference_data(
     }
     dims = {"features": ["feature"], "response_share": ["feature"]}
     tree = from_dict(groups, coords={"feature": features}, dims=dims)
-    tree["curves"] = xr.DataTree(_curves(question, values.reshape(flat, -1)))
+    tree["curves"] = xr.DataTree(_curves(question, values.reshape(-1, len(names))))
     tree.attrs = {
         "physics": PHYSICS,
         "soil": question.lab.name,

@@ -5,7 +5,7 @@ the library has, and the preset's beds grow, as the library's do.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax.numpy as jnp
@@ -92,51 +92,69 @@ def stands_in(
         features=emulated.size.features,
         called=(pair.compression.called, pair.crushing.called),
     )
-    none = np.zeros(len(design.limits))
-    smaller = np.sqrt(design.spheres / preset.spheres)  # scatter of means over independent parts
 
     def too_far(soil: SoilParameters) -> tuple[str, ...]:
         logs = np.log([float(getattr(soil, name)) for name in design.soil_names])
         return parameters_beyond(library, logs - centre)
 
-    def steep(x: np.ndarray, s: np.ndarray = none) -> np.ndarray:
-        return emulated.units * emulated.emulator.steepness(x, s)
-
-    def specimens(soil: SoilParameters) -> np.ndarray:
-        x = np.asarray(beds.scaled(soil))
-        return smaller * steep(x) * emulated.specimens(x)
-
-    def errors_at(x: np.ndarray, s: np.ndarray) -> np.ndarray:
-        return steep(x, s) * emulated.emulator_errors.of_values(emulated.emulator, x, s).T
-
-    def errors(soil: SoilParameters) -> np.ndarray:
-        return errors_at(np.asarray(beds.scaled(soil)), none)
-
-    def errors_under(
-        soil: SoilParameters, under: UnderEffects, strengths: np.ndarray
-    ) -> np.ndarray:
-        point = under.point(beds, soil, jnp.asarray(strengths))
-        x, s = map(np.asarray, under.response.scaled(*point))
-        return errors_at(x, s)
-
-    def slope_errors(soil: SoilParameters) -> np.ndarray:
-        x = np.asarray(beds.scaled(soil))
-        stated = emulated.emulator_errors.widening[:, None] * emulated.emulator.slope_variances(
-            x, none
-        )
-        count = len(design.soil_names)  # the first coordinates are those of the soil
-        sd = np.sqrt(stated[:, :count]) / design.spread()[:count]
-        carried = steep(x)[:, None] * emulated.emulator.basis.carried
-        return carried.T[:, :, None] * sd[:, None, :]
-
     campaign = ResponseCampaign(beds.holding(), too_far, work.folder, work.progress, work.apparatus)
     low, high = reach(library)
     known = Reach(design.soil_names, centre + low, centre + high, soil_sd(library))
-    acting, under = _acting(emulated), partial(_under, emulated, settings)
+    about = AboutBeds(emulated, beds, preset.spheres)
     return OnResponse(
-        campaign, specimens, errors, slope_errors, preset.spheres, known, acting, under,
-        errors_under,
+        campaign, about.specimens, about.errors, about.slope_errors, preset.spheres, known,
+        _acting(emulated), partial(_under, emulated, settings), about.errors_under,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class AboutBeds:
+    """How single packings of beds with so many spheres scatter, and how far the library may be off:
+    rows (n, l) of deviations of the beds' features, as of `OnResponse`."""
+
+    emulated: EmulatedLibrary
+    beds: Beds
+    spheres: int
+
+    def specimens(self, soil: SoilParameters) -> np.ndarray:
+        # Scatter of means over independent parts goes with one over the root of their number.
+        smaller = np.sqrt(self.emulated.library.design.spheres / self.spheres)
+        x = self._at(soil)
+        return smaller * self._steep(x, self._none) * self.emulated.specimens(x)
+
+    def errors(self, soil: SoilParameters) -> np.ndarray:
+        return self._errors(self._at(soil), self._none)
+
+    def errors_under(
+        self, soil: SoilParameters, under: UnderEffects, strengths: np.ndarray
+    ) -> np.ndarray:
+        point = under.point(self.beds, soil, jnp.asarray(strengths))
+        return self._errors(*map(np.asarray, under.response.scaled(*point)))
+
+    def slope_errors(self, soil: SoilParameters) -> np.ndarray:
+        emulator, design = self.emulated.emulator, self.emulated.library.design
+        x = self._at(soil)
+        widening = self.emulated.emulator_errors.widening[:, None]
+        stated = widening * emulator.slope_variances(x, self._none)
+        count = len(design.soil_names)  # the first coordinates are those of the soil
+        sd = np.sqrt(stated[:, :count]) / design.spread()[:count]
+        carried = self._steep(x, self._none)[:, None] * emulator.basis.carried
+        return carried.T[:, :, None] * sd[:, None, :]
+
+    @property
+    def _none(self) -> np.ndarray:
+        """No effect's strength (k,)."""
+        return np.zeros(len(self.emulated.library.design.limits))
+
+    def _at(self, soil: SoilParameters) -> np.ndarray:
+        return np.asarray(self.beds.scaled(soil))
+
+    def _steep(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return self.emulated.units * self.emulated.emulator.steepness(x, s)
+
+    def _errors(self, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+        known = self.emulated.emulator_errors.of_values(self.emulated.emulator, x, s)
+        return self._steep(x, s) * known.T
 
 
 def _acting(emulated: EmulatedLibrary) -> tuple[Acting, ...]:
