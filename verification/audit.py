@@ -266,9 +266,10 @@ def main() -> None:
     for seed in chosen.seeds:
         seeds = range(100 * seed, 100 * seed + chosen.packings)
         found, _ = audited(chosen.spheres, seeds, chosen.folder, list(STRATEGIES))
-        audits[str(seed)] = audit_json(found)
+        whole = audit_json(found)
+        audits[str(seed)] = {name: part for name, part in whole.items() if name != "curves"}
         if seed == chosen.seeds[0]:
-            drawn = record(AuditSlopes, audits[str(seed)])
+            drawn = record(AuditSlopes, whole)
             save(audit_figure(drawn), reporting.IMAGES / "audit.png")
             slopes = curve_slopes_figure(drawn)
             save(slopes, reporting.IMAGES / "audit_curves.png")

@@ -44,7 +44,7 @@ SCRIPTS = {
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
     "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
     "prior": Script((RUN + "prior",), 12, "prior"),
-    "audit": Script((RUN + "audit --seeds 21 22",), 30, "audit"),
+    "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4"), 90, "audit"),
     "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
     "designs": Script((RUN + "designs",), 40, "designs"),
     "kills": Script((RUN + "kills",), 40, "reliability", "Kills at random moments", physics=False),

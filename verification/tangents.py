@@ -283,8 +283,9 @@ def main() -> None:
             entry["cost"] = cost(case)
             write_text(kept, json.dumps(found))
     origin = reporting.provenance()
-    content = {**origin, "seed": 0, "packings": chosen.packings, "sizes": found,
-               "variants": found[str(SHOWN)]["variants"]}  # fmt: skip
+    shown = found[str(SHOWN)]["variants"]
+    variants = {name: {"typical": of["typical"]} for name, of in shown.items()}  # what is drawn
+    content = {**origin, "seed": 0, "packings": chosen.packings, "variants": variants}
     figure(found, reporting.IMAGES / "tangents.png")
     reporting.write_content("tangents", content)
     reporting.write_section("tangents", markdown(found, chosen.packings, origin))

@@ -17,7 +17,8 @@ import errno
 import hashlib
 import io
 import time
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
@@ -70,13 +71,7 @@ class Store:
     def packing(self, name: str) -> Packing | None:
         """The packing of this name; None where there is none or its file is damaged."""
         path = self.packing_path(name)
-        if not path.exists():
-            return None
-        try:
-            unsealed(path.read_bytes())
-            return load(path)
-        except Exception:  # what a zip reader raises on damaged bytes is not a closed list
-            return None
+        return _packing_of(path.read_bytes()) if path.exists() else None
 
     def run(self, key: str) -> Run | None:
         """The run of this key; None where there is none or its file is damaged."""
@@ -127,7 +122,45 @@ class Store:
                 continue
 
 
-SHIPPED = Store(Path(str(resources.files("calibrate.simulation"))) / "beds")  # make beds
+@dataclass(frozen=True)
+class Archive:
+    """Packings in one file, each sealed as in a folder."""
+
+    path: Path
+
+    def names(self) -> list[str]:
+        with zipfile.ZipFile(self.path) as every:
+            return every.namelist()
+
+    def packing(self, name: str) -> Packing | None:
+        """The packing of this name; None where there is none or it is damaged."""
+        try:
+            with zipfile.ZipFile(self.path) as every:
+                return _packing_of(every.read(name))
+        except (KeyError, OSError, zipfile.BadZipFile):
+            return None
+
+    def content(self) -> dict[str, bytes]:
+        """Sealed packings by name."""
+        with zipfile.ZipFile(self.path) as every:
+            return {name: every.read(name) for name in every.namelist()}
+
+    def keep(self, content: Mapping[str, bytes]) -> None:
+        """Writes these packings and no other; equal content is an equal file."""
+        with whole(self.path) as part, zipfile.ZipFile(part, "w") as every:
+            for name, data in sorted(content.items()):
+                every.writestr(zipfile.ZipInfo(name), data)
+
+
+SHIPPED = Archive(Path(str(resources.files("calibrate.simulation"))) / "beds.zip")
+
+
+def _packing_of(data: bytes) -> Packing | None:
+    """The packing of an entry; None where it is damaged."""
+    try:
+        return load(io.BytesIO(unsealed(data)[0]))
+    except Exception:  # what a zip reader raises on damaged bytes is not a closed list
+        return None
 
 
 def _acquired(lock: BaseFileLock) -> bool:

@@ -9,6 +9,7 @@ import zipfile
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -117,8 +118,9 @@ def save(packing: Packing, path: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def load(path: Path) -> Packing:
-    """Reads what `save` wrote; raises OSError or ValueError on a damaged file."""
+def load(path: Path | BinaryIO) -> Packing:
+    """Reads what `save` wrote, from a path or an open file; raises OSError or ValueError where it
+    is damaged."""
     try:
         with np.load(path, allow_pickle=False) as data:
             position = Vector.from_rows(jnp.asarray(data["position"]))

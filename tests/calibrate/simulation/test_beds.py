@@ -1,7 +1,6 @@
 """Beds that ship with the package: all there, of this preparation, and like those that settle here.
 Beds that grow to a porosity: reached for any number of spheres, even, at rest, or refused."""
 
-import shutil
 from dataclasses import replace
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.simulation import Campaign
 from calibrate.simulation.executors import Here
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
-from calibrate.simulation.store import SHIPPED, Store
+from calibrate.simulation.store import SHIPPED, Archive
 from jdem.packing.composite import prepare
 from jdem.packing.growth import _clashing, _radii, _thrown
 from jdem.packing.specimen import Specimen
@@ -27,9 +26,10 @@ COMMAND = "python -m tests.support.shipped_beds"
 
 
 def test_every_bed_that_first_commands_need_is_there_and_no_other():
-    there = {path.stem for path in SHIPPED.folder.glob("packings/*.npz")}
     wanted = {name_of(*bed) for bed in WANTED}
-    assert there == wanted, f"beds have other names: `{COMMAND}`; --rekey if none has changed"
+    assert {*SHIPPED.names()} == wanted, (
+        f"beds have other names: `{COMMAND}`; --rekey if none has changed"
+    )
 
 
 @pytest.mark.parametrize(("soil", "preset", "seed"), WANTED)
@@ -82,10 +82,10 @@ def test_a_campaign_takes_shipped_beds_and_keeps_them(tmp_path):
 @pytest.fixture
 def renamed(tmp_path):
     """The shipped beds under names of another preparation."""
-    shutil.copytree(SHIPPED.folder, tmp_path / "beds")
-    for number, path in enumerate(sorted((tmp_path / "beds").glob("packings/*.npz"))):
-        path.rename(path.with_name(f"{number:032x}.npz"))
-    return Store(tmp_path / "beds")
+    store = Archive(tmp_path / "beds.zip")
+    shipped = sorted(SHIPPED.content().items())
+    store.keep({f"{number:032x}": data for number, (_, data) in enumerate(shipped)})
+    return store
 
 
 def settles(monkeypatch, factor):
@@ -99,38 +99,44 @@ def settles(monkeypatch, factor):
     monkeypatch.setattr(shipped_beds, "prepare", again)
 
 
-def contents(store):
-    return {path.name: path.read_bytes() for path in store.folder.glob("packings/*")}
-
-
 def test_beds_get_their_names_back_if_they_settle_as_they_did(renamed, monkeypatch):
     settles(monkeypatch, 1.0)
     assert shipped_beds.rekey(renamed) == len(WANTED)
-    assert contents(renamed) == contents(SHIPPED)
+    assert renamed.content() == SHIPPED.content()
     assert shipped_beds.rekey(renamed) == 0
 
 
 @pytest.mark.parametrize("factor", [np.nextafter(1.0, 2.0), float("nan")])
 def test_no_bed_is_renamed_if_one_settles_differently(renamed, monkeypatch, factor):
     settles(monkeypatch, factor)
-    before = contents(renamed)
+    before = renamed.content()
     with pytest.raises(ValueError, match="does not settle as it did"):
         shipped_beds.rekey(renamed)
-    assert contents(renamed) == before
+    assert renamed.content() == before
 
 
 def test_no_bed_is_renamed_if_one_is_missing_or_double(renamed, monkeypatch):
     settles(monkeypatch, 1.0)
-    path = renamed.packing_path(f"{5:032x}")
-    shutil.copy(path, path.with_stem("f" * 32))
-    with pytest.raises(ValueError, match="2 files with this bed"):
-        shipped_beds.rekey(renamed)
-    path.with_stem("f" * 32).unlink()
-    path.unlink()
-    before = contents(renamed)
-    with pytest.raises(ValueError, match="0 files with this bed"):
-        shipped_beds.rekey(renamed)
-    assert contents(renamed) == before
+    content = renamed.content()
+    first = f"{5:032x}"
+    for changed, said in (
+        ({**content, "f" * 32: content[first]}, "2 entries with this bed"),
+        ({name: data for name, data in content.items() if name != first}, "0 entries"),
+    ):
+        renamed.keep(changed)
+        with pytest.raises(ValueError, match=said):
+            shipped_beds.rekey(renamed)
+        assert renamed.content() == changed
+
+
+def test_a_damaged_bed_is_not_taken(renamed):
+    content = renamed.content()
+    name, data = next(iter(content.items()))
+    spoilt = data[:100] + bytes([data[100] ^ 1]) + data[101:]
+    renamed.keep({**content, name: spoilt})
+    assert renamed.packing(name) is None and renamed.packing("nobody") is None
+    renamed.path.write_bytes(b"no archive")
+    assert renamed.packing(name) is None
 
 
 # ---------------------------------------------------------------- beds that grow
