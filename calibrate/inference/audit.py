@@ -75,7 +75,7 @@ RESPONSE = "response"
 STRATEGIES = {
     "fit": Strategy("pairs of runs, some parameters alone: as in fits", fitting_ensemble, True),
     RESPONSE: Strategy("library of runs, by JAX: what fits explore with", lambda _: OfRuns(), True),
-    "ensemble": Strategy("pairs of runs, parameters in groups: the screening's", ensemble, True),
+    "ensemble": Strategy("pairs of runs, parameters in groups", ensemble, True),
     "regression": Strategy(
         "pairs of runs, one parameter at a time", lambda _: Regression((0.25,)), True
     ),
