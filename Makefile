@@ -10,7 +10,7 @@ TESTS := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadsco
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: calibrate test quick test-slow check lint docs notebooks verification verification-quick clean help
+.PHONY: calibrate test quick test-slow test-rare check lint docs notebooks verification verification-quick clean help
 
 calibrate: $(STAMP)  ## fit the bundled soil with 2000 spheres; results in results/calibrate
 	$(BIN)/calibrate fit --preset standard --out results/calibrate
@@ -21,8 +21,11 @@ test: $(STAMP)  ## lint and, at the same time, the tests that take seconds, on t
 quick: $(STAMP)
 	$(TESTS) -m "not slow"
 
-test-slow: $(STAMP)  ## the other tests
-	$(TESTS) -m slow
+test-slow: $(STAMP)  ## the other tests, but for rare ones
+	$(TESTS) -m "slow and not rare"
+
+test-rare: $(STAMP)  ## tests of minutes: derivatives through a run, thousands of files, races of a study
+	$(TESTS) -m rare
 
 check: lint  ## lint and the fast tests, in about a minute
 	$(TESTS) -m "not thorough and not slow"

@@ -52,10 +52,25 @@ def outputs(path: Path) -> list:
     return [output for cell in cells(path, "code") for output in cell.outputs]
 
 
+FEW_DRAWS = """
+from functools import partial
+from calibrate.inference import draws, sampling
+from calibrate.verbs import posterior
+
+plan = sampling.Plan(chains=2, warm_up=50, draws=100, most=100, chunk=50)
+posterior.sampled = partial(sampling.sampled, plan=plan)
+draws.RHAT, draws.ESS = 10.0, 0.0  # so few do not mix
+"""  # what every kernel begins with
+
+
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
     """A folder beside copies of what notebooks read, with one cache of compiled programs."""
     shutil.copytree(FOLDER / "data", tmp_path / "notebooks" / "data")
+    startup = tmp_path / "ipython" / "profile_default" / "startup"
+    startup.mkdir(parents=True)
+    (startup / "few_draws.py").write_text(FEW_DRAWS)
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     monkeypatch.setenv("JDEM_NOTEBOOK_QUICK", "1")
     monkeypatch.setenv("XDG_CACHE_HOME", str(ROOT / ".jax_cache"))
     return tmp_path / "notebooks"

@@ -243,6 +243,7 @@ def pressed(tmp_path_factory):
 
 
 @pytest.mark.thorough
+@pytest.mark.rare
 @pytest.mark.slow
 def test_slopes_of_a_bed_are_those_of_its_response_and_are_kept(pressed):
     lab, work = pressed

@@ -434,12 +434,19 @@ def read_right_or_refused(folder, seeds):
     return read, wrong
 
 
-def test_random_files_are_read_right_or_refused(tmp_path):
+def test_a_few_random_files_are_read_right_or_refused(tmp_path):
     read, wrong = read_right_or_refused(tmp_path, range(150))
     assert wrong == [] and read > 140
 
 
 @pytest.mark.slow
-def test_five_thousand_random_files_are_read_right_or_refused(tmp_path):
-    read, wrong = read_right_or_refused(tmp_path, range(10_000, 15_000))
-    assert wrong == [] and read > 4750
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        pytest.param(range(10_000, 10_800), id="800"),
+        pytest.param(range(10_800, 15_000), id="4200", marks=pytest.mark.rare),
+    ],
+)
+def test_random_files_are_read_right_or_refused(tmp_path, seeds):
+    read, wrong = read_right_or_refused(tmp_path, seeds)
+    assert wrong == [] and read > 0.95 * len(seeds)

@@ -129,6 +129,7 @@ def test_what_does_not_move_has_no_tangent():
         np.testing.assert_allclose(one, jax.jit(slope)(jnp.asarray(stiffness)), rtol=1e-12)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_run_does_not_notice_tangents():
     """Samples and final state of spheres pressed together, bit for bit.

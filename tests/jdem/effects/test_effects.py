@@ -425,6 +425,7 @@ def slopes(packing, time_step):
     return np.asarray(jax.jit(jax.vmap(push))(jnp.eye(len(NAMES))))
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_sensitivities_at_zero_are_differences(name, slopes, outcome):

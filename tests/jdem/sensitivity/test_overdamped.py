@@ -95,6 +95,7 @@ def row():
     return jnp.stack([x, 0 * x, 0 * x + RADIUS], axis=-1), 2 * RADIUS
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("arranged", [row, column])
 def test_a_sphere_and_a_chain_between_platens(arranged):
@@ -127,6 +128,7 @@ def net_forces(place, x, state, spread):
     return loads.rows[:, :3].ravel(), felt[PLATEN, 6]
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_packing_at_rest_solves_for_equilibrium():
     """Motion frozen or not: K dx = -df, whatever the drag was on the way."""
@@ -151,6 +153,7 @@ def test_a_packing_at_rest_solves_for_equilibrium():
     assert np.abs(np.asarray(moved[:, MIDDLE])).max() > 0.1 * RADIUS  # equilibrium moves
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_the_system_is_the_derivative_of_the_balance():
     """Of a bed with friction, adhesion and rolling resistance, spheres moving at random."""
@@ -180,6 +183,7 @@ def test_the_system_is_the_derivative_of_the_balance():
         assert np.linalg.norm(found[:, part] - expected[:, part]) < 1e-5 * size
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("coordinate", ["ln k", "gain"])
 def test_a_turn_at_a_force(coordinate):
@@ -211,6 +215,7 @@ def test_a_turn_at_a_force(coordinate):
     np.testing.assert_allclose(height_slope[held], pressed_by, rtol=0.02)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_nothing_is_followed_beyond_the_last_movement():
     """Derivatives are those of a run that follows everything, and then zero."""
@@ -254,6 +259,7 @@ def taken(simulated, point, direction):
     return quickly(lambda x, t: jax.jvp(simulated, (x,), (t,)))(point, direction)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_curve_is_differentiated_as_a_power_law():
     """u = (F/k)^(1/n): du/d ln k = -u/n, however rough the recorded force is."""

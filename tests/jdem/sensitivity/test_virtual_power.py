@@ -111,6 +111,7 @@ def cycle():
     return stack([*STILL, *moves(SPEED, SPEED, -0.6 * SPEED, 0.4 * SPEED, SPEED)])
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_given_motion_makes_virtual_power_exact(cycle):
     """Central differences of 1e-6 in ln p leave 1e-6 of the largest slope.
@@ -127,6 +128,7 @@ def test_given_motion_makes_virtual_power_exact(cycle):
         assert error <= 1e-5 * largest[number] + 1e-9, name
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_what_has_no_influence_has_no_slope(cycle):
     """Nothing slides or rolls here."""
@@ -134,6 +136,7 @@ def test_what_has_no_influence_has_no_slope(cycle):
     assert np.all(slopes(cycle)[:, idle] == 0.0)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_stage_before_it_is_part_of_the_effect():
     """A servo stops at 0.1 N, at an overlap that depends on the soil; then the motion is given.
