@@ -21,8 +21,8 @@ from calibrate.simulation import resolution, session
 from tests import DATA
 from tests.support import pieces
 
-REFERENCE = DATA / "eepa_single_contact"
-CASE = json.loads((REFERENCE / "cases.json").read_text())["curves"]["c1_paper_opt"]
+REFERENCE = np.load(DATA / "contact_curves.npz")
+CASE = json.loads(str(REFERENCE["eepa"]))["curves"]["c1_paper_opt"]
 VERBS = ("simulate", "fit", "contact", "audit", "doe")
 
 
@@ -62,16 +62,14 @@ def test_contact_draws_the_reference_curve(calibrate, tmp_path):
     assert (status, error) == (0, "")
     result = json.loads((tmp_path / "out.json").read_text())
     assert set(result) == {"overlap_m", "normal_force_n"}
-    every = np.genfromtxt(REFERENCE / "curves.csv.gz", delimiter=",", names=True, dtype=None,
-                          encoding="utf-8")  # fmt: skip
-    reference = every[every["case"] == "c1_paper_opt"]
-    scale = np.abs(reference["normal_force_N"]).max()
+    reference = REFERENCE["eepa/c1_paper_opt"]
+    scale = np.abs(reference[:, 3]).max()
     overlap, force = (np.array([0.0, *result[key]]) for key in result)
     for leg in range(4):
-        rows, ours = reference[reference["leg"] == leg], slice(500 * leg, 500 * leg + 501)
+        rows, ours = reference[reference[:, 0] == leg], slice(500 * leg, 500 * leg + 501)
         order = np.argsort(overlap[ours])
-        drawn = np.interp(rows["overlap_m"], overlap[ours][order], force[ours][order])
-        assert np.abs(drawn - rows["normal_force_N"]).max() < 1e-3 * scale, leg
+        drawn = np.interp(rows[:, 2], overlap[ours][order], force[ours][order])
+        assert np.abs(drawn - rows[:, 3]).max() < 1e-3 * scale, leg
 
 
 def test_contact_takes_units_and_keeps_its_files(calibrate, tmp_path):
