@@ -81,13 +81,13 @@ def contact_figure(
     count = 1 if sliding is None else 2
     size = (5.5 * count, 4.2)
     figure, axes = plt.subplots(1, count, figsize=size, layout="constrained", squeeze=False)
-    for axis in axes[0]:
-        axis.axhline(0, color="0.6", linewidth=0.8)
     axes[0, 0].plot(1e6 * overlap_m, force_n, color=DARK)
     axes[0, 0].set(xlabel="overlap (µm)", ylabel="normal force (N)")
     if sliding is not None:
         axes[0, 1].plot(1e6 * sliding[0], sliding[1], color=DARK)
         axes[0, 1].set(xlabel="shift x (µm)", ylabel="tangential force (N)")
+    for axis in axes[0]:
+        axis.axhline(0, color="0.6", linewidth=0.8)
     return figure
 
 

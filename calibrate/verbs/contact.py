@@ -34,12 +34,14 @@ class ContactResult(AbstractDrawnResult):
     Attributes:
         folder: where contact.json and contact.png are, and contact.csv of a path.
         content: everything, with the keys of contact.json.
+        tables: contact.csv, where a path was followed.
     """
 
     verb = "contact"
     files = ("contact.json",)
     folder: Path
     content: dict
+    tables: tuple[str, ...] = ()
 
     @property
     def overlap_m(self) -> np.ndarray:
@@ -75,7 +77,7 @@ class ContactResult(AbstractDrawnResult):
 
     def written(self) -> tuple[str, ...]:
         json, *pictures = super().written()
-        return (json, *(["contact.csv"] if len(self.tangential_force_n) else []), *pictures)
+        return (json, *self.tables, *pictures)
 
 
 @verb
@@ -160,12 +162,12 @@ def contact(
     folder = Path(out)
     make_folder(folder)
     if path is None:
-        found = single_contact.drive(pair, named, points, smooth)
+        result = ContactResult(folder, single_contact.drive(pair, named, points, smooth))
     else:
         found = single_contact.drive_along(pair, named, rows, smooth)
+        result = ContactResult(folder, found, ("contact.csv",))
         write_text(folder / "contact.csv", _table(found))
-    result = ContactResult(folder, found)
-    write_json(folder / "contact.json", found)
+    write_json(folder / "contact.json", result.content)
     result.save_figures()
     return result
 
