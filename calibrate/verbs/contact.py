@@ -61,7 +61,7 @@ class ContactResult(AbstractDrawnResult):
 
     def words(self) -> Iterator[RenderableType]:
         force, along = self.normal_force_n, np.abs(self.tangential_force_n)
-        said = f"largest force {force.max():.4g} N, largest tension {-force.min():.4g} N"
+        said = f"largest force {force.max():.4g} N, largest tension {0.0 - force.min():.4g} N"
         if len(along):
             torque = np.linalg.norm(self.content["torque_nm"], axis=1).max()
             said += f", largest tangential force {along.max():.4g} N, torque {torque:.4g} N m"
