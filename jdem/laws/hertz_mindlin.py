@@ -12,10 +12,11 @@ spring remembers decides what a change of load does to it (`Kept`):
     STRETCH_RESCALED    u, smaller with S_t on unloading     LAMMPS `mindlin_rescale`
     FORCE_RESCALED      f_t, smaller with S_t on unloading   LAMMPS `mindlin_rescale/force`
 
-The last one neither gains energy from changes of load nor forgets any: Thornton, Cummins and Cleary
-2013, Powder Technology 233, 30.  Others restore the length of the spring when its plane turns
-(LAMMPS, YADE) or not (LIGGGHTS, here): no difference for small steps.  YADE makes slip larger by
-1/(1 - d/(2 R)) unless told not to, and takes G* from mean moduli.
+Only the last one never gains energy from changes of load (Thornton, Cummins and Cleary 2013,
+Powder Technology 233, 30): a kept stretch does on loading, a kept force on unloading.  Others
+restore the length of the spring when its plane turns (LAMMPS, YADE) or not (LIGGGHTS, here): no
+difference for small steps.  YADE makes slip larger by 1/(1 - d/(2 R)) unless told not to, and takes
+G* from mean moduli.
 
 Linear cohesion: -k_c A is added, A the area of the circle in which the spheres intersect
 (LIGGGHTS `cohesion sjkr`, EDEM "Linear Cohesion"); it has no force beyond touching, and is no JKR.

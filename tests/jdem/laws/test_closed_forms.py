@@ -125,18 +125,25 @@ def test_what_the_tangential_spring_keeps(memory):
     assert found[2:4] / held == pytest.approx(LEFT[memory], rel=1e-6)
 
 
-@pytest.mark.parametrize("memory", LEFT)
-def test_changes_of_load_cost_or_gain_energy(memory):
-    """Sheared under a small load and back under a large one: a kept stretch returns more than it
-    took, as S_t u^2/2 grows with the load; the last kind never gains."""
+GAINS = {  # whether energy comes out of a shift under one load and back under another
+    "stretch": (True, False),
+    "force": (False, True),
+    "stretch_rescaled": (True, False),
+    "force_rescaled": (False, False),
+}
+
+
+@pytest.mark.parametrize("memory", GAINS)
+def test_changes_of_load_gain_energy_in_all_kinds_but_one(memory):
+    """Back under a larger load: S_t u^2/2 has grown.  Under a smaller one: a force that stayed has
+    the longer way to go."""
     law = named("hertz_mindlin", memory=memory, friction=50.0)
-    way = [[0, -LESS * DEEP], [SHIFT, -LESS * DEEP], [SHIFT, -DEEP]]
-    back = [[SHIFT * share, -DEEP] for share in (0.75, 0.5, 0.25, 0.0)]
-    force = -np.asarray(led(law, [*way, *back], wall=True, friction=50.0).traction)[:7, 0]
-    taken = force[1] * SHIFT / 2
-    returned = np.sum((force[2:6] + force[3:7]) / 2) * SHIFT / 4
-    gains = memory.startswith("stretch")
-    assert (returned > 1.2 * taken) == gains and gains == (returned > taken)
+    for (before, after), gains in zip([(LESS, 1.0), (1.0, LESS)], GAINS[memory], strict=True):
+        way = [[0, -before * DEEP], [SHIFT, -before * DEEP], [SHIFT, -after * DEEP]]
+        back = [[SHIFT * share, -after * DEEP] for share in (0.75, 0.5, 0.25, 0.0)]
+        force = -np.asarray(led(law, [*way, *back], wall=True, friction=50.0).traction)[:7, 0]
+        taken, returned = force[1] * SHIFT / 2, np.sum(force[2:6] + force[3:7]) * SHIFT / 8
+        assert returned > 1.2 * taken if gains else returned < 0.8 * taken
 
 
 def test_friction_and_rolling_have_their_limits():
