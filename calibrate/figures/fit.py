@@ -74,12 +74,20 @@ def _warn(figure, sentences: Sequence[str], columns: int) -> None:
         figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=8, x=0.02, ha="left")
 
 
-def contact_figure(overlap_m: np.ndarray, force_n: np.ndarray) -> Figure:
-    """Normal force against overlap of one contact."""
-    figure, axis = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
-    axis.plot(1e6 * overlap_m, force_n, color=DARK)
-    axis.axhline(0, color="0.6", linewidth=0.8)
-    axis.set(xlabel="overlap (µm)", ylabel="normal force (N)")
+def contact_figure(
+    overlap_m: np.ndarray, force_n: np.ndarray, sliding: tuple[np.ndarray, np.ndarray] | None = None
+) -> Figure:
+    """Normal force against overlap of one contact; for a path, tangential force against shift."""
+    count = 1 if sliding is None else 2
+    size = (5.5 * count, 4.2)
+    figure, axes = plt.subplots(1, count, figsize=size, layout="constrained", squeeze=False)
+    axes[0, 0].plot(1e6 * overlap_m, force_n, color=DARK)
+    axes[0, 0].set(xlabel="overlap (µm)", ylabel="normal force (N)")
+    if sliding is not None:
+        axes[0, 1].plot(1e6 * sliding[0], sliding[1], color=DARK)
+        axes[0, 1].set(xlabel="shift x (µm)", ylabel="tangential force (N)")
+    for axis in axes[0]:
+        axis.axhline(0, color="0.6", linewidth=0.8)
     return figure
 
 

@@ -110,6 +110,15 @@ def read_repeats(table: TargetTable, lab_path: Path, field: str) -> np.ndarray:
     return table.times * rows.column(table.column or "")
 
 
+def read_columns(path: Path) -> Table:
+    """A CSV file whose columns are asked for by name: decimal points, commas between cells."""
+    try:
+        text = read_text(path)
+    except BadValue as bad:
+        raise InputError(str(path), "", bad.problem, bad.repair) from None
+    return Table(_rows(text, ",", str(path)), str(path), ".").where({}, 1)
+
+
 def _opened(table: CurveTable | TargetTable, lab_path: Path, field: str, what: str) -> Table:
     """The CSV file of a table, which must lie in the lab file's folder."""
     written = table.file or ""

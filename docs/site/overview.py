@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 from PIL import Image
 
-from calibrate.simulation.single_contact import Spheres, drive
+from calibrate.simulation.single_contact import Spheres, drive, law_of
 
 IMAGES = Path(__file__).parents[1] / "images"
 TARGET = IMAGES / "overview.png"
@@ -213,9 +213,10 @@ def contact_loop() -> None:
     """One contact of the bundled soil's start: loading, unloading past the largest tension,
     reloading from the adhesive branch, with the points that docs/theory.md names."""
     pair = Spheres(radius=2e-3, young=18.2e6, poisson=0.3)
-    found = drive(pair, {"surface_energy": 857.9}, [1e-4, 2.5e-5, 8e-5], smooth=False)
+    law = law_of("eepa", {"surface_energy": 857.9})
+    found = drive(pair, law, [1e-4, 2.5e-5, 8e-5], smooth=False)
     way, force = 1e6 * np.array(found["overlap_m"]), np.array(found["normal_force_n"])
-    alone = drive(pair, {"surface_energy": 857.9}, [1e-4, 0.0], smooth=False)
+    alone = drive(pair, law, [1e-4, 0.0], smooth=False)
     whole, tension = 1e6 * np.array(alone["overlap_m"]), np.array(alone["normal_force_n"])
     figure, ax = plt.subplots(figsize=(6.4, 3.9), dpi=150, layout="constrained")
     ax.plot(whole, tension, color="0.6", lw=1.2, ls="--")

@@ -43,8 +43,8 @@ class ContactLaw(AbstractContactLaw):
 
     def force(self, contact: Contact, history: ContactMemory):
         normal, plastic = self.normal.force(contact, history.normal)
-        overlap = contact.overlap.clip(0.0)
-        stiffness = self.tangential_multiplier * self.shear.tangential(contact.radius, overlap)
+        shear = self.shear.tangential(contact.radius, contact.overlap)
+        stiffness = self.tangential_multiplier * shear
         spring, dashpot, stretch = self.tangential.force(
             contact, normal, stiffness, history.tangential
         )

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, as_quantity
-from jdem.laws import coulomb, eepa, hysteretic, rolling
+from jdem.laws import eepa, friction, hysteretic
 from jdem.materials.soil import NormalLaw, SoilParameters
 from jdem.mechanics import dashpot, elasticity
 
@@ -93,7 +93,7 @@ _ORDER = (  # of tables; what is not named here comes after it
 
 def catalogue(law: str = "eepa") -> dict[str, Parameter]:
     """All entries of a soil with this normal law (a key of LAWS), by name."""
-    shared = (dashpot, coulomb, rolling, elasticity)
+    shared = (dashpot, friction, elasticity)
     entries = [*LAWS[law].parameters, *WALLS, *SIZES]
     entries += [entry for module in shared for entry in module.PARAMETERS]
     found = {entry.name: entry for entry in entries}

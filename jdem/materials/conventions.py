@@ -21,11 +21,8 @@ from jdem.core.quantity import Real
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractNormalLaw
 from jdem.laws.composite import DEEPEST, ContactLaw
-from jdem.laws.coulomb import CoulombSpring
-from jdem.laws.luding import LudingSpring
-from jdem.laws.rolling import ConstantTorque
-from jdem.laws.rolling_spring import RollingSpring
-from jdem.laws.whole_load import WholeLoad
+from jdem.laws.friction import ConstantTorque, CoulombSpring
+from jdem.laws.liggghts import LudingSpring, RollingSpring, WholeLoad
 from jdem.mechanics.elasticity import AbstractStiffness, EdinburghStiffness
 
 # Tangential over normal dashpot with `tan_luding`, its FrictionViscosity.  Quasi-static tests

@@ -7,6 +7,7 @@ what a law remembers: that is its own (`jdem.laws.base`).
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax import Array
 
 from jdem.core.vector import Vector
@@ -24,6 +25,26 @@ class Contact(eqx.Module):
     friction: Array  #: -; sliding friction coefficient of the two surfaces
     time_step: Array  #: s
     spin: Vector  #: rad/s; angular velocity of the first body relative to the second's
+    smaller: Array | None = None  #: m; radius of the smaller body; None: both are 2 R*
+    turning: Array | None = None  #: rad/s; mean spin of both bodies about the normal; None: 0
+
+
+def smaller_radius(contact: Contact) -> Array:
+    """Radius of the smaller body, m; that of equal spheres where the contact does not say it."""
+    return 2 * contact.radius if contact.smaller is None else contact.smaller
+
+
+def lens_area(contact: Contact) -> Array:
+    """Area (m2) of the circle in which the bodies intersect, 0 while they are apart.
+
+    a^2 = d (2r - d) (2 - d k) (2 + 2 r k - d k) / (2 + 2 r k - 2 d k)^2 with the smaller radius r
+    and the larger body's curvature k: r d - d^2/4 of equal spheres, 2 r d - d^2 on a plane.
+    """
+    overlap, radius = jnp.maximum(contact.overlap, 0.0), smaller_radius(contact)
+    curvature = 1 / contact.radius - 1 / radius
+    both, depth = 2 + 2 * radius * curvature, overlap * curvature
+    squares = (2 - depth) * (both - depth) / ((both - 2 * depth) * (both - 2 * depth))
+    return jnp.pi * overlap * (2 * radius - overlap) * squares
 
 
 class NormalForce(eqx.Module):

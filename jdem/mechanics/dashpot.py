@@ -12,11 +12,21 @@ from jax import Array
 from jdem.core.parameter import FRACTION, Parameter, Search
 from jdem.core.quantity import Real
 
+HERTZIAN = (5 / 6) ** 0.5  # with this share of the dashpot, rebounds are e at every speed
+
 
 def dashpot_constant(restitution: Real, mass: Array, stiffness: Array) -> Array:
     """beta, N s/m, for 0 < restitution <= 1, effective mass (kg) and stiffness (N/m)."""
     log = jnp.log(jnp.asarray(restitution))
     return 2 * jnp.sqrt(mass * stiffness) * damping_ratio(log)
+
+
+def hertzian_dashpot(restitution: Real, mass: Array, stiffness: Array) -> Array:
+    """2 sqrt(5/6) zeta sqrt(S m*), N s/m, of a spring whose stiffness S (N/m) goes with the root of
+    the overlap; 0 with zero gradient where S is 0."""
+    positive = stiffness > 0
+    beta = dashpot_constant(restitution, mass, jnp.where(positive, stiffness, 1.0))
+    return jnp.where(positive, HERTZIAN * beta, 0.0)
 
 
 def damping_ratio(log_restitution: Array) -> Array:

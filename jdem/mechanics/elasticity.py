@@ -26,7 +26,7 @@ class AbstractStiffness(eqx.Module):
 
     @abc.abstractmethod
     def tangential(self, radius: Array, overlap: Array) -> Array:
-        """Spring stiffness before the multiplier, N/m."""
+        """Spring stiffness before the multiplier, N/m; overlaps may be negative."""
 
     @abc.abstractmethod
     def raised(self, overlap: Array) -> Array:

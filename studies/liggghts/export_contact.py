@@ -9,6 +9,7 @@ to which tests compare where the programs are absent.
 """
 
 import argparse
+import gzip
 import re
 import sys
 import tempfile
@@ -24,7 +25,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from calibrate.core.files import write_text
+from calibrate.core.files import write_bytes, write_text
 from calibrate.exporters import liggghts, yade
 from calibrate.exporters.notes import PRESSURE, overlap_under
 from calibrate.exporters.source import Found, find
@@ -162,13 +163,12 @@ def _keep_section(name: str, section: str) -> None:
 
 def _keep(name: str, overlap: np.ndarray, force: np.ndarray) -> None:
     """Puts a loop into the file of all loops, in place of an earlier one of its name."""
-    path = DATA / "loops.csv"
-    heading, *others = path.read_text(encoding="utf-8").rstrip().split("\n")
+    path = DATA / "loops.csv.gz"
+    heading, *others = gzip.decompress(path.read_bytes()).decode().rstrip().split("\n")
     rows = [f"{name},{d:.9e},{f:.9e}" for d, f in zip(overlap, force, strict=True)]
     kept = [row for row in others if not row.startswith(f"{name},")]
-    write_text(
-        path, "\n".join([heading, *sorted([*kept, *rows], key=lambda r: r.split(",")[0])]) + "\n"
-    )
+    text = "\n".join([heading, *sorted([*kept, *rows], key=lambda r: r.split(",")[0])]) + "\n"
+    write_bytes(path, gzip.compress(text.encode(), mtime=0))
 
 
 def deviations(overlap, force, ours) -> list[float]:

@@ -21,8 +21,8 @@ from calibrate.simulation import resolution, session
 from tests import DATA
 from tests.support import pieces
 
-REFERENCE = DATA / "eepa_single_contact"
-CASE = json.loads((REFERENCE / "cases.json").read_text())["curves"]["c1_paper_opt"]
+REFERENCE = np.load(DATA / "contact_curves.npz")
+CASE = json.loads(str(REFERENCE["eepa"]))["curves"]["c1_paper_opt"]
 VERBS = ("simulate", "fit", "contact", "audit", "doe")
 
 
@@ -62,16 +62,14 @@ def test_contact_draws_the_reference_curve(calibrate, tmp_path):
     assert (status, error) == (0, "")
     result = json.loads((tmp_path / "out.json").read_text())
     assert set(result) == {"overlap_m", "normal_force_n"}
-    every = np.genfromtxt(REFERENCE / "curves.csv.gz", delimiter=",", names=True, dtype=None,
-                          encoding="utf-8")  # fmt: skip
-    reference = every[every["case"] == "c1_paper_opt"]
-    scale = np.abs(reference["normal_force_N"]).max()
+    reference = REFERENCE["eepa/c1_paper_opt"]
+    scale = np.abs(reference[:, 3]).max()
     overlap, force = (np.array([0.0, *result[key]]) for key in result)
     for leg in range(4):
-        rows, ours = reference[reference["leg"] == leg], slice(500 * leg, 500 * leg + 501)
+        rows, ours = reference[reference[:, 0] == leg], slice(500 * leg, 500 * leg + 501)
         order = np.argsort(overlap[ours])
-        drawn = np.interp(rows["overlap_m"], overlap[ours][order], force[ours][order])
-        assert np.abs(drawn - rows["normal_force_N"]).max() < 1e-3 * scale, leg
+        drawn = np.interp(rows[:, 2], overlap[ours][order], force[ours][order])
+        assert np.abs(drawn - rows[:, 3]).max() < 1e-3 * scale, leg
 
 
 def test_contact_takes_units_and_keeps_its_files(calibrate, tmp_path):
@@ -95,6 +93,20 @@ def test_rounding_of_the_law_is_optional(calibrate, tmp_path):
     )
     # As in test_reference_curves: the roundings stay within two per cent.
     assert 0 < np.abs(sharp - smooth).max() < 0.02 * np.abs(sharp).max()
+
+
+def test_contact_follows_a_path_by_any_law(calibrate, tmp_path):
+    """On a wall: Hertz along the normal, and friction's limit along the path."""
+    (tmp_path / "p.csv").write_text("x_um,z_um,wy\n0,1,0\n0,-10,0\n90,-10,0\n")
+    law = ["--law", "hertz_mindlin", "--set", "static_friction=0.5", "--wall"]
+    status, out, _ = calibrate("contact", *law, "--path", "p.csv", "--out", "o")
+    assert status == 0 and out.endswith("contact.json, contact.csv and contact.png are in o\n")
+    load = 4 / 3 * 5e6 / (2 * (1 - 0.09)) * 2.5e-3**0.5 * 1e-5**1.5
+    found = json.loads((tmp_path / "o" / "contact.json").read_text())
+    assert found["normal_force_n"] == pytest.approx([0, load, load])
+    assert found["tangential_force_n"] == pytest.approx([0, 0, -load / 2])
+    table = np.genfromtxt(tmp_path / "o" / "contact.csv", delimiter=",", names=True)
+    assert table["tx_nm"].max() == 0 < table["ty_nm"][2] == pytest.approx(2.49e-3 * load / 2)
 
 
 # ------------------------------------------------------------------ wrong input
@@ -151,6 +163,7 @@ FREE = {
     "empty --free": (["--free", ","], "--free"),
     "--free twice": (["--free", "restitution,restitution"], "--free"),
 }
+JKR = ["--path-um", "9", "--law", "jkr"]
 PATHS = {
     "words": (["--path-um", "deep"], "--path-um"),
     "nothing": (["--path-um", ""], "--path-um"),
@@ -159,6 +172,15 @@ PATHS = {
     "negative radius": (["--path-um", "9", "--radius-mm", "-1"], "--radius-mm"),
     "no modulus": (["--path-um", "9", "--young-mpa", "0"], "--young-mpa"),
     "incompressible": (["--path-um", "9", "--poisson", "0.5"], "--poisson"),
+    "both paths": (["--path-um", "9", "--path", "p.csv"], "--path-um"),
+    "no such file": (["--path", "q.csv"], "q.csv"),
+    "a column lacks": (["--path", "lacks.csv"], "x_um"),
+    "too deep": (["--path", "p.csv", "--radius-mm", "0.004"], "not below the radius"),
+    "unknown law": (["--path-um", "9", "--law", "jkl"], "did you mean 'jkr'?"),
+    "no parameters": (JKR, "needs gamma and static_friction"),
+    "no parameter of it": ([*JKR, "--set", "gama=1"], "did you mean 'gamma'?"),
+    "no such memory": ([*JKR, "--set", "memory=forces"], "did you mean 'force'?"),
+    "held": ([*JKR[:3], "liggghts", "--set", "tensile_exponent=2"], "tensile_exponent"),
 }
 
 
@@ -211,8 +233,10 @@ def test_an_unknown_strategy_is_refused(calibrate):
 
 
 @pytest.mark.parametrize("case", PATHS)
-def test_a_wrong_contact_is_refused(calibrate, case):
+def test_a_wrong_contact_is_refused(calibrate, tmp_path, case):
     options, words = PATHS[case]
+    (tmp_path / "p.csv").write_text("z_um,x_um\n0,0\n-10,0\n")
+    (tmp_path / "lacks.csv").write_text("z_um\n0\n")
     refused(calibrate("contact", *options), words)
 
 

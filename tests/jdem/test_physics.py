@@ -49,7 +49,7 @@ from jdem.engine.bed import Numerics
 from jdem.engine.loop import run as run_loop
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
-from jdem.laws import coulomb, eepa, hysteretic, luding, rolling, rolling_spring, whole_load
+from jdem.laws import bond, eepa, friction, hertz_mindlin, hysteretic, jkr, liggghts
 from jdem.laws.base import (
     AbstractContactLaw,
     AbstractNormalLaw,
@@ -57,6 +57,7 @@ from jdem.laws.base import (
     AbstractTangentialLaw,
 )
 from jdem.materials.catalogue import LAWS
+from jdem.materials.contact_laws import CONTACT_LAWS, Stated
 from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import SoilParameters, particle_law
 from jdem.observables import Curve, ForceLeft, LargestDisplacement
@@ -103,13 +104,34 @@ SOILS = {
 }
 
 
-def contact_numbers(soil: SoilParameters) -> Numbers:
+# Laws that no soil has, with what they take; the bond breaks on the path.
+STATED: dict[str, dict[str, float]] = {
+    "hertz_mindlin": {"restitution": 0.5, "rolling_friction": 0.1},
+    "hertz_cohesion": {"cohesion": 2e4, "restitution": 0.5},
+    "jkr": {"gamma": 2.0, "restitution": 0.5},
+    "parallel_bond": dict(zip((e.name for e in bond.PARAMETERS),
+                              (1e9, 4e8, 900.0, 4e4, 0.8, 0.3, 0.9), strict=True)),
+}  # fmt: skip
+FRICTION = 0.676
+
+
+def law_of(case: str) -> AbstractContactLaw:
+    """A law of SOILS or of STATED."""
+    if case in SOILS:
+        return particle_law(SOILS[case], jnp.asarray(2 * RADIUS), Smoothing())
+    values = {"static_friction": FRICTION, **STATED[case]}
+    numbers = {name: jnp.asarray(value) for name, value in values.items()}
+    stated = Stated(jnp.asarray(18.2e6), jnp.asarray(0.3), numbers, {}, Smoothing())
+    return CONTACT_LAWS[case].law(stated)
+
+
+def contact_numbers(case: str) -> Numbers:
     """All that a law returns along a path on which the contact slips and rolls."""
-    law = particle_law(soil, jnp.asarray(2 * RADIUS), Smoothing())
+    law, friction = law_of(case), jnp.asarray(FRICTION)
 
     def advance(history, overlap):
         contact = PAIR.contact(overlap, 1e-3 * jnp.ones_like(overlap), 1e-5)
-        turned = (Vector(0 * overlap, 4e-3 * overlap / MOST, 0 * overlap), soil.static_friction)
+        turned = (Vector(0 * overlap, 4e-3 * overlap / MOST, 0 * overlap), friction)
         contact = eqx.tree_at(lambda c: (c.slip, c.friction), contact, turned)
         spin = Vector(0.1 * overlap / MOST, 0.2 + 0 * overlap, 0 * overlap)
         contact = eqx.tree_at(lambda c: c.spin, contact, spin)
@@ -125,7 +147,7 @@ def contact_numbers(soil: SoilParameters) -> Numbers:
 
 
 def contacts() -> Found:
-    return {f"contact: {name}": contact_numbers(soil) for name, soil in SOILS.items()}
+    return {f"contact: {name}": contact_numbers(name) for name in (*SOILS, *STATED)}
 
 
 # ------------------------------------------------------------------ both tests, oedometer, effects
@@ -382,7 +404,7 @@ def test_what_is_kept_is_of_the_present_versions():
 
 
 def test_every_law_and_every_effect_has_its_numbers():
-    used = [particle_law(soil, jnp.asarray(2 * RADIUS), Smoothing()) for soil in SOILS.values()]
+    used = [law_of(name) for name in (*SOILS, *STATED)]
     assert {one.__name__ for one in laws_of_the_package()} <= set(keys.classes(*used))
     assert set(kept("PHYSICS")) >= {f"effect: {name}" for name in EFFECTS}
 
@@ -440,11 +462,18 @@ LAWS_CHANGED = [
     (eepa.EEPA, "_tension", "eepa, eepa"),
     (eepa.EEPA, "_pull_off", "eepa, slope exponent 1.5"),
     (hysteretic.HystereticSpring, "unloading_stiffness", "hysteretic, eepa"),
-    (coulomb.CoulombSpring, "force", "eepa, eepa"),
-    (rolling.ConstantTorque, "limit", "eepa, eepa"),
-    (luding.LudingSpring, "force", "eepa, liggghts"),
-    (rolling_spring.RollingSpring, "moment", "eepa, liggghts_history"),
-    (whole_load.WholeLoad, "force", "eepa, liggghts"),
+    (friction.CoulombSpring, "force", "eepa, eepa"),
+    (friction.ConstantTorque, "limit", "eepa, eepa"),
+    (liggghts.LudingSpring, "force", "eepa, liggghts"),
+    (liggghts.RollingSpring, "moment", "eepa, liggghts_history"),
+    (liggghts.WholeLoad, "force", "eepa, liggghts"),
+    (hertz_mindlin.Hertz, "force", "hertz_mindlin"),
+    (hertz_mindlin.LinearCohesion, "force", "hertz_cohesion"),
+    (hertz_mindlin.MindlinSpring, "force", "hertz_mindlin"),
+    (jkr.JKRStiffness, "tear_off_radius", "jkr"),
+    (jkr.JKR, "_dashpot", "jkr"),
+    (bond.ParallelBond, "_push", "parallel_bond"),
+    (bond.ParallelBond, "_moment", "parallel_bond"),
 ]
 
 
@@ -452,7 +481,7 @@ LAWS_CHANGED = [
 @pytest.mark.parametrize(("law", "method", "case"), LAWS_CHANGED)
 def test_a_small_change_of_a_law_is_seen(law, method, case, monkeypatch):
     monkeypatch.setattr(law, method, by_more(law.__dict__[method]))
-    found = {f"contact: {case}": contact_numbers(SOILS[case])}
+    found = {f"contact: {case}": contact_numbers(case)}
     assert changed(found, kept("PHYSICS")) == list(found)
 
 

@@ -1,4 +1,5 @@
-"""Soils and paths on which every contact law is tried, and what a law returns along them.
+"""Soils and paths on which every contact law is tried, and what a law returns along them; laws by
+name; other codes' curves.
 
 Soils are the corners of a Plackett-Burman design of the seven calibrated factors, one with
 tensile exponent 5, and two with the large surface energies that coarse spheres carry, at
@@ -7,6 +8,7 @@ functions of arrays, so all soils of one slope exponent run in one compiled prog
 few lengths for the same reason.
 """
 
+import json
 from functools import cache
 
 import equinox as eqx
@@ -15,11 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
+from jdem.apparatus.pair import (
+    Encounter,
+    Path,
+    SpherePair,
+    drive_overlap,
+    drive_path,
+    overlap_path,
+)
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
+from jdem.materials.contact_laws import CONTACT_LAWS, Stated
 from jdem.materials.soil import SoilParameters, particle_law
+from tests import DATA
 
 RADIUS = 2.5e-3
 PAIR = SpherePair(RADIUS)
@@ -178,3 +189,53 @@ def drive(law, overlaps):
     """Normal force (N) along a path; points without contact before it make all paths alike."""
     apart = np.full(LEGS * POINTS - len(overlaps), -MOST)
     return np.asarray(_drive(law, PAIR, np.concatenate([apart, overlaps])))[len(apart) :]
+
+
+# ------------------------------------------------------------------ laws that have a name
+
+YOUNG, POISSON = 1e7, 0.3
+MODULUS = YOUNG / (2 * (1 - POISSON**2))  # E*
+SHEAR = YOUNG / (4 * (2 - POISSON) * (1 + POISSON))  # G*
+
+
+def named(name, young=YOUNG, friction=0.5, poisson=POISSON, **values):
+    """A law of equal materials; texts are options.  Numbers are arrays: one program for all."""
+    numbers = {k: jnp.asarray(v) for k, v in values.items() if not isinstance(v, str)}
+    chosen = {k: v for k, v in values.items() if isinstance(v, str)}
+    numbers["static_friction"] = jnp.asarray(friction)
+    stated = Stated(jnp.asarray(young), jnp.asarray(poisson), numbers, chosen, Smoothing.sharp())
+    return CONTACT_LAWS[name].law(stated)
+
+
+driven = eqx.filter_jit(drive_path)
+
+
+def led(
+    law, corners, turns=(), held_turns=(), *, radius=RADIUS, held=None, wall=False, friction=0.5
+):
+    """What happens at the corners (x, z of the centre over first touch, m) of a path."""
+    places = np.zeros((12, 3))
+    places[:, [0, 2]] = twelve(corners, 2)
+    places[:, 2] += radius if wall else radius + (held or radius)
+    path = Path(*(jnp.asarray(each) for each in (places, twelve(turns, 3), twelve(held_turns, 3))))
+    bodies = Encounter(radius, held or radius, friction, wall=wall)
+    return driven(law, bodies, path, 400)
+
+
+def twelve(rows, width):
+    """Twelve rows, the last one repeated, so that one program serves all paths."""
+    rows = [*(rows if len(rows) else [[0.0] * width])]
+    return np.array([*rows, *[rows[-1]] * (12 - len(rows))])
+
+
+# ------------------------------------------------------------------ other codes' curves
+
+FOLLOWED = np.load(DATA / "contact_curves.npz")  # rows by case, see data/README.md
+STATED = json.loads(str(FOLLOWED["cases"]))
+ROWS, STEPS = 300, 20  # all paths are as long: one program for a law
+follow = eqx.filter_jit(drive_path)
+
+
+def padded(column):
+    """A path's column with its last entry repeated."""
+    return np.concatenate([column, np.full(ROWS - len(column), column[-1])])

@@ -39,7 +39,7 @@ _PARTS = re.split(
 )
 SECTIONS = dict(zip(_PARTS[1::2], _PARTS[2::2], strict=True))
 LOOPS = np.genfromtxt(
-    CONTACTS / "loops.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    CONTACTS / "loops.csv.gz", delimiter=",", names=True, dtype=None, encoding="utf-8"
 )
 FIT = DATA / "fit_result"
 CASES = {  # as in studies/liggghts/export_contact.py

@@ -11,9 +11,8 @@ from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractRollingLaw
 from jdem.laws.composite import ContactMemory
-from jdem.laws.coulomb import CoulombSpring
 from jdem.laws.eepa import PlasticMemory
-from jdem.laws.rolling import ConstantTorque
+from jdem.laws.friction import ConstantTorque, CoulombSpring
 from jdem.mechanics.contact import NormalForce
 from jdem.mechanics.dashpot import longest_step
 from tests.support.hand_made_beds import RADIUS, advanced, bed_of, spheres_of, state_of

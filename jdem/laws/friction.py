@@ -1,4 +1,6 @@
-"""Tangential spring with a Coulomb limit that includes adhesion.
+"""Sliding and rolling friction of EEPA as published.
+
+Sliding: a tangential spring with a Coulomb limit that includes adhesion.
 
     f_t = -(k_t u + beta v) sat(s)/s       s = |k_t u + beta v| / (mu N)
     N = |f_hys + f_min (d/d_min)^x - f0|            (Thakur et al. 2014, eq. 11)
@@ -9,6 +11,11 @@ no energy.  Spring and dashpot share the limit: a dashpot beside it gives lightl
 contacts kicks of many times mu N, and every rattling sphere then spoils all derivatives
 (docs/decisions/2026-11-21-contact-law.md).  The law remembers the stretch, and forgets it where it
 carries no load.
+
+Rolling: a torque up to mu_r |f_hys| R against each body's own spin.  The law gives the limit;
+`jdem.engine.step` applies the sum over a sphere's contacts implicitly, as friction that can stop
+a spin within a step but never reverse it.  (A constant torque integrated explicitly jitters at tens
+of rad/s.)
 """
 
 import equinox as eqx
@@ -20,7 +27,7 @@ from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
-from jdem.laws.base import AbstractTangentialLaw
+from jdem.laws.base import AbstractRollingLaw, AbstractTangentialLaw
 from jdem.mechanics.contact import Contact, NormalForce
 from jdem.mechanics.dashpot import damping_ratio, dashpot_constant
 
@@ -59,6 +66,17 @@ class CoulombSpring(AbstractTangentialLaw):
         return stretch * jnp.where(load > longest, longest / jnp.maximum(load, longest), 1.0)
 
 
+class ConstantTorque(AbstractRollingLaw):
+    """Limit mu_r |f_hys|; rolling_friction is mu_r, dimensionless."""
+
+    rolling_friction: Real = quantity()
+    smoothing: Smoothing = eqx.field(default_factory=Smoothing)
+
+    def limit(self, normal: NormalForce):
+        width = self.smoothing.load * normal.frictional_load
+        return self.rolling_friction * smooth.absolute(normal.hysteretic, width)
+
+
 _TINY = 1e-30  # N/m; keeps the square root's gradient finite where nothing touches
 
 
@@ -87,6 +105,18 @@ PARAMETERS = (
             "EDEM": "EEPA model soil - soil / Tangential Stiff Multiplier",
             "LIGGGHTS": "coeffFrictionStiffness",
             "Yade": "ks",
+        },
+    ),
+    Parameter(
+        name="rolling_friction",
+        symbol="mu_r",
+        label="coefficient of rolling friction",
+        accepted=NOT_NEGATIVE,
+        repair="give 0 or a positive number, such as 0.3",
+        search=Search(0.05, 1.0, 0.5, calibrated_sd=0.3),
+        names={
+            "EDEM": "Interaction soil - soil / Coefficient of Rolling Friction",
+            "LIGGGHTS": "coefficientRollingFriction",
         },
     ),
 )

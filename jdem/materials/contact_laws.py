@@ -1,0 +1,178 @@
+"""Contact laws by name, for one contact between two bodies of one material.
+
+    hertz_mindlin        elastic spheres; `memory` names what the tangential spring keeps
+    hertz_cohesion       the same with linear cohesion
+    hysteretic_cohesion  hysteretic spring of Walton and Braun with linear cohesion
+    jkr                  elastic spheres that stick; gamma is each body's surface energy
+    parallel_bond        a bond of Potyondy and Cundall beside Hertz-Mindlin, or alone
+
+All have a rolling spring beside them whose limit is 0 unless given.  The laws that beds of lab
+files can have are in `jdem.materials.soil`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from jdem.core.parameter import Accepted, Parameter
+from jdem.core.quantity import Real
+from jdem.core.smooth import Smoothing
+from jdem.laws import bond, friction, hysteretic, jkr
+from jdem.laws.base import AbstractContactLaw, AbstractNormalLaw
+from jdem.laws.composite import ContactLaw
+from jdem.laws.hertz_mindlin import Hertz, Kept, LinearCohesion, MindlinSpring
+from jdem.laws.liggghts import RollingSpring
+from jdem.mechanics import dashpot
+from jdem.mechanics.elasticity import (
+    AbstractStiffness,
+    HertzStiffness,
+    LinearStiffness,
+    contact_modulus,
+    contact_shear_modulus,
+)
+
+
+class Stated(NamedTuple):
+    """What a user states: Young's modulus (Pa) and Poisson's ratio of both bodies, parameters by
+    name (SI), options by name, widths of roundings."""
+
+    young: Real
+    poisson: Real
+    values: Mapping[str, Real]
+    chosen: Mapping[str, str]
+    smoothing: Smoothing
+
+    def hertz(self) -> HertzStiffness:
+        """Contact moduli of two equal bodies."""
+        shear = self.young / (2 * (1 + self.poisson))
+        modulus = contact_modulus(shear, self.poisson)
+        return HertzStiffness(modulus, contact_shear_modulus(shear, self.poisson))
+
+
+@dataclass(frozen=True)
+class NamedLaw:
+    """A law that has a name.
+
+    Attributes:
+        build: makes it of all that is stated.
+        parameters: what it takes.
+        defaults: of parameters that may be left out, SI.
+        options: for each option that is no number, what may be chosen; the first is the default.
+    """
+
+    build: Callable[[Stated], AbstractContactLaw]
+    parameters: tuple[Parameter, ...]
+    defaults: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def missing(self, values: Mapping[str, Real]) -> list[str]:
+        """Names of parameters that have no default and are not in `values`."""
+        names = [entry.name for entry in self.parameters]
+        return [name for name in names if name not in {**self.defaults, **values}]
+
+    def law(self, stated: Stated) -> AbstractContactLaw:
+        """The law; what is not stated has its default."""
+        values = {**self.defaults, **stated.values}
+        chosen = {name: known[0] for name, known in self.options.items()} | dict(stated.chosen)
+        return self.build(stated._replace(values=values, chosen=chosen))
+
+
+def hertz_mindlin(stated: Stated) -> ContactLaw:
+    """LIGGGHTS `hertz tangential history rolling_friction epsd2`, unless chosen otherwise."""
+    hertz = stated.hertz()
+    return _with_springs(Hertz(hertz, stated.values["restitution"]), hertz, stated)
+
+
+def hertz_cohesion(stated: Stated) -> ContactLaw:
+    """LIGGGHTS `cohesion sjkr`; the load "total" is its `tangential_reduce on`."""
+    hertz = stated.hertz()
+    elastic = Hertz(hertz, stated.values["restitution"])
+    felt = stated.chosen["friction_load"] == "total"
+    cohesive = LinearCohesion(elastic, stated.values["cohesion"], felt)
+    return _with_springs(cohesive, hertz, stated)
+
+
+def hysteretic_cohesion(stated: Stated) -> ContactLaw:
+    """EDEM "Hysteretic Spring" and "Linear Cohesion"; sliding has the stiffness n K1."""
+    values = stated.values
+    normal = hysteretic.HystereticSpring(
+        yield_strength=values["yield_strength"],
+        restitution=values["restitution"],
+        cohesion=values["cohesion"],
+        damping_factor=values["damping_factor"],
+        onset=stated.smoothing.onset,
+    )
+    loading = LinearStiffness(values["yield_strength"], 5.0)  # K1
+    undamped = stated._replace(values={**values, "restitution": 1.0})
+    law = _with_springs(normal, loading, undamped)
+    return replace(law, tangential_multiplier=values["tangential_multiplier"])
+
+
+def sticking(stated: Stated) -> ContactLaw:
+    """LAMMPS `jkr` with `tangential mindlin`, but up to the tear-off itself."""
+    stiffness = jkr.JKRStiffness(stated.hertz(), 2 * stated.values["gamma"])
+    load = jkr.Load(stated.chosen["friction_load"])
+    return _with_springs(jkr.JKR(stiffness, stated.values["restitution"], load), stiffness, stated)
+
+
+def parallel_bond(stated: Stated) -> bond.ParallelBond:
+    """EDEM "Bonding V2", PFC: a bond beside Hertz-Mindlin; the base "none": the bond alone."""
+    alone = stated.chosen["base"] == "none"
+    base = hertz_mindlin(stated._replace(young=0.0 * stated.young) if alone else stated)
+    return bond.ParallelBond(base, **{e.name: stated.values[e.name] for e in bond.PARAMETERS})
+
+
+def _with_springs(
+    normal: AbstractNormalLaw, shear: AbstractStiffness, stated: Stated
+) -> ContactLaw:
+    """A normal law with Mindlin's spring and a rolling spring beside it."""
+    values, smoothing = stated.values, stated.smoothing
+    kept = Kept(stated.chosen.get("memory", Kept.STRETCH.value))
+    return ContactLaw(
+        normal=normal,
+        shear=shear,
+        tangential=MindlinSpring(kept, values["restitution"], smoothing),
+        rolling=RollingSpring(shear, values["rolling_friction"], smoothing),
+    )
+
+
+_UP_TO_ONE = Accepted(0.0, 1.0, least_open=True)
+_TABLES = (friction, dashpot, hysteretic, jkr)
+_KNOWN = {entry.name: entry for table in _TABLES for entry in table.PARAMETERS}
+_ELASTIC = replace(_KNOWN["restitution"], accepted=_UP_TO_ONE, repair="give above 0, at most 1")
+_SLIDING = (_KNOWN["static_friction"], _KNOWN["rolling_friction"])
+_FREE = {"restitution": 1.0, "rolling_friction": 0.0}  # no dashpot, no resistance to rolling
+_BONDED = {"radius_ratio": 1.0, "internal_friction": 0.0, "moment_share": 1.0}
+_MEMORY = {"memory": tuple(kept.value for kept in Kept)}
+
+CONTACT_LAWS: dict[str, NamedLaw] = {
+    "hertz_mindlin": NamedLaw(hertz_mindlin, (*_SLIDING, _ELASTIC), _FREE, _MEMORY),
+    "hertz_cohesion": NamedLaw(
+        hertz_cohesion,
+        (_KNOWN["cohesion"], *_SLIDING, _ELASTIC),
+        _FREE,
+        {**_MEMORY, "friction_load": ("elastic", "total")},
+    ),
+    "hysteretic_cohesion": NamedLaw(
+        hysteretic_cohesion,
+        (
+            *hysteretic.PARAMETERS,
+            *_SLIDING,
+            replace(_ELASTIC, label="coefficient of restitution, sqrt(K1/K2)"),
+            _KNOWN["tangential_multiplier"],
+        ),
+        {"rolling_friction": 0.0, "damping_factor": 0.0, "tangential_multiplier": 1.0},
+    ),
+    "jkr": NamedLaw(
+        sticking,
+        (*jkr.PARAMETERS, *_SLIDING, _ELASTIC),
+        _FREE,
+        {**_MEMORY, "friction_load": tuple(load.value for load in jkr.Load)},
+    ),
+    "parallel_bond": NamedLaw(
+        parallel_bond,
+        (*bond.PARAMETERS, *_SLIDING, _ELASTIC),
+        {**_FREE, **_BONDED},
+        {**_MEMORY, "base": ("hertz_mindlin", "none")},
+    ),
+}
