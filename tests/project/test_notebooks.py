@@ -52,6 +52,7 @@ def outputs(path: Path) -> list:
     return [output for cell in cells(path, "code") for output in cell.outputs]
 
 
+COMPILING = ("07_posterior_and_prediction",)  # pages whose programs hardly run
 FEW_DRAWS = """
 from functools import partial
 from calibrate.inference import draws, sampling
@@ -82,7 +83,9 @@ def test_there_are_notebooks():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs(path, copied):
+def test_it_runs(path, copied, monkeypatch):
+    if path.stem in COMPILING:
+        monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
     done = execute.executed(path, copied)
     assert all(cell.execution_count for cell in done.cells if cell.cell_type == "code")
 
