@@ -81,10 +81,9 @@ class Anova:
 
 
 def anova(surface: Surface) -> Anova:
-    """The analysis of variance of an unweighted fit of values alone; `BadValue` for another."""
-    if surface.weighted or surface.slope_rows:
-        problem = "this surface was fitted with weights or with slopes"
-        raise BadValue(problem, "fit the values alone, unweighted", "surface")
+    """The analysis of variance of a fit of values alone; `BadValue` for another."""
+    if surface.slope_rows:
+        raise BadValue("this surface was fitted with slopes", "fit the values alone", "surface")
     return Anova(tuple(_lines(surface)), **_statistics(surface))
 
 

@@ -9,7 +9,7 @@ levels: in a Plackett-Burman design of 12 runs they carry a third of every inter
 other factors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from calibrate.core.errors import BadValue, InputError
-from calibrate.designs.gradients import fit_with_gradients
+from calibrate.designs.factors import Factor
 from calibrate.designs.study import (
     SIGNIFICANT,
     Experiment,
@@ -27,7 +27,7 @@ from calibrate.designs.study import (
     study,
     verified,
 )
-from calibrate.designs.surface import fit_surface
+from calibrate.designs.surface import fit_surface, fit_with_gradients
 from calibrate.designs.terms import quadratic
 from calibrate.inference.audit import CurvePoints, simulated_response
 from calibrate.inference.calibration import CANDIDATES
@@ -156,60 +156,47 @@ def strategy(space: Space) -> Ensemble:
 
 
 def _screened(setup: StudySetup, done: Study, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(setup)
-    for m, observable in enumerate(setup.observables):
-        for p, factor in enumerate(done.screening.design.factors):
-            effect = done.screens[observable][factor.name]
-            span = 2 * factor.half_range
-            pairs.append(
-                SlopePair(
-                    design="screening",
-                    factor=factor.name,
-                    observable=observable,
-                    surface=effect.effect / span,
-                    surface_se=abs(effect.effect / effect.t) / span if effect.t else np.nan,
-                    surface_df=effect.df,
-                    gradient=float(found.slopes[m, p]),
-                    gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=freedom[p],
-                    matters=effect.p < SIGNIFICANT,
-                )
-            )
-    return pairs
+    def slope(observable: str, factor: Factor) -> tuple[float, float, int, float]:
+        effect, span = done.screens[observable][factor.name], 2 * factor.half_range
+        error = abs(effect.effect / effect.t) / span if effect.t else np.nan
+        return effect.effect / span, error, effect.df, effect.p
+
+    return _beside(setup, "screening", done.screening.design.factors, slope, found)
 
 
 def _surfaced(setup: StudySetup, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(setup)
+    factors = stage.experiment.design.factors
+    at_centre = {name: s.slopes(np.zeros(len(factors))) for name, s in stage.whole.items()}
+
+    def slope(observable: str, factor: Factor) -> tuple[float, float, int, float]:
+        slopes, j = at_centre[observable], factors.index(factor)
+        value, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
+        p = float(2 * stats.t.sf(abs(value / error), slopes.df))
+        return float(value), float(error), slopes.df, p
+
+    return _beside(setup, stage.experiment.title, factors, slope, found)
+
+
+def _beside(
+    setup: StudySetup,
+    design: str,
+    factors: Sequence[Factor],
+    slope: Callable[[str, Factor], tuple[float, float, int, float]],
+    found: Sensitivity,
+) -> list[SlopePair]:
+    """Slopes of a design beside the gradient's; `slope` says an observable's in a factor, its
+    standard error, degrees of freedom and p."""
+    names, pairs = setup.space.names, []
+    freedom = strategy(setup.space).freedom(len(names), len(setup.seeds))
     for m, observable in enumerate(setup.observables):
-        surface = stage.whole[observable]
-        slopes = surface.slopes(np.zeros(surface.X.shape[1]))
-        for j, factor in enumerate(stage.experiment.design.factors):
-            p = setup.space.names.index(factor.name)
-            slope, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
+        for factor in factors:
+            p, (value, error, df, chance) = names.index(factor.name), slope(observable, factor)
+            gradient = float(found.slopes[m, p]), float(found.standard_error[m, p]), freedom[p]
+            matters = chance < SIGNIFICANT
             pairs.append(
-                SlopePair(
-                    design=stage.experiment.title,
-                    factor=factor.name,
-                    observable=observable,
-                    surface=float(slope),
-                    surface_se=float(error),
-                    surface_df=surface.df,
-                    gradient=float(found.slopes[m, p]),
-                    gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=freedom[p],
-                    matters=_p_value(slope / error, surface.df) < SIGNIFICANT,
-                )
+                SlopePair(design, factor.name, observable, value, error, df, *gradient, matters)
             )
     return pairs
-
-
-def _freedom(setup: StudySetup) -> list[int]:
-    """Degrees of freedom of the gradient's standard errors."""
-    return strategy(setup.space).freedom(len(setup.space.names), len(setup.seeds))
-
-
-def _p_value(t: float, df: int) -> float:
-    return float(2 * stats.t.sf(abs(t), df))
 
 
 def _designed(setup: StudySetup, done: Study) -> MethodResult:
@@ -312,7 +299,7 @@ def _held_out(X, y, used, left, gradients, sd) -> float:
         if np.all(np.isnan(gradients)):
             surface = fit_surface(X[used], y[used], terms)
         else:
-            surface = fit_with_gradients(X[used], y[used], gradients, terms, sd=sd).surface
+            surface = fit_with_gradients(X[used], y[used], gradients, terms, sd)
     except BadValue:
         return np.nan
     return float(np.mean((surface(X[left]) - y[left]) ** 2))

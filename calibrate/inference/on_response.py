@@ -31,7 +31,7 @@ from calibrate.io.soil import with_values
 from calibrate.labtests.features import AbstractFeature
 from calibrate.response.beds import Beds
 from calibrate.simulation.joint import AbstractCampaign
-from calibrate.simulation.run import Run
+from calibrate.simulation.run import Run, Runs, Soils
 from calibrate.simulation.specimens import Seeds
 from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
@@ -152,15 +152,11 @@ class ResponseCampaign:
     apparatus: tuple[AbstractApparatus, ...]
     simulated: ClassVar[int] = 0
 
-    def runs(
-        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
         """Every soil on every packing."""
         return [[self._run(soil)] * len(seeds) for soil in soils]
 
-    def each(
-        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
         """Rows of soils, one for each packing."""
         return [[self._run(soil) for soil in row] for row in soils]
 

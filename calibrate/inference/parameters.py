@@ -148,25 +148,26 @@ DEALT = (
     "wall_friction",
     "platen_friction",
 )
+MOST_GROUPS = 3
 # Parameters of which the audit confirmed no slope while others moved with them.
 ALONE = ("restitution", "tensile_exponent", "static_friction", "wall_friction", "platen_friction")
 
 
-def probing_groups(names: Sequence[str], most: int = 3) -> tuple[tuple[int, ...], ...]:
+def probing_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
     """Indices of the parameters that are probed together: two or three in a group where that
-    is enough for `most` groups, in the order of DEALT."""
-    return _dealt(names, range(len(names)), most)
+    is enough for MOST_GROUPS, in the order of DEALT."""
+    return _dealt(names, range(len(names)))
 
 
 def fitting_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
     """The same for a fit: those of ALONE are moved one at a time, as the audit's reference is."""
     alone = tuple((i,) for i, name in enumerate(names) if name in ALONE)
-    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE], 3), *alone)
+    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE]), *alone)
 
 
-def _dealt(names: Sequence[str], chosen: Sequence[int], most: int) -> tuple[tuple[int, ...], ...]:
+def _dealt(names: Sequence[str], chosen: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """The chosen indices in groups, dealt out in the order of DEALT."""
-    count = min(most, max(min(len(chosen), 2), -(-len(chosen) // 2)))
+    count = min(MOST_GROUPS, max(min(len(chosen), 2), -(-len(chosen) // 2)))
     order = sorted(chosen, key=lambda i: DEALT.index(names[i]))
     return tuple(tuple(order[first::count]) for first in range(count))
 

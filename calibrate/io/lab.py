@@ -4,14 +4,14 @@ Everything is SI except curves and targets, which stay in the units of the obser
 N.  Curve files are CSV and must lie in the folder of the lab file or below it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
-from calibrate.core.units import positive_quantity, unit_factor
+from calibrate.core.units import Kind, positive_quantity, unit_factor
 from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
 from calibrate.io.labfile import check_parameter, checked_tables, read_toml
@@ -259,12 +259,19 @@ def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
     table, file = target.table, str(path)
     if table.file is None:
         mean, scatter = (
-            _amount(getattr(table, name), target, cylinder, f"{target.field}.{name}", file)
+            _in_unit(
+                positive_quantity,
+                getattr(table, name),
+                target,
+                cylinder,
+                f"{target.field}.{name}",
+                file,
+            )
             for name in ("mean", "scatter")
         )
         amounts = (table.times * mean, table.times * scatter)
         return Target(*amounts, table.repeats or 1, table.published_error)
-    factor = _factor(target, cylinder, f"{target.field}.unit", file)
+    factor = _in_unit(unit_factor, table.unit, target, cylinder, f"{target.field}.unit", file)
     repeats = factor * read_repeats(table, path, target.field)
     if len(repeats) < 2 or repeats.min() <= 0:
         problem = "fewer than two repeats" if len(repeats) < 2 else "a repeat is not above zero"
@@ -273,27 +280,18 @@ def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
     return Target(*amounts, len(repeats), table.published_error)
 
 
-def _amount(written: Any, target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
-    """A quantity above zero in the observable's unit; stress and strain by the specimen's size."""
+def _in_unit(
+    read: Callable[[Any, Kind], float], written: Any, target: StatedTarget, size: Cylinder,
+    field: str, file: str,
+) -> float:  # fmt: skip
+    """A quantity, or what takes a column's unit, to the observable's unit; stress and strain by the
+    specimen's size."""
     try:
-        return positive_quantity(written, target.observable.kind)
+        return read(written, target.observable.kind)
     except BadValue as bad:
-        other, factor = target.observable.by_size(cylinder)
+        other, factor = target.observable.by_size(size)
         try:
-            return factor * positive_quantity(written, other)
-        except BadValue:
-            raise bad.at(file, field) from None
-
-
-def _factor(target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
-    """What takes a column's unit to the observable's."""
-    unit = target.table.unit
-    try:
-        return unit_factor(unit, target.observable.kind)
-    except BadValue as bad:
-        other, factor = target.observable.by_size(cylinder)
-        try:
-            return factor * unit_factor(unit, other)
+            return factor * read(written, other)
         except BadValue:
             raise bad.at(file, field) from None
 

@@ -114,7 +114,9 @@ class Plausibility:
         for number, name in enumerate(self.accepted):
             if name not in self.seen and name not in {_plain(seen) for seen in self.seen}:
                 problem = f"{shown(name)} is no entry of this file whose size is checked"
-                raise InputError(self.file, f"accept[{number}]", problem, _known(name, self.seen))
+                known = dict.fromkeys(self.seen)
+                repair = suggestion(name, known) if known else "leave it out"
+                raise InputError(self.file, f"accept[{number}]", problem, repair)
 
     # ---- tables
 
@@ -194,8 +196,8 @@ class Plausibility:
             ends = entry.search.low / UNUSUAL, entry.search.high * UNUSUAL
             allowed = Range(kind, *(spoken(end, kind) for end in ends))
             for field, written in _stated(raw, name):
-                text = written if isinstance(written, str) and not _bare(written) else None
-                text = text or f"{written} {entry.unit}"
+                bare = not isinstance(written, str) or number_of(written) == written.strip()
+                text = f"{written} {entry.unit}" if bare else written
                 self._written(text, (allowed,), field, None)
 
     # ---- one entry
@@ -335,15 +337,6 @@ def _stated(raw: Mapping[str, Any], name: str) -> Iterator[tuple[str, Any]]:
             yield f"named_sets.{called}.{name}", values[name]
 
 
-def _bare(text: str) -> bool:
-    """Whether a number has no unit."""
-    return number_of(text) == text.strip()
-
-
 def _plain(field: str) -> str:
     """The field without the number in a list at its end: soil.density[0] is soil.density."""
     return field[: field.rindex("[")] if field.endswith("]") else field
-
-
-def _known(name: str, seen: list[str]) -> str:
-    return suggestion(name, dict.fromkeys(seen)) if seen else "leave it out"

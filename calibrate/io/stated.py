@@ -49,17 +49,13 @@ class StatedTests:
 
 def stated_tests(tables: AbstractLabTables, file: str) -> StatedTests:
     """The tests of a lab file; both ways at once are refused."""
-    plain = [name for name in (*PLAIN, "targets", "curves") if _is_given(tables, name)]
+    plain = [n for n in (*PLAIN, "targets", "curves") if n in tables.model_fields_set]
     if not tables.tests:
         return _plain_tests(tables, file)
     if plain:
         problem = f"there are [[tests]], too: which test is [{plain[0]}] of?"
         raise InputError(file, plain[0], problem, "put it into one of [[tests]]")
     return _listed_tests(tables, file)
-
-
-def _is_given(tables: AbstractLabTables, name: str) -> bool:
-    return name in tables.model_fields_set
 
 
 def _plain_tests(tables: AbstractLabTables, file: str) -> StatedTests:

@@ -6,6 +6,7 @@ JSON has no NaN: what is not known stands there as null, and here as NaN.
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -66,6 +67,11 @@ class Curve(Record):
 
     displacement_mm: list[Number]
     force_n: list[Number]
+
+    @staticmethod
+    def of(points: np.ndarray) -> "Curve":
+        """Of points (n, 2) in mm and N."""
+        return Curve(displacement_mm=points[:, 0].tolist(), force_n=points[:, 1].tolist())
 
     @check(mode="after")
     def _same_length(self) -> "Curve":

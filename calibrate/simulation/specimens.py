@@ -11,10 +11,9 @@ from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import names_of
-from calibrate.simulation.bare import BareCampaign
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
-from calibrate.simulation.joint import AbstractCampaign, JointCampaign
+from calibrate.simulation.joint import AbstractCampaign, BareCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
 from calibrate.simulation.run import LEAST_ACROSS, Run
 from jdem.materials.soil import SoilParameters

@@ -23,7 +23,6 @@ class ContactResult(AbstractDrawnResult):
 
     Attributes:
         folder: where contact.json and contact.png are.
-        content: everything, with the keys of contact.json.
     """
 
     verb = "contact"

@@ -508,7 +508,7 @@ def test_a_packing_that_is_no_numbers_is_found(tmp_path):
 @pytest.mark.slow
 def test_a_packing_that_is_no_numbers_is_named(tmp_path):
     work = tiny_campaign(tmp_path)
-    work._store.keep_packing(work._packing_name(0), broken(work.packings([0])[0]))
+    work.store.keep_packing(work._packing_name(0), broken(work.packings([0])[0]))
     run = work.runs([BASE], [0], "broken bed")[0][0]
     assert "the packing holds numbers that are not finite" in run.failure
 
