@@ -34,7 +34,7 @@ from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
-from calibrate.simulation.specimens import Seeds, mean_observables, spread_observables
+from calibrate.simulation.specimens import Seeds, summary_json
 from verification import reporting
 from verification.made_lab import LABORATORY, of_curves, of_targets, scaled
 
@@ -163,8 +163,7 @@ def measured_case(name: str, case: Case, seed: int, folder: Path) -> dict:
         "hidden": {key: float(getattr(soil, key)) for key in case.hidden},
         "data": "whole curves" if case.whole_curves else "H and F",
         "repeats": REPEATS,
-        "observables": mean_observables(runs),
-        "spread": spread_observables(runs),
+        **summary_json(runs),
         "starts": {},
     }
 

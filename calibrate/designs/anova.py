@@ -37,9 +37,6 @@ class Statistic:
     value: float
     df: tuple[int, ...]
 
-    def __float__(self) -> float:
-        return self.value
-
 
 @dataclass(frozen=True)
 class Anova:
@@ -63,10 +60,7 @@ class Anova:
     adequate_precision: Statistic
 
     def __getitem__(self, source: str) -> Line:
-        for line in self.lines:
-            if line.source == source:
-                return line
-        raise KeyError(source)
+        return {line.source: line for line in self.lines}[source]
 
     def __contains__(self, source: str) -> bool:
         return any(line.source == source for line in self.lines)

@@ -133,9 +133,12 @@ def compare(lab: Lab, setup: StudySetup, done: Study, fresh: Sequence[int], scat
         *_surfaced(setup, done.first, at_base),
         *_surfaced(setup, done.second, at_second),
     ]
+    designed = MethodResult(
+        "designs", done.values, done.fitted, done.fresh, done.simulations, "after the refinement"
+    )
     return Comparison(
         slopes=tuple(slopes),
-        endings=(_designed(setup, done), fitted(lab, setup, done, fresh, scatter)),
+        endings=(designed, fitted(lab, setup, done, fresh, scatter)),
         enhanced=tuple(enhanced(setup, done.second.experiment, done.goals[-1], at_second)),
         gradient_runs=strategy(setup.space).runs(len(setup.space.names), len(setup.seeds)),
     )
@@ -199,17 +202,6 @@ def _beside(
     return pairs
 
 
-def _designed(setup: StudySetup, done: Study) -> MethodResult:
-    return MethodResult(
-        method="designs",
-        values=done.values,
-        fitted=done.fitted,
-        fresh=done.fresh,
-        simulations=done.simulations,
-        stopped="after the refinement",
-    )
-
-
 def fitted(
     lab: Lab, setup: StudySetup, done: Study, fresh: Sequence[int], scatter: Sequence[int]
 ) -> MethodResult:
@@ -225,20 +217,16 @@ def fitted(
     walk = descend(calibration)
     if walk.best is None:
         raise BadValue("the gradient fit evaluated nothing", "see the progress lines", "fit")
-    soil = there.soil(walk.best.values)
+    soil, what = there.soil(walk.best.values), "the gradient fit's end"
     reached = [row for row in walk.history if row["status"] == "better"][-1]
     return MethodResult(
         method="gradient fit",
         values=dict(zip(free, walk.best.values.tolist(), strict=True)),
-        fitted=_ended(setup, soil, setup.seeds),
-        fresh=_ended(setup, soil, fresh),
+        fitted=verified(setup, soil, setup.seeds, what),
+        fresh=verified(setup, soil, fresh, what),
         simulations=round(reached["forward_runs"] * len(setup.seeds)),
         stopped=walk.stopped,
     )
-
-
-def _ended(setup: StudySetup, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
-    return verified(setup, soil, seeds, "the gradient fit's end")
 
 
 def enhanced(
@@ -279,17 +267,11 @@ def _subsets(X, y, slope, sd, centre: int, size: int, rng) -> Enhanced:
     for _ in range(DRAWS):
         used = np.append(rng.choice(others, size - 1, replace=False), centre)
         left = np.setdiff1d(np.arange(len(X)), used)
-        gradients = np.full((len(used), X.shape[1]), np.nan)
-        for kind, rows in enumerate((gradients, _at_end(gradients, slope))):
+        unknown = np.full((len(used), X.shape[1]), np.nan)
+        at_centre = np.vstack([unknown[:-1], slope])  # the last point
+        for kind, rows in enumerate((unknown, at_centre)):
             errors[kind].append(_held_out(X, y, used, left, rows, sd))
     return Enhanced(size, *(_pooled(kind) for kind in errors))
-
-
-def _at_end(gradients: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """The same rows with the slope at the last point, the centre."""
-    known = gradients.copy()
-    known[-1] = slope
-    return known
 
 
 def _held_out(X, y, used, left, gradients, sd) -> float:

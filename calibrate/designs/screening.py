@@ -54,10 +54,7 @@ class Screening:
     total_sum_of_squares: float
 
     def __getitem__(self, name: str) -> Effect:
-        for effect in self.effects:
-            if effect.name == name:
-                return effect
-        raise KeyError(name)
+        return {effect.name: effect for effect in self.effects}[name]
 
     def ranked(self) -> list[Effect]:
         """Effects of factors (not dummies), the largest first."""

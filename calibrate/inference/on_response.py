@@ -153,11 +153,9 @@ class ResponseCampaign:
     simulated: ClassVar[int] = 0
 
     def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
-        """Every soil on every packing."""
         return [[self._run(soil)] * len(seeds) for soil in soils]
 
     def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
-        """Rows of soils, one for each packing."""
         return [[self._run(soil) for soil in row] for row in soils]
 
     def _run(self, soil: SoilParameters) -> Run:

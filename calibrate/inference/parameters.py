@@ -70,9 +70,7 @@ class Space:
 
     def to_unbounded(self, values: np.ndarray) -> np.ndarray:
         """y of the values, which must lie within the bounds."""
-        low, high = self.log_bounds()
-        share = (np.log(values) - low) / (high - low)
-        share = np.clip(share, _EDGE, 1 - _EDGE)
+        share = np.clip(self.share(values), _EDGE, 1 - _EDGE)
         return np.log(share / (1 - share))
 
     def from_unbounded(self, y) -> np.ndarray:
@@ -99,9 +97,13 @@ class Space:
 
     def at_bound(self, values: np.ndarray) -> list[str]:
         """Names of parameters within one per cent of a bound, in ln p."""
+        shares = zip(self.names, self.share(values), strict=True)
+        return [name for name, share in shares if share < 0.01 or share > 0.99]
+
+    def share(self, values: np.ndarray) -> np.ndarray:
+        """Where values (p,) lie between their bounds in ln p: 0 at the lower, 1 at the upper."""
         low, high = self.log_bounds()
-        share = (np.log(values) - low) / (high - low)
-        return [n for n, s in zip(self.names, share, strict=True) if s < 0.01 or s > 0.99]
+        return (np.log(values) - low) / (high - low)
 
     def log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """ln of the lowest and of the highest values, each (p,)."""
@@ -128,8 +130,7 @@ PROBE = 0.2  # usual step in ln p; about 20 %
 
 def probing_steps(space: Space) -> tuple[float, ...]:
     """Steps in ln p (p,): PROBE, or as far as the nearer bound of a parameter is away."""
-    low, high = np.log([(entry.low, entry.high) for entry in space.ranges]).T
-    start = np.log(space.start())
+    (low, high), start = space.log_bounds(), np.log(space.start())
     return tuple(np.minimum(PROBE, np.minimum(high - start, start - low)).tolist())
 
 

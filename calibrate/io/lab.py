@@ -14,10 +14,10 @@ from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import Kind, positive_quantity, unit_factor
 from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
-from calibrate.io.labfile import check_parameter, checked_tables, read_toml
+from calibrate.io.labfile import check_parameter, read_toml, validated
 from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
-from calibrate.io.tables import ParameterTable
+from calibrate.io.tables import LabTables, ParameterTable
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
@@ -125,10 +125,6 @@ class Lab:
             named_sets={name: {**values, **held} for name, values in self.named_sets.items()},
         )
 
-    def called(self, test: str) -> AbstractLabTest:
-        """The test of this name."""
-        return next(each for each in self.tests if each.called == test)
-
 
 @dataclass(frozen=True)
 class TestedSpecimen:
@@ -160,7 +156,7 @@ def load_lab(path: str | Path) -> Lab:
     file, raw = str(path), read_toml(Path(path))
     usual = Plausibility(file, _accepted(raw))
     usual.tables(raw)
-    tables = checked_tables(raw, file)
+    tables = validated(LabTables, raw, file)
     stated = stated_tests(tables, file)
     _check_something_measured(stated, file)
     cylinders = _cylinders(stated, tables.specimen.cylinder())

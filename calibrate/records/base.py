@@ -20,7 +20,7 @@ from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown
 from calibrate.core.files import as_json
-from calibrate.io.labfile import PARAMETER_UNITS, read_text
+from calibrate.io.labfile import PARAMETER_UNITS, read_file
 
 LARGEST = 1e150  # larger numbers count as not known; squares of these are finite
 RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
@@ -134,9 +134,7 @@ def record(kind: type[R], content: dict) -> R:
 def read(path: Path, kind: type[R]) -> R:
     """The record in a JSON file; `InputError` for the first thing that is wrong."""
     try:
-        return kind.model_validate_json(read_text(path))
-    except BadValue as bad:
-        raise bad.at(str(path), "") from None
+        return kind.model_validate_json(read_file(path))
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"])

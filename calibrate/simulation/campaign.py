@@ -33,7 +33,8 @@ Made = TypeVar("Made")
 
 @dataclass(eq=False)
 class Campaign:
-    """Runs soils on the packings of one specimen in one virtual laboratory.
+    """Runs soils on the packings of one specimen in one virtual laboratory, as an
+    `AbstractCampaign` (`calibrate.simulation.joint`) does.
 
     `folder` holds packings/ and runs/; `workers` threads share one compiled program, or hand
     their work to another `place`.
@@ -51,7 +52,6 @@ class Campaign:
 
     @property
     def apparatus(self) -> tuple[AbstractApparatus, ...]:
-        """The tests, in order."""
         return self.lab.tests.apparatus
 
     def packings(self, seeds: Sequence[int]) -> list[Packing]:
@@ -66,11 +66,9 @@ class Campaign:
         return [found[seed] for seed in seeds]
 
     def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
-        """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
         return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
 
     def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
-        """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
         packings = dict(zip(seeds, self._packings_while_compiling(soils, seeds), strict=True))
         keyed = [
             [

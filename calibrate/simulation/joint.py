@@ -67,7 +67,6 @@ class BareCampaign:
 
     @property
     def apparatus(self) -> tuple[AbstractApparatus, ...]:
-        """The tests, in order."""
         return self.machine.tests.apparatus
 
     def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
