@@ -114,9 +114,8 @@ def recovered(lab: Lab, names: tuple[str, ...], start: dict, seed: int, work: Co
     """One fit from one start: the space it moved in and what it found."""
     problem, seeds = pose(lab), Seeds.of(seed, QUICK.packings)
     free = space(lab, names)
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([free.base], s, "scatter of packings")[0], seeds.scatter
-    )
+    runs = work.runs([free.base], seeds.scatter, "scatter of packings")[0]
+    scatter = packing_scatter(problem, runs)
     calibration = Calibration(
         problem, free, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
     )

@@ -209,11 +209,9 @@ def fitted(
     free = tuple(done.values)
     ranges = tuple(setup.space.ranges[setup.space.names.index(name)] for name in free)
     problem, there = pose(lab), Space(free, ranges, setup.space.base)
-    work = setup.work
-    spread = packing_scatter(
-        problem, lambda seeds: work.runs([there.base], seeds, "scatter of packings")[0], scatter
-    )
-    calibration = Calibration(problem, there, work, setup.seeds, spread, len(scatter))
+    runs = setup.work.runs([there.base], scatter, "scatter of packings")[0]
+    spread = packing_scatter(problem, runs)
+    calibration = Calibration(problem, there, setup.work, setup.seeds, spread, len(scatter))
     walk = descend(calibration)
     if walk.best is None:
         raise BadValue("the gradient fit evaluated nothing", "see the progress lines", "fit")
