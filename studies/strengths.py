@@ -5,7 +5,7 @@
 Confined tests of the bundled soil, all effects off, packings of 500 spheres.  An effect's slope is
 that per typical strength.  Differences are central ones of half a typical strength to either side,
 and for effects that cannot be negative the second-order formula of 0, a half and a whole one; a lag
-of the load cell is left out (`calibrate.inference.traced.traced_strengths`).
+of the load cell is left out (`traced_strengths`).
 Writes studies/results/strengths.md.
 """
 
@@ -16,20 +16,22 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from calibrate.core.progress import for_terminal
 from calibrate.inference.curve_points import CurvePoints, CurveReading
-from calibrate.inference.traced import traced_strengths
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
-from calibrate.labtests.composite import names
+from calibrate.labtests.composite import names_observed
 from calibrate.simulation import Campaign, side_by_side
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
 from jdem.core.program import program
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS, with_strengths
-from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
+from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
+from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
+from jdem.sensitivity.base import AbstractTraced, Traced
 from jdem.sensitivity.overdamped import Overdamped
 from studies import reporting
 
@@ -67,6 +69,29 @@ def differences(value: Callable, effects: tuple[AbstractEffect, ...]) -> np.ndar
         else:
             found.append((value(STEP * unit) - value(-STEP * unit)) / (2 * STEP))
     return np.array(found).T
+
+
+def traced_strengths(
+    strategy: AbstractTraced, lab: VirtualLab, soil: SoilParameters, points: CurvePoints
+) -> Callable[[Packing, Array], Traced]:
+    """A compiled function of one packing and its time step (s), at the strengths of the effects of
+    a campaign's `lab`; slopes are per typical strength.
+
+    Slopes lack what the load cell's lag and drift do to where the machine turns.
+    """
+    typical = jnp.asarray([max(map(abs, effect.about.typical)) for effect in lab.effects])
+    point = jnp.stack([jnp.asarray(effect.strength, float) for effect in lab.effects]) / typical
+
+    @program
+    def slopes(packing: Packing, time_step: Array) -> Traced:
+        def simulated(lab: VirtualLab, asked: Array) -> Outcome:
+            changed = with_strengths(lab.effects, list(asked * typical))
+            altered = strategy.laboratory(replace(lab, effects=changed))
+            return altered.run(packing, soil, time_step)
+
+        return strategy.traced(lab, simulated, points.traced, point)
+
+    return slopes
 
 
 def on_packing(lab: VirtualLab, soil, points: CurvePoints) -> Callable[[Packing], np.ndarray]:
@@ -144,8 +169,7 @@ def main() -> None:
     reporting.configure()
     work, lab = laboratory(chosen.spheres, chosen.folder)
     test = lab.tests.apparatus[0]
-    called = names((test.name, source) for source in test.observables)
-    points = CurvePoints(called, (CurveReading.of(test),))
+    points = CurvePoints(names_observed([test]), (CurveReading.of(test),))
     both = on_packing(lab, base_soil(load_lab(bundled_lab())), points)
     packings = work.packings(range(100 * chosen.seed, 100 * chosen.seed + chosen.packings))
     found = side_by_side(

@@ -128,9 +128,8 @@ def measured(start: dict[str, float], seed: int, folder: Path) -> dict[str, dict
     lab = load_lab(bundled_lab())
     problem, seeds, free = pose(lab), Seeds.of(seed, QUICK.packings), space(lab, FREE)
     work = Campaign(virtual_lab(lab, QUICK), specimen(lab, QUICK), folder, for_terminal())
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([free.base], s, "scatter of packings")[0], seeds.scatter
-    )
+    runs = work.runs([free.base], seeds.scatter, "scatter of packings")[0]
+    scatter = packing_scatter(problem, runs)
     calibration = Calibration(problem, free, work, seeds.fitted, scatter, len(seeds.scatter))
     first = free.start() * np.array([start.get(name, 1.0) for name in FREE])
 

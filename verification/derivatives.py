@@ -123,9 +123,8 @@ def main() -> None:
     reporting.configure()
     lab, work = laboratory(chosen.folder, chosen.spheres)
     problem, seeds, free = pose(lab), Seeds.of(0, 3), space(lab, tuple(HIDDEN))
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([free.base], s, "scatter of packings")[0], seeds.scatter
-    )
+    runs = work.runs([free.base], seeds.scatter, "scatter of packings")[0]
+    scatter = packing_scatter(problem, runs)
     calibration = Calibration(problem, free, work, seeds.fitted, scatter, len(seeds.scatter))
     ways = {"derivatives": Overdamped(), "pairs": fitting_ensemble(free)}
     kept = reporting.kept(f"derivatives-{chosen.spheres}", chosen.folder) / "fits.json"

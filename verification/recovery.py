@@ -34,7 +34,7 @@ from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.simulation import Campaign, Run
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
-from calibrate.simulation.specimens import Seeds, mean_observables, spread_observables
+from calibrate.simulation.specimens import Seeds, summary_json
 from verification import reporting
 from verification.made_lab import LABORATORY, of_curves, of_targets, scaled
 
@@ -114,9 +114,8 @@ def recovered(lab: Lab, names: tuple[str, ...], start: dict, seed: int, work: Co
     """One fit from one start: the space it moved in and what it found."""
     problem, seeds = pose(lab), Seeds.of(seed, QUICK.packings)
     free = space(lab, names)
-    scatter = packing_scatter(
-        problem, lambda s: work.runs([free.base], s, "scatter of packings")[0], seeds.scatter
-    )
+    runs = work.runs([free.base], seeds.scatter, "scatter of packings")[0]
+    scatter = packing_scatter(problem, runs)
     calibration = Calibration(
         problem, free, work, seeds.fitted, scatter, len(seeds.scatter), Settings()
     )
@@ -163,8 +162,7 @@ def measured_case(name: str, case: Case, seed: int, folder: Path) -> dict:
         "hidden": {key: float(getattr(soil, key)) for key in case.hidden},
         "data": "whole curves" if case.whole_curves else "H and F",
         "repeats": REPEATS,
-        "observables": mean_observables(runs),
-        "spread": spread_observables(runs),
+        **summary_json(runs),
         "starts": {},
     }
 

@@ -40,7 +40,7 @@ from calibrate.labtests.composite import label
 from calibrate.simulation import NETCDF
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import PRESETS
-from calibrate.simulation.specimens import Seeds, campaign, mean_observables, spread_observables
+from calibrate.simulation.specimens import Seeds, campaign, summary_json
 from verification import reporting
 
 LARGE = replace(PRESETS["standard"], fresh=6)
@@ -68,12 +68,13 @@ def fitted(lab: Lab, start: str, way: str, folder: Path, beds: Path) -> dict:
     found = _fit(lab, start, way, large, small, seeds)
     cost = {"processor_s": time.process_time() - begun, **simulated(folder)}
     runs = large.runs([found], seeds.fresh, "fresh packings")[0]
+    fresh = summary_json(runs)
     entry = {
         "way": way,
         **cost,
         "parameters": {name: float(getattr(found, name)) for name in FREE},
-        "mean": mean_observables(runs),
-        "scatter": spread_observables(runs),
+        "mean": fresh["observables"],
+        "scatter": fresh["spread"],
         "packings": len(runs),
     }
     done.write_text(json.dumps(entry), encoding="utf-8")

@@ -71,21 +71,6 @@ def write_text(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def write_once(path: Path, text: str) -> None:
-    """Writes a file that is not there yet; of several writers at once, the first one's stays."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = part_of(path)
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.link(part, path)
-    except FileExistsError:
-        return
-    except OSError:  # a file system without links
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
 def write_bytes(path: Path, content: bytes) -> None:
     """Writes a file whole or not at all."""
     with whole(path) as part:

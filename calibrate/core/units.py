@@ -144,8 +144,9 @@ def number_of(text: Any) -> str:
     return match[1] if match else ""
 
 
-def first_of(text: Any, kinds: Sequence[Kind], expected: str) -> tuple[Kind, float]:
-    """The first kind that `text` ("200 kPa") is a quantity of, and its number in that unit."""
+def first_of(text: Any, kinds: Sequence[Kind], expected: str, name: str) -> tuple[Kind, float]:
+    """The first kind that `text` ("200 kPa") is a quantity of, and its number in that unit;
+    `name` of the entry, for the `BadValue`."""
     problem = ""
     for kind in kinds:
         try:
@@ -154,7 +155,7 @@ def first_of(text: Any, kinds: Sequence[Kind], expected: str) -> tuple[Kind, flo
             problem = bad.problem
     if isinstance(text, str) and "is not a unit of" in problem:
         problem = f"{shown(text)} has a unit that does not fit here"
-    raise BadValue(problem, expected)
+    raise BadValue(problem, expected, name)
 
 
 def positive_quantity(text: Any, kind: Kind) -> float:

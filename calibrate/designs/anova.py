@@ -37,9 +37,6 @@ class Statistic:
     value: float
     df: tuple[int, ...]
 
-    def __float__(self) -> float:
-        return self.value
-
 
 @dataclass(frozen=True)
 class Anova:
@@ -63,10 +60,7 @@ class Anova:
     adequate_precision: Statistic
 
     def __getitem__(self, source: str) -> Line:
-        for line in self.lines:
-            if line.source == source:
-                return line
-        raise KeyError(source)
+        return {line.source: line for line in self.lines}[source]
 
     def __contains__(self, source: str) -> bool:
         return any(line.source == source for line in self.lines)
@@ -81,10 +75,9 @@ class Anova:
 
 
 def anova(surface: Surface) -> Anova:
-    """The analysis of variance of an unweighted fit of values alone; `BadValue` for another."""
-    if surface.weighted or surface.slope_rows:
-        problem = "this surface was fitted with weights or with slopes"
-        raise BadValue(problem, "fit the values alone, unweighted", "surface")
+    """The analysis of variance of a fit of values alone; `BadValue` for another."""
+    if surface.slope_rows:
+        raise BadValue("this surface was fitted with slopes", "fit the values alone", "surface")
     return Anova(tuple(_lines(surface)), **_statistics(surface))
 
 

@@ -9,7 +9,7 @@ levels: in a Plackett-Burman design of 12 runs they carry a third of every inter
 other factors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from calibrate.core.errors import BadValue, InputError
-from calibrate.designs.gradients import fit_with_gradients
+from calibrate.designs.factors import Factor
 from calibrate.designs.study import (
     SIGNIFICANT,
     Experiment,
@@ -27,7 +27,7 @@ from calibrate.designs.study import (
     study,
     verified,
 )
-from calibrate.designs.surface import fit_surface
+from calibrate.designs.surface import fit_surface, fit_with_gradients
 from calibrate.designs.terms import quadratic
 from calibrate.inference.audit import CurvePoints, simulated_response
 from calibrate.inference.calibration import CANDIDATES
@@ -133,9 +133,12 @@ def compare(lab: Lab, setup: StudySetup, done: Study, fresh: Sequence[int], scat
         *_surfaced(setup, done.first, at_base),
         *_surfaced(setup, done.second, at_second),
     ]
+    designed = MethodResult(
+        "designs", done.values, done.fitted, done.fresh, done.simulations, "after the refinement"
+    )
     return Comparison(
         slopes=tuple(slopes),
-        endings=(_designed(setup, done), fitted(lab, setup, done, fresh, scatter)),
+        endings=(designed, fitted(lab, setup, done, fresh, scatter)),
         enhanced=tuple(enhanced(setup, done.second.experiment, done.goals[-1], at_second)),
         gradient_runs=strategy(setup.space).runs(len(setup.space.names), len(setup.seeds)),
     )
@@ -156,71 +159,47 @@ def strategy(space: Space) -> Ensemble:
 
 
 def _screened(setup: StudySetup, done: Study, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(setup)
-    for m, observable in enumerate(setup.observables):
-        for p, factor in enumerate(done.screening.design.factors):
-            effect = done.screens[observable][factor.name]
-            span = 2 * factor.half_range
-            pairs.append(
-                SlopePair(
-                    design="screening",
-                    factor=factor.name,
-                    observable=observable,
-                    surface=effect.effect / span,
-                    surface_se=abs(effect.effect / effect.t) / span if effect.t else np.nan,
-                    surface_df=effect.df,
-                    gradient=float(found.slopes[m, p]),
-                    gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=freedom[p],
-                    matters=effect.p < SIGNIFICANT,
-                )
-            )
-    return pairs
+    def slope(observable: str, factor: Factor) -> tuple[float, float, int, float]:
+        effect, span = done.screens[observable][factor.name], 2 * factor.half_range
+        error = abs(effect.effect / effect.t) / span if effect.t else np.nan
+        return effect.effect / span, error, effect.df, effect.p
+
+    return _beside(setup, "screening", done.screening.design.factors, slope, found)
 
 
 def _surfaced(setup: StudySetup, stage: Surfaces, found: Sensitivity) -> list[SlopePair]:
-    pairs, freedom = [], _freedom(setup)
+    factors = stage.experiment.design.factors
+    at_centre = {name: s.slopes(np.zeros(len(factors))) for name, s in stage.whole.items()}
+
+    def slope(observable: str, factor: Factor) -> tuple[float, float, int, float]:
+        slopes, j = at_centre[observable], factors.index(factor)
+        value, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
+        p = float(2 * stats.t.sf(abs(value / error), slopes.df))
+        return float(value), float(error), slopes.df, p
+
+    return _beside(setup, stage.experiment.title, factors, slope, found)
+
+
+def _beside(
+    setup: StudySetup,
+    design: str,
+    factors: Sequence[Factor],
+    slope: Callable[[str, Factor], tuple[float, float, int, float]],
+    found: Sensitivity,
+) -> list[SlopePair]:
+    """Slopes of a design beside the gradient's; `slope` says an observable's in a factor, its
+    standard error, degrees of freedom and p."""
+    names, pairs = setup.space.names, []
+    freedom = strategy(setup.space).freedom(len(names), len(setup.seeds))
     for m, observable in enumerate(setup.observables):
-        surface = stage.whole[observable]
-        slopes = surface.slopes(np.zeros(surface.X.shape[1]))
-        for j, factor in enumerate(stage.experiment.design.factors):
-            p = setup.space.names.index(factor.name)
-            slope, error = slopes.values[j] / factor.half_range, slopes.se[j] / factor.half_range
+        for factor in factors:
+            p, (value, error, df, chance) = names.index(factor.name), slope(observable, factor)
+            gradient = float(found.slopes[m, p]), float(found.standard_error[m, p]), freedom[p]
+            matters = chance < SIGNIFICANT
             pairs.append(
-                SlopePair(
-                    design=stage.experiment.title,
-                    factor=factor.name,
-                    observable=observable,
-                    surface=float(slope),
-                    surface_se=float(error),
-                    surface_df=surface.df,
-                    gradient=float(found.slopes[m, p]),
-                    gradient_se=float(found.standard_error[m, p]),
-                    gradient_df=freedom[p],
-                    matters=_p_value(slope / error, surface.df) < SIGNIFICANT,
-                )
+                SlopePair(design, factor.name, observable, value, error, df, *gradient, matters)
             )
     return pairs
-
-
-def _freedom(setup: StudySetup) -> list[int]:
-    """Degrees of freedom of the gradient's standard errors."""
-    return strategy(setup.space).freedom(len(setup.space.names), len(setup.seeds))
-
-
-def _p_value(t: float, df: int) -> float:
-    return float(2 * stats.t.sf(abs(t), df))
-
-
-def _designed(setup: StudySetup, done: Study) -> MethodResult:
-    return MethodResult(
-        method="designs",
-        values=done.values,
-        fitted=done.fitted,
-        fresh=done.fresh,
-        simulations=done.simulations,
-        stopped="after the refinement",
-    )
 
 
 def fitted(
@@ -230,28 +209,22 @@ def fitted(
     free = tuple(done.values)
     ranges = tuple(setup.space.ranges[setup.space.names.index(name)] for name in free)
     problem, there = pose(lab), Space(free, ranges, setup.space.base)
-    work = setup.work
-    spread = packing_scatter(
-        problem, lambda seeds: work.runs([there.base], seeds, "scatter of packings")[0], scatter
-    )
-    calibration = Calibration(problem, there, work, setup.seeds, spread, len(scatter))
+    runs = setup.work.runs([there.base], scatter, "scatter of packings")[0]
+    spread = packing_scatter(problem, runs)
+    calibration = Calibration(problem, there, setup.work, setup.seeds, spread, len(scatter))
     walk = descend(calibration)
     if walk.best is None:
         raise BadValue("the gradient fit evaluated nothing", "see the progress lines", "fit")
-    soil = there.soil(walk.best.values)
+    soil, what = there.soil(walk.best.values), "the gradient fit's end"
     reached = [row for row in walk.history if row["status"] == "better"][-1]
     return MethodResult(
         method="gradient fit",
         values=dict(zip(free, walk.best.values.tolist(), strict=True)),
-        fitted=_ended(setup, soil, setup.seeds),
-        fresh=_ended(setup, soil, fresh),
+        fitted=verified(setup, soil, setup.seeds, what),
+        fresh=verified(setup, soil, fresh, what),
         simulations=round(reached["forward_runs"] * len(setup.seeds)),
         stopped=walk.stopped,
     )
-
-
-def _ended(setup: StudySetup, soil: SoilParameters, seeds: Sequence[int]) -> np.ndarray:
-    return verified(setup, soil, seeds, "the gradient fit's end")
 
 
 def enhanced(
@@ -292,17 +265,11 @@ def _subsets(X, y, slope, sd, centre: int, size: int, rng) -> Enhanced:
     for _ in range(DRAWS):
         used = np.append(rng.choice(others, size - 1, replace=False), centre)
         left = np.setdiff1d(np.arange(len(X)), used)
-        gradients = np.full((len(used), X.shape[1]), np.nan)
-        for kind, rows in enumerate((gradients, _at_end(gradients, slope))):
+        unknown = np.full((len(used), X.shape[1]), np.nan)
+        at_centre = np.vstack([unknown[:-1], slope])  # the last point
+        for kind, rows in enumerate((unknown, at_centre)):
             errors[kind].append(_held_out(X, y, used, left, rows, sd))
     return Enhanced(size, *(_pooled(kind) for kind in errors))
-
-
-def _at_end(gradients: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """The same rows with the slope at the last point, the centre."""
-    known = gradients.copy()
-    known[-1] = slope
-    return known
 
 
 def _held_out(X, y, used, left, gradients, sd) -> float:
@@ -312,7 +279,7 @@ def _held_out(X, y, used, left, gradients, sd) -> float:
         if np.all(np.isnan(gradients)):
             surface = fit_surface(X[used], y[used], terms)
         else:
-            surface = fit_with_gradients(X[used], y[used], gradients, terms, sd=sd).surface
+            surface = fit_with_gradients(X[used], y[used], gradients, terms, sd)
     except BadValue:
         return np.nan
     return float(np.mean((surface(X[left]) - y[left]) ** 2))

@@ -1,8 +1,8 @@
 """Is a surface's residual what least squares supposes?  Four looks at it.
 
-Externally studentised residuals against normal quantiles and against predictions; leverage and
-Cook's distance; the Box-Cox profile (J. R. Stat. Soc. B 26, 1964) of the power to which the
-response should be raised.  The first three are those of statsmodels.
+Externally studentised residuals against normal quantiles and against predictions; Cook's distance;
+the Box-Cox profile (J. R. Stat. Soc. B 26, 1964) of the power to which the response should be
+raised.  The first three are those of statsmodels.
 """
 
 from collections.abc import Callable
@@ -19,22 +19,17 @@ from calibrate.designs.terms import matrix
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """One entry (n,) for each run: prediction and residual in the response's unit, the others
-    without unit.
+    """One entry (n,) for each run: prediction in the response's unit, the others without unit.
 
-    `outlier_limit` is the two-sided 5 % Bonferroni limit of studentised residuals on
-    `residual_df` - 1 degrees of freedom; a Cook's distance above 1 marks an influential run, a
-    leverage of 1 a run that alone fixes a coefficient (its studentised residual is NaN).
+    `outlier_limit` is the two-sided 5 % Bonferroni limit of studentised residuals, which are NaN
+    for a run that alone fixes a coefficient; a Cook's distance above 1 marks an influential run.
     """
 
     predicted: np.ndarray
-    residual: np.ndarray
     studentised: np.ndarray
     normal_quantile: np.ndarray
-    leverage: np.ndarray
     cooks_distance: np.ndarray
     outlier_limit: float
-    residual_df: int
 
 
 def diagnose(surface: Surface) -> Diagnostics:
@@ -47,13 +42,10 @@ def diagnose(surface: Surface) -> Diagnostics:
     n = len(surface.y)
     return Diagnostics(
         predicted=np.asarray(surface.fit.fittedvalues),
-        residual=np.asarray(surface.fit.resid),
         studentised=studentised,
         normal_quantile=normal_quantiles(studentised),
-        leverage=np.asarray(influence.hat_matrix_diag),
         cooks_distance=np.asarray(influence.cooks_distance[0]),
         outlier_limit=float(stats.t.ppf(1 - 0.025 / n, surface.df - 1)),
-        residual_df=surface.df,
     )
 
 
@@ -68,8 +60,8 @@ class BoxCox:
     """Powers (k,) of the response and ln of the residual sum of squares of each (k,).
 
     `best` is the power with the least; `interval` holds the powers that a likelihood ratio on
-    one degree of freedom does not refuse at 5 %, where ln SS is below `limit`.  The suggestion
-    is the simplest power within it: 1 leaves the response as it is, 0 takes its logarithm.
+    one degree of freedom does not refuse at 5 %, where ln SS is below `limit`.  1 leaves the
+    response as it is, 0 takes its logarithm.
     """
 
     powers: np.ndarray
@@ -77,12 +69,6 @@ class BoxCox:
     best: float
     interval: tuple[float, float]
     limit: float
-
-    @property
-    def suggestion(self) -> float:
-        low, high = self.interval
-        inside = [power for power in (1.0, 0.0, 0.5, -1.0, -0.5, 2.0) if low <= power <= high]
-        return inside[0] if inside else round(self.best, 1)
 
 
 REACH = 5.0  # of the search for powers, in both directions
@@ -98,7 +84,7 @@ def without_profile(surface: Surface) -> str:
     return ""
 
 
-def box_cox(surface: Surface, level: float = 0.95) -> BoxCox:
+def box_cox(surface: Surface) -> BoxCox:
     """The profile for the surface's own terms; `BadValue` where `without_profile` says why not."""
     y, rows = surface.y, matrix(surface.terms, surface.X)
     problem = without_profile(surface)
@@ -111,7 +97,7 @@ def box_cox(surface: Surface, level: float = 0.95) -> BoxCox:
 
     found: Any = optimize.minimize_scalar(log_residual, bounds=(-REACH, REACH), method="bounded")
     best = float(found.x)
-    limit = log_residual(best) + float(stats.chi2.ppf(level, 1)) / len(y)
+    limit = log_residual(best) + float(stats.chi2.ppf(0.95, 1)) / len(y)
     low, high = (_crossing(log_residual, best, end, limit) for end in (-REACH, REACH))
     powers = np.linspace(max(low - 1, -REACH), min(high + 1, REACH), 61)
     profile = np.array([log_residual(power) for power in powers])
@@ -123,12 +109,8 @@ def transformed(y: np.ndarray, power: float) -> np.ndarray:
     mean = np.exp(np.mean(np.log(y)))
     if abs(power) < 1e-8:
         return mean * np.log(y)
-    return mean * np.expm1(power * np.log(y / mean)) / power + _shift(mean, power)
-
-
-def _shift(mean: float, power: float) -> float:
-    """What is constant over the runs; no least-squares residual depends on it."""
-    return mean * -np.expm1(-power * np.log(mean)) / power
+    shift = mean * -np.expm1(-power * np.log(mean)) / power  # constant over the runs
+    return mean * np.expm1(power * np.log(y / mean)) / power + shift
 
 
 def _crossing(profile: Callable[[float], float], best: float, end: float, limit: float) -> float:

@@ -86,8 +86,3 @@ class Factor:
 def natural_points(factors: tuple[Factor, ...], coded: np.ndarray) -> np.ndarray:
     """Natural values (n, p) of coded points (n, p)."""
     return np.column_stack([f.natural(column) for f, column in zip(factors, coded.T, strict=True)])
-
-
-def coded_points(factors: tuple[Factor, ...], natural: np.ndarray) -> np.ndarray:
-    """Coded values (n, p) of natural points (n, p)."""
-    return np.column_stack([f.coded(column) for f, column in zip(factors, natural.T, strict=True)])

@@ -17,7 +17,7 @@ from scipy import optimize
 from scipy.stats import qmc
 
 from calibrate.core.errors import BadValue
-from calibrate.designs.surface import Prediction, Surface
+from calibrate.designs.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,14 @@ class Region:
 class Optimum:
     """The best point (p,) in coded units, with overall and single desirabilities.
 
-    `predictions` are those of each response there, with intervals.  `alternatives` (k, p) are
-    other points of (nearly) the same desirability, farther from what was measured: where goals
-    are met along a whole line, the point that predicts with the least error is the best.
+    `alternatives` (k, p) are other points of (nearly) the same desirability, farther from what was
+    measured: where goals are met along a whole line, the point that predicts with the least error
+    is the best.
     """
 
     x: np.ndarray
     desirability: float
     single: tuple[float, ...]
-    predictions: tuple[Prediction, ...]
     alternatives: np.ndarray
 
 
@@ -110,13 +109,10 @@ def optimise(
     region: Region = Region(),
     starts: int = 64,
     seed: int = 0,
-    level: float = 0.95,
-    runs: int = 1,
 ) -> Optimum:
     """The most desirable point of `region`, by SLSQP from `starts` Sobol' points and the centre.
 
-    Intervals of the predictions hold with probability `level`, for the mean of `runs`
-    confirmation runs.  Where nothing is desirable D is 0 and the point is the last one tried.
+    Where nothing is desirable D is 0 and the point is the last one tried.
     """
     if not surfaces or len(surfaces) != len(goals):
         problem = f"{len(surfaces)} surfaces and {len(goals)} goals"
@@ -128,14 +124,14 @@ def optimise(
     found = np.array([search.climb(_into(x, region)) for x in begin])
     overall = np.array([search.overall(x) for x in found])
     tied = found[overall >= overall.max() - TIED]
-    error = np.array([_relative_error(surfaces, x) for x in tied])
+    # Prediction variances over residual variances, of all responses together.
+    error = np.array([sum(surface.leverage(x) for surface in surfaces) for x in tied])
     distinct = _distinct(tied[np.argsort(error)])
     best = distinct[0]
     return Optimum(
         x=best,
         desirability=search.overall(best),
         single=search.single(best),
-        predictions=tuple(s.predict(best[None], level, runs) for s in surfaces),
         alternatives=distinct[1:],
     )
 
@@ -218,11 +214,6 @@ def _into(x: np.ndarray, region: Region) -> np.ndarray:
     """x, drawn to the centre onto the sphere where it lies outside."""
     length = float(np.linalg.norm(x))
     return x * min(1.0, region.radius / length) if length else x
-
-
-def _relative_error(surfaces: Sequence[Surface], x: np.ndarray) -> float:
-    """Sum of the responses' prediction variances over their residual variances."""
-    return sum(surface.leverage(x) for surface in surfaces)
 
 
 def _distinct(points: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.designs.design import CODED, Design
 from calibrate.designs.factors import Factor
-from calibrate.io.labfile import read_text
+from calibrate.io.labfile import read_file
 
 CLOSE = 1e-3  # to which natural and coded values of a cell must agree, in coded units
 
@@ -50,9 +50,7 @@ def read_csv(path: Path) -> RunSheet:
     """A run sheet that `Design.write_csv` wrote, with its responses filled in."""
     file = str(path)
     try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(read_text(path)))]
-    except BadValue as bad:
-        raise bad.at(file, "") from None
+        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(read_file(path)))]
     except csv.Error as error:
         raise InputError(file, "", f"not valid CSV: {error}", "save it as CSV again") from None
     kind, factors = _description([row for row in rows if row and row[0].startswith("#")], file)

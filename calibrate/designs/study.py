@@ -31,8 +31,7 @@ from calibrate.designs.design import Design
 from calibrate.designs.factors import Factor
 from calibrate.designs.optimum import Goal, Optimum, Region, optimise, target
 from calibrate.designs.screening import Screening, screen
-from calibrate.designs.selection import select_backward
-from calibrate.designs.surface import Surface, fit_surface
+from calibrate.designs.surface import Surface, fit_surface, select_backward
 from calibrate.designs.terms import cubic, quadratic
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, probing_steps
@@ -149,15 +148,11 @@ def _observed(run: Run, names: Sequence[str]) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """An experiment with the quadratic surface of each response, whole and reduced.
-
-    Terms whose p exceeds 0.05 are left out one after the other, hierarchy kept; optima use the
-    reduced surfaces, slopes and lack of fit the whole ones.
-    """
+    """An experiment with the whole quadratic surface of each response, and the optimum of surfaces
+    without terms whose p exceeds 0.05, left out one after the other, hierarchy kept."""
 
     experiment: Experiment
     whole: dict[str, Surface]
-    reduced: dict[str, Surface]
     optimum: Optimum
 
     def best(self) -> dict[str, float]:
@@ -205,7 +200,10 @@ class Study:
 
 def study(setup: StudySetup, targets: Mapping[str, Target], fresh: Sequence[int]) -> Study:
     """Runs the sequence towards all targets, at least one; resumes from what the campaign holds."""
-    goals = {name: _goal(targets[name]) for name in setup.observables if name in targets}
+    goals = {}
+    for name in (name for name in setup.observables if name in targets):
+        aim, reach = targets[name].mean, TOLERATED * targets[name].scatter
+        goals[name] = target(aim - reach, aim, aim + reach)
     first, *_, last = [next(iter(goals)), *goals]
     factors = setup.factors(setup.space.names, SCREENED, {})
     screening = setup.run("screening", designs.plackett_burman(factors, centre=1), {})
@@ -273,16 +271,11 @@ def surfaces(experiment: Experiment, goals: dict[str, Goal], terms=quadratic) ->
         name: fit_surface(points, experiment.blocked(name), polynomial, design.names)
         for name in experiment.observables
     }
-    reduced = {name: select_backward(surface)[0] for name, surface in whole.items()}
+    aimed = [select_backward(whole[name]) for name in goals]
     edge = float(np.abs(design.coded).max())
     radius = float(np.linalg.norm(design.coded, axis=1).max())
-    best = optimise(
-        [reduced[name] for name in goals],
-        list(goals.values()),
-        Region(-edge, edge, radius),
-        runs=experiment.packings,
-    )
-    return Surfaces(experiment, whole, reduced, best)
+    best = optimise(aimed, list(goals.values()), Region(-edge, edge, radius))
+    return Surfaces(experiment, whole, best)
 
 
 def verified(
@@ -292,11 +285,6 @@ def verified(
     runs, names = setup.work.runs([soil], seeds, what)[0], setup.observables
     unknown = [np.nan] * len(names)
     return np.array([unknown if run.failure else _observed(run, names) for run in runs])
-
-
-def _goal(measured: Target) -> Goal:
-    reach = TOLERATED * measured.scatter
-    return target(measured.mean - reach, measured.mean, measured.mean + reach)
 
 
 def _others(values: dict[str, float], varied: Sequence[Factor]) -> dict[str, float]:

@@ -3,7 +3,19 @@
     y = b0 + sum_j b_j t_j(x) + noise
 
 The t_j are the terms of `calibrate.designs.terms`, the fit is that of statsmodels.  A `Surface`
-predicts with confidence and prediction intervals and gives slopes with their covariance.
+predicts and gives slopes with their covariance.
+
+Which terms it needs is told by backward elimination that respects hierarchy: a term goes only if no
+remaining term contains it, so that the model stays invariant under a change of a factor's origin,
+and candidates go one at a time, the least significant first.
+
+Slopes of the response may be fitted with its values:
+
+    y_i = t(x_i) b + noise of variance s0^2,    dy_i/dx_j = dt/dx_j(x_i) b + noise of s_j^2
+
+Each point then gives 1 + p equations instead of one, so a quadratic needs about 1/(1 + p) of
+the runs.  The rows are weighted by their variances, of which only the ratios matter: the residuals
+set the scale.
 """
 
 from collections.abc import Sequence
@@ -11,30 +23,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 from statsmodels.regression.linear_model import OLS, WLS
 
 from calibrate.core.errors import BadValue
-from calibrate.designs.terms import Terms, matrix
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Means (n,) with the standard errors of a mean and of new runs, in y's unit.
-
-    `mean_interval` (confidence) and `run_interval` (prediction, for the mean of `runs` new runs)
-    are (n, 2) and hold with probability `level`, by Student's t with `df` degrees of freedom;
-    NaN where the model leaves no degree of freedom.
-    """
-
-    mean: np.ndarray
-    mean_se: np.ndarray
-    run_se: np.ndarray
-    mean_interval: np.ndarray
-    run_interval: np.ndarray
-    df: int
-    level: float
-    runs: int = 1
+from calibrate.designs.terms import Term, Terms, matrix, removable
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +40,6 @@ class Slopes:
     @property
     def se(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
-
-    def interval(self, level: float = 0.95) -> np.ndarray:
-        """Two-sided intervals (p, 2), one factor at a time."""
-        reach = _t_quantile(level, self.df) * self.se
-        return np.column_stack([self.values - reach, self.values + reach])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,22 +82,9 @@ class Surface:
     def labels(self) -> tuple[str, ...]:
         return tuple(term.label(self.names) for term in self.terms)
 
-    @property
-    def weighted(self) -> bool:
-        return self.fit.model.weights.ndim > 0 and np.ptp(self.fit.model.weights) > 0
-
     def __call__(self, X: np.ndarray) -> np.ndarray:
         """Predicted means (n,) at points (n, p)."""
         return matrix(self.terms, np.atleast_2d(X)) @ self.coefficients
-
-    def predict(self, X: np.ndarray, level: float = 0.95, runs: int = 1) -> Prediction:
-        """Means at points (n, p) with intervals of probability `level` for `runs` new runs."""
-        rows = matrix(self.terms, np.atleast_2d(X))
-        mean, t = rows @ self.coefficients, _t_quantile(level, self.df)
-        variance = np.einsum("ij,jk,ik->i", rows, self._scaled_covariance(), rows)
-        mean_se, run_se = np.sqrt(variance), np.sqrt(variance + self.variance / runs)
-        intervals = _around(mean, t * mean_se), _around(mean, t * run_se)
-        return Prediction(mean, mean_se, run_se, *intervals, self.df, level, runs)
 
     def leverage(self, x: np.ndarray) -> float:
         """Variance of the predicted mean at x (p,) over that of a run."""
@@ -140,18 +114,9 @@ class Surface:
         return np.asarray(self.fit.normalized_cov_params) * self.variance
 
 
-def fit_surface(
-    X: np.ndarray,
-    y: np.ndarray,
-    terms: Terms,
-    names: Sequence[str] = (),
-    weights: np.ndarray | None = None,
-) -> Surface:
-    """Least squares of responses y (n,) at points X (n, p), coded or natural.
-
-    `weights` (n,) are inverse variances up to a factor.  `BadValue` if a number is not finite
-    or the points cannot tell the terms apart.
-    """
+def fit_surface(X: np.ndarray, y: np.ndarray, terms: Terms, names: Sequence[str] = ()) -> Surface:
+    """Least squares of responses y (n,) at points X (n, p), coded or natural; `BadValue` if a
+    number is not finite or the points cannot tell the terms apart."""
     X, y = np.asarray(X, float), np.asarray(y, float)
     if X.ndim != 2 or y.shape != X.shape[:1]:
         problem = f"points of shape {X.shape} and responses of shape {y.shape}"
@@ -160,10 +125,8 @@ def fit_surface(
         raise BadValue("a point or response is not a finite number", "leave that run out", "y")
     rows = matrix(terms, X)
     check_estimable(rows, terms)
-    given: Any = weights
-    model = OLS(y, rows) if given is None else WLS(y, rows, weights=given)
     names = tuple(names) or default_names(X.shape[1])
-    return Surface(names, tuple(terms), X, y, model.fit())
+    return Surface(names, tuple(terms), X, y, OLS(y, rows).fit())
 
 
 def default_names(factors: int) -> tuple[str, ...]:
@@ -183,9 +146,71 @@ def check_estimable(rows: np.ndarray, terms: Terms) -> None:
         raise BadValue(problem, "fit in coded units", "terms")
 
 
-def _t_quantile(level: float, df: int) -> float:
-    return float(stats.t.ppf((1 + level) / 2, df)) if df > 0 else np.nan
+# ---------------------------------------------------------------- which terms
+
+ALPHA = 0.05  # p value up to which a term stays
 
 
-def _around(mean: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    return np.column_stack([mean - reach, mean + reach])
+def select_backward(surface: Surface) -> Surface:
+    """The surface without terms whose p value exceeds `ALPHA`; `BadValue` for a saturated model."""
+    if surface.df < 1:
+        raise BadValue("no residual degree of freedom", "start from fewer terms", "terms")
+    while True:
+        p = dict(zip(surface.terms, np.asarray(surface.fit.pvalues)[1:].tolist(), strict=True))
+        worst = max(removable(surface.terms), key=lambda term: p[term], default=None)
+        if worst is None or p[worst] <= ALPHA:
+            return surface
+        surface = without(surface, worst)
+
+
+def without(surface: Surface, term: Term) -> Surface:
+    """The same runs fitted without one term; `BadValue` for a fit of slopes."""
+    if surface.slope_rows:
+        raise BadValue("this surface was fitted with slopes", "fit the values alone", "surface")
+    terms = tuple(other for other in surface.terms if other != term)
+    return fit_surface(surface.X, surface.y, terms, surface.names)
+
+
+# ---------------------------------------------------------------- with slopes
+
+
+def fit_with_gradients(
+    X: np.ndarray,
+    y: np.ndarray,
+    gradients: np.ndarray,
+    terms: Terms,
+    sd: tuple[float, Sequence[float]],
+) -> Surface:
+    """Fits responses y (n,) and slopes (n, p) at points X (n, p), all per coded unit.
+
+    A slope that is NaN was not measured.  `sd` are standard deviations of a response and of its
+    slope along each factor (p,).  Intervals suppose that all these errors are independent.
+    """
+    X, y, gradients = (np.asarray(values, float) for values in (X, y, gradients))
+    if gradients.shape != X.shape or y.shape != X.shape[:1]:
+        problem = f"slopes of shape {gradients.shape} at points of shape {X.shape}"
+        raise BadValue(problem, "give one slope for each factor at each point", "gradients")
+    if not np.all(np.isfinite(y)):
+        raise BadValue("a response is not a finite number", "leave that run out", "y")
+    rows, targets, group = _stacked(X, y, gradients, terms)
+    check_estimable(rows, terms)
+    variances = np.array([sd[0], *sd[1]]) ** 2
+    given: Any = (variances[0] / variances)[group]
+    fitted = WLS(targets, rows, weights=given).fit()
+    names = default_names(X.shape[1])
+    return Surface(names, tuple(terms), X, y, fitted, slope_rows=len(targets) - len(y))
+
+
+def _stacked(
+    X: np.ndarray, y: np.ndarray, gradients: np.ndarray, terms: Terms
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, targets and the group (0: value, j: slope along factor j) of every equation."""
+    rows, targets, group = [matrix(terms, X)], [y], [np.zeros(len(y), int)]
+    slopes = np.stack([term.slopes(X) for term in terms], axis=-1)  # (n, p, m)
+    for factor in range(X.shape[1]):
+        known = np.isfinite(gradients[:, factor])
+        part = slopes[known, factor]
+        rows.append(np.column_stack([np.zeros(len(part)), part]))
+        targets.append(gradients[known, factor])
+        group.append(np.full(len(part), factor + 1))
+    return np.vstack(rows), np.concatenate(targets), np.concatenate(group)

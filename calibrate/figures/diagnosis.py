@@ -15,7 +15,7 @@ from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from calibrate.figures.style import DARK, LIGHT, MIDDLE
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, marked
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES
 from calibrate.records.base import Test
 from calibrate.records.diagnosis import DiagnosisRecord, EffectRow, FeatureRow, NextTestRecord
@@ -80,10 +80,9 @@ def _explained(found: DiagnosisRecord) -> bool:
 
 def _legend(figure: Figure) -> None:
     """One legend above all axes of a figure, where it hides nothing."""
-    found = [axis.get_legend_handles_labels() for axis in figure.axes]
-    named = {label: handle for pair in found for handle, label in zip(*pair, strict=True)}
+    named = marked(figure.axes)
     style = {"loc": "outside upper center", "ncols": 2, "frameon": False, "fontsize": 7}
-    figure.legend(list(named.values()), list(named), **style)
+    figure.legend(named.values(), named, **style)
 
 
 def _curves(axis: Axes, found: DiagnosisRecord, test: Test, rows, label: str) -> None:

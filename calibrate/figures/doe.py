@@ -97,38 +97,32 @@ def _half_normal_point(axis: Axes, effect: Effect, large: bool, named: bool) -> 
 class View:
     """Which part of a surface is drawn, and where.
 
-    `pair` are the two factors that vary; the others are held at `held` (p,), coded, by default
-    at their centres.  Both span -`reach` to `reach` in coded units, by default as far as the
-    points of the fit do.
+    `pair` are the two factors that vary, as far as the points of the fit do; the others are held
+    at their centres.
     """
 
     surface: Surface
     factors: Sequence[Factor]
     response: str
     pair: tuple[int, int] = (0, 1)
-    held: np.ndarray | None = None
-    reach: float | None = None
 
     @property
     def span(self) -> float:
-        found = np.abs(self.surface.X[:, list(self.pair)]).max()
-        return float(found if self.reach is None else self.reach)
+        """To which both factors go on either side, coded."""
+        return float(np.abs(self.surface.X[:, list(self.pair)]).max())
 
     def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Coordinates of both factors and the predictions, all (g, g)."""
         line = np.linspace(-self.span, self.span, GRID)
         X = np.zeros((GRID, GRID, len(self.factors)))
-        X[:] = 0.0 if self.held is None else self.held
         X[..., self.pair[0]], X[..., self.pair[1]] = np.meshgrid(line, line)
         height = self.surface(X.reshape(-1, len(self.factors))).reshape(GRID, GRID)
         across, up = (_drawn(self.factors[j], X[..., j]) for j in self.pair)
         return across, up, height
 
     def points(self) -> list[np.ndarray]:
-        """Coordinates of both factors at the points of the fit that lie within the span."""
-        X = self.surface.X[:, list(self.pair)]
-        inside = np.all(np.abs(X) <= self.span + 1e-9, axis=1)
-        return [_drawn(self.factors[j], self.surface.X[inside, j]) for j in self.pair]
+        """Coordinates of both factors at the points of the fit."""
+        return [_drawn(self.factors[j], self.surface.X[:, j]) for j in self.pair]
 
     def label(self, axis: Any) -> None:
         """Names and units; a logarithmic axis gets its own ticks (3D axes know no log scale)."""
@@ -144,10 +138,8 @@ class View:
 
     def title(self) -> str:
         """The response, and at which values the other factors are held."""
-        held = np.zeros(len(self.factors)) if self.held is None else self.held
-        others = [(f, x) for j, (f, x) in enumerate(zip(self.factors, held, strict=True))
-                  if j not in self.pair]  # fmt: skip
-        values = ", ".join(_value(f, float(f.natural(x))) for f, x in others)
+        others = [factor for j, factor in enumerate(self.factors) if j not in self.pair]
+        values = ", ".join(_value(factor, factor.centre) for factor in others)
         return f"{self.response} at {values}" if values else self.response
 
 

@@ -32,7 +32,7 @@ def simulation_figure(runs: Sequence[Run], measured: Measured) -> Figure:
     axes = rows[0]
     for axis, test in zip(axes, measured.tests, strict=True):
         groups = [
-            (look, [_curve(r.curves[test]) for r in runs if wanted(r) and len(r.curves[test])])
+            (look, [Curve.of(r.curves[test]) for r in runs if wanted(r) and len(r.curves[test])])
             for look, wanted in ((PACKINGS, lambda r: not r.failure), (FAILED, lambda r: r.failure))
         ]
         compression(axis, test, groups, measured)
@@ -103,10 +103,6 @@ def export_figure(values: Mapping[str, float], intervals: Mapping[str, tuple]) -
     axis.set_yticks(range(len(names)), [pretty(name) for name in reversed(names)], fontsize=8)
     axis.set_xlabel("over the exported value\nbars: 95 % interval; hollow: not fitted")
     return figure
-
-
-def _curve(points: np.ndarray) -> Curve:
-    return Curve(displacement_mm=points[:, 0].tolist(), force_n=points[:, 1].tolist())
 
 
 def _finished(figure: Figure, axes) -> Figure:

@@ -4,7 +4,6 @@ Colours differ in lightness as well as hue, so figures survive greyscale.
 """
 
 import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -12,7 +11,7 @@ from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibrate.figures.style import DARK, MIDDLE
+from calibrate.figures.style import DARK, MIDDLE, marked
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
@@ -38,21 +37,14 @@ def preview_figure(export: Export) -> Figure:
     for place, specimen in enumerate(shown):
         axis = figure.add_subplot(grid[place // columns, place % columns])
         _specimen(axis, specimen)
-    _legend(figure.axes)
+    if named := marked(figure.axes):
+        figure.axes[0].legend(named.values(), named, fontsize=7, frameon=False)
     if export.strengths is not None:
         _strengths(figure.add_subplot(grid[0, 0]), export.strengths)
     below = figure.add_subplot(grid[rows, :])
     below.set_axis_off()
     below.text(0, 1, "\n".join(lines), fontsize=8, va="top", family=_fonts())
     return figure
-
-
-def _legend(axes: Sequence[Axes]) -> None:
-    """In the first panel, what is marked in any of them."""
-    found = [axis.get_legend_handles_labels() for axis in axes]
-    named = {label: handle for pair in found for handle, label in zip(*pair, strict=True)}
-    if named:
-        axes[0].legend(list(named.values()), list(named), fontsize=7, frameon=False)
 
 
 def _fonts() -> list[str]:

@@ -17,7 +17,7 @@ from calibrate.labtests.composite import described
 from calibrate.labtests.features import SEATED, SEATING
 from calibrate.labtests.reading import loading
 from calibrate.records.base import Curve, Measured, Target, Test
-from calibrate.records.fit import FitRecord, Packing
+from calibrate.records.fit import FitRecord
 
 BANDED = 6  # curves of one group from which on their mean and band are drawn in place of each
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
@@ -129,7 +129,7 @@ def observables(axis: Axes, found: FitRecord) -> None:
             (-0.12, found.packings.fitted, FITTED),
             (0.12, found.packings.fresh, FRESH),
         ):
-            values = _observed(packings, name) / target.mean
+            values = np.array([each.observable(name) for each in packings]) / target.mean
             at = np.full(len(values), place + shift)
             first = look.label if place == 0 else None
             axis.plot(at, values, look.marker, color=look.colour, ms=5, label=first)
@@ -157,10 +157,6 @@ def read_numbers(axis: Axes, found: FitRecord) -> None:
     axis.set_yticks(range(len(rows)), list(rows), fontsize=7)
     axis.set_ylim(len(rows) - 0.4, -0.6 - 0.12 * len(rows))  # in the curve's order, room on top
     axis.set(xlabel="simulated / measured", title="numbers read from curves")
-
-
-def _observed(packings: Sequence[Packing], name) -> np.ndarray:
-    return np.array([packing.observable(name) for packing in packings])
 
 
 def parameters(axis: Axes, found: FitRecord) -> None:
@@ -200,6 +196,7 @@ def profile(axis: Axes, found: FitRecord, name: str) -> None:
     axis.plot(ratio, implied, "-", color=DARK, lw=1.2, label="from the covariance")
     axis.set(xlabel=f"{pretty(name)} / fitted value", ylabel="objective (half of chi²)")
     axis.set_title(f"profile of {pretty(name)}")
+    axis.legend(fontsize=8, frameon=False)
 
 
 def descent(axis: Axes, found: FitRecord) -> None:
@@ -220,3 +217,4 @@ def descent(axis: Axes, found: FitRecord) -> None:
     axis.set_yscale("log")
     axis.set(xlabel="forward runs a packing", ylabel="objective (half of chi²)")
     axis.set_title("course of the fit")
+    axis.legend(fontsize=8, frameon=False)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
 from calibrate.figures.panels import compression, from_seating
-from calibrate.figures.style import DARK, LIGHT, MIDDLE, pretty
+from calibrate.figures.style import DARK, LIGHT, MIDDLE, marked, pretty
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.records.base import Curve, Measured
 
@@ -56,11 +56,7 @@ def posterior_figure(
             else:
                 _pair(axis, prior, posterior, other, name)
             _labelled(axis, name, other, row == len(names) - 1, column == 0 and row > 0)
-    known = {
-        label: handle
-        for axis in (axes[0, 0], *tests)
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
+    known = marked((axes[0, 0], *tests))
     below.legend(known.values(), known, loc="upper right", frameon=False, fontsize=9)
     return figure
 
@@ -143,9 +139,7 @@ def prediction_figure(content: dict) -> Figure:
         axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=test)
         axis.set_xlim(left=0)
         axis.set_ylim(bottom=0)
-    entries = {}
-    for axis in axes[0]:
-        entries |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    entries = marked(axes[0])
     place = {"loc": "outside lower center", "ncols": len(entries)}
     figure.legend(entries.values(), entries.keys(), frameon=False, **place)
     return figure

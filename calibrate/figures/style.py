@@ -6,7 +6,7 @@ file (`save`) or, for a page, SVG text of one panel that a phone can show (`pane
 """
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,12 @@ def above(axis: Axes) -> None:
     if axis.get_legend_handles_labels()[0]:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 3}
         axis.legend(frameon=False, fontsize=7, columnspacing=1.2, handlelength=1.6, **place)
+
+
+def marked(axes: Iterable[Axes]) -> dict[str, Any]:
+    """What is drawn in any of some axes and has a name, by it."""
+    pairs = (axis.get_legend_handles_labels() for axis in axes)
+    return {name: handle for pair in pairs for handle, name in zip(*pair, strict=True)}
 
 
 def pretty(name: str) -> str:

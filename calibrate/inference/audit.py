@@ -110,24 +110,21 @@ class Audit:
         """One row for each parameter and observable: the contract's keys, and intervals."""
         found = self.estimates[strategy]
         return [
-            self._row(found, m, observable, p, parameter)
+            judged(
+                {
+                    "parameter": parameter,
+                    "observable": observable,
+                    "estimate": float(found.slopes[m, p]),
+                    "estimate_se": float(found.standard_error[m, p]),
+                    "reference": float(self.reference.slopes[m, p]),
+                    "reference_se": float(self.reference.standard_error[m, p]),
+                    "estimate_by_packing": _by_packing(found, m, p),
+                    "reference_by_packing": _by_packing(self.reference, m, p),
+                }
+            )
             for m, observable in enumerate(self.points.observables)
             for p, parameter in enumerate(self.names)
         ]
-
-    def _row(self, found: Sensitivity, m: int, observable: str, p: int, parameter: str) -> dict:
-        return judged(
-            {
-                "parameter": parameter,
-                "observable": observable,
-                "estimate": float(found.slopes[m, p]),
-                "estimate_se": float(found.standard_error[m, p]),
-                "reference": float(self.reference.slopes[m, p]),
-                "reference_se": float(self.reference.standard_error[m, p]),
-                "estimate_by_packing": _by_packing(found, m, p),
-                "reference_by_packing": _by_packing(self.reference, m, p),
-            }
-        )
 
 
 def _by_packing(found: Sensitivity, m: int, p: int) -> list[float] | None:

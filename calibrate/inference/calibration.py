@@ -280,11 +280,8 @@ def scatter_of_packings(
     """Covariance (m, m) of one packing's features over their mean, and from how many packings."""
     if coarse is not None:
         return coarse.scatter(problem, soil, seeds, work)
-
-    def runs(packings: Sequence[int]) -> list[Run]:
-        return work.runs([soil], packings, "scatter of packings")[0]
-
-    return packing_scatter(problem, runs, seeds.scatter), len(seeds.scatter)
+    runs = work.runs([soil], seeds.scatter, "scatter of packings")[0]
+    return packing_scatter(problem, runs), len(runs)
 
 
 def exploring(calibration: Calibration, correction: Correction) -> Calibration:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from calibrate.labtests.composite import names
+from calibrate.labtests.composite import names_observed
 from calibrate.labtests.features import (
     AbstractCurveFeature,
     DisplacementOnLoading,
@@ -76,8 +76,7 @@ class CurvePoints:
     @staticmethod
     def of(work: AbstractCampaign) -> "CurvePoints":
         tests = work.apparatus
-        called = names((test.name, source) for test in tests for source in test.observables)
-        return CurvePoints(called, tuple(CurveReading.of(test) for test in tests))
+        return CurvePoints(names_observed(tests), tuple(CurveReading.of(test) for test in tests))
 
     @property
     def observables(self) -> tuple[str, ...]:

@@ -175,11 +175,6 @@ class SoilDraws:
         """Another soil with the parameters of one draw."""
         return with_values(base, dict(zip(self.names, self.values[number], strict=True)))
 
-    def some(self, count: int) -> Iterator[SoilParameters]:
-        """Soils of so many draws, evenly spaced through all chains."""
-        for number in np.linspace(0, len(self.values) - 1, count).round().astype(int):
-            yield self.soil(int(number))
-
     def spread(self, count: int) -> Iterator[SoilParameters]:
         """So many soils along the direction of ln p in which draws differ most, at equal shares of
         them."""

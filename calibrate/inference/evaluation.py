@@ -242,9 +242,7 @@ class Calibration:
         return -0.5 * (residual @ residual) - scale - 0.5 * len(residual) * np.log(2 * np.pi)
 
 
-def packing_scatter(
-    problem: Problem, runs: Callable[[Sequence[int]], list[Run]], seeds: Sequence[int]
-) -> np.ndarray:
-    """Covariance (m, m) of one packing's features over their mean."""
-    features = finished_features(problem, runs(seeds))
+def packing_scatter(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
+    """Covariance (m, m) of one packing's features over their mean, from runs on several."""
+    features = finished_features(problem, runs)
     return shrunk_covariance(features / features.mean(axis=0))

@@ -32,7 +32,7 @@ from calibrate.labtests.features import AbstractFeature
 from calibrate.response.beds import Beds
 from calibrate.response.response import Response
 from calibrate.simulation.joint import AbstractCampaign
-from calibrate.simulation.run import Run
+from calibrate.simulation.run import Run, Runs, Soils
 from calibrate.simulation.specimens import Seeds
 from jdem.apparatus.base import AbstractApparatus
 from jdem.materials.soil import SoilParameters
@@ -184,16 +184,10 @@ class ResponseCampaign:
     apparatus: tuple[AbstractApparatus, ...]
     simulated: ClassVar[int] = 0
 
-    def runs(
-        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
-        """Every soil on every packing."""
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
         return [[self._run(soil)] * len(seeds) for soil in soils]
 
-    def each(
-        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
-        """Rows of soils, one for each packing."""
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
         return [[self._run(soil) for soil in row] for row in soils]
 
     def _run(self, soil: SoilParameters) -> Run:

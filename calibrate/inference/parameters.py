@@ -76,9 +76,7 @@ class Space:
 
     def to_unbounded(self, values: np.ndarray) -> np.ndarray:
         """y of the values, which must lie within the bounds."""
-        low, high = self.log_bounds()
-        share = (np.log(values) - low) / (high - low)
-        share = np.clip(share, _EDGE, 1 - _EDGE)
+        share = np.clip(self.share(values), _EDGE, 1 - _EDGE)
         return np.log(share / (1 - share))
 
     def from_unbounded(self, y) -> np.ndarray:
@@ -105,9 +103,13 @@ class Space:
 
     def at_bound(self, values: np.ndarray) -> list[str]:
         """Names of parameters within one per cent of a bound, in ln p."""
+        shares = zip(self.names, self.share(values), strict=True)
+        return [name for name, share in shares if share < 0.01 or share > 0.99]
+
+    def share(self, values: np.ndarray) -> np.ndarray:
+        """Where values (p,) lie between their bounds in ln p: 0 at the lower, 1 at the upper."""
         low, high = self.log_bounds()
-        share = (np.log(values) - low) / (high - low)
-        return [n for n, s in zip(self.names, share, strict=True) if s < 0.01 or s > 0.99]
+        return (np.log(values) - low) / (high - low)
 
     def log_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """ln of the lowest and of the highest values, each (p,)."""
@@ -185,8 +187,7 @@ PROBE = 0.2  # usual step in ln p; about 20 %
 
 def probing_steps(space: Space) -> tuple[float, ...]:
     """Steps in ln p (p,): PROBE, or as far as the nearer bound of a parameter is away."""
-    low, high = np.log([(entry.low, entry.high) for entry in space.ranges]).T
-    start = np.log(space.start())
+    (low, high), start = space.log_bounds(), np.log(space.start())
     return tuple(np.minimum(PROBE, np.minimum(high - start, start - low)).tolist())
 
 
@@ -205,25 +206,26 @@ DEALT = (
     "wall_friction",
     "platen_friction",
 )
+MOST_GROUPS = 3
 # Parameters of which the audit confirmed no slope while others moved with them.
 ALONE = ("restitution", "tensile_exponent", "static_friction", "wall_friction", "platen_friction")
 
 
-def probing_groups(names: Sequence[str], most: int = 3) -> tuple[tuple[int, ...], ...]:
+def probing_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
     """Indices of the parameters that are probed together: two or three in a group where that
-    is enough for `most` groups, in the order of DEALT."""
-    return _dealt(names, range(len(names)), most)
+    is enough for MOST_GROUPS, in the order of DEALT."""
+    return _dealt(names, range(len(names)))
 
 
 def fitting_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
     """The same for a fit: those of ALONE are moved one at a time, as the audit's reference is."""
     alone = tuple((i,) for i, name in enumerate(names) if name in ALONE)
-    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE], 3), *alone)
+    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE]), *alone)
 
 
-def _dealt(names: Sequence[str], chosen: Sequence[int], most: int) -> tuple[tuple[int, ...], ...]:
+def _dealt(names: Sequence[str], chosen: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """The chosen indices in groups, dealt out in the order of DEALT."""
-    count = min(most, max(min(len(chosen), 2), -(-len(chosen) // 2)))
+    count = min(MOST_GROUPS, max(min(len(chosen), 2), -(-len(chosen) // 2)))
     order = sorted(chosen, key=lambda i: DEALT.index(names[i]))
     return tuple(tuple(order[first::count]) for first in range(count))
 

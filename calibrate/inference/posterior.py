@@ -346,7 +346,7 @@ class Question:
         )  # fmt: skip
         found: Solved = solved(self.response.campaign, calibration)
         low, high = self.space.log_bounds()
-        share = np.clip((np.log(found.best.values) - low) / (high - low), EDGE, 1 - EDGE)
+        share = np.clip(self.space.share(found.best.values), EDGE, 1 - EDGE)
         whitened = calibration.whitened(found.slopes)
         information = whitened.T @ whitened + np.diag(1 / self.prior.var())
         slope = (high - low) * share * (1 - share)

@@ -280,14 +280,10 @@ def _variances(density: Density, values: Array) -> tuple[Array, Array]:
 # ---------------------------------------------------------------- NUTS
 
 
-def _potential(density: Density):
-    return lambda y: -density(y)
-
-
 def _kernel(density: Density, y: Array, covariance: Array, key: Array, warm_up: int):
     """numpyro's sampler, begun at y: its state, and the function that takes a step.  The function
     knows what beginning has set, so both belong to one trace."""
-    begin, step = hmc(potential_fn_gen=_potential, algo="NUTS")
+    begin, step = hmc(potential_fn_gen=lambda density: lambda y: -density(y), algo="NUTS")
     state = begin(
         y, warm_up, inverse_mass_matrix=covariance, dense_mass=True, model_args=(density,),
         rng_key=key,

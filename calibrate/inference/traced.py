@@ -22,11 +22,10 @@ from jax import Array
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space
 from calibrate.inference.problem import Problem
+from calibrate.labtests.composite import names_observed
 from calibrate.simulation import Campaign, Run, side_by_side
 from calibrate.simulation.keys import classes, content_hash
-from calibrate.simulation.run import names_in
 from jdem.core.program import program
-from jdem.effects.composite import with_strengths
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
@@ -98,29 +97,6 @@ def traced(
     return slopes
 
 
-def traced_strengths(
-    strategy: AbstractTraced, lab: VirtualLab, soil: SoilParameters, points: CurvePoints
-) -> Callable[[Packing, Array], Traced]:
-    """A compiled function of one packing and its time step (s), at the strengths of the effects of
-    a campaign's `lab`; slopes are per typical strength.
-
-    Slopes lack what the load cell's lag and drift do to where the machine turns.
-    """
-    typical = jnp.asarray([max(map(abs, effect.about.typical)) for effect in lab.effects])
-    point = jnp.stack([jnp.asarray(effect.strength, float) for effect in lab.effects]) / typical
-
-    @program
-    def slopes(packing: Packing, time_step: Array) -> Traced:
-        def simulated(lab: VirtualLab, asked: Array) -> Outcome:
-            changed = with_strengths(lab.effects, list(asked * typical))
-            altered = strategy.laboratory(replace(lab, effects=changed))
-            return altered.run(packing, soil, time_step)
-
-        return strategy.traced(lab, simulated, points.traced, point)
-
-    return slopes
-
-
 @dataclass(eq=False)
 class FirstOrder:
     """Slopes of a problem's features on the packings of a campaign, by a traced strategy."""
@@ -150,14 +126,14 @@ class FirstOrder:
 
         def on(number: int) -> list[Run]:
             keys = self._keys(soil, seeds[number])
-            kept = [run for key in keys if (run := self.campaign.stored(key)) is not None]
+            kept = [run for key in keys if (run := self.campaign.store.run(key)) is not None]
             if len(kept) == len(keys):
                 return kept
             step = self.lab.time_step(packings[number], soil)
             traced = self._program(packings[number], step, jnp.asarray(values))
             found = self._runs(centres[number], jax.tree.map(np.asarray, traced))
             for key, run in zip(keys, found, strict=True):
-                self.campaign.keep(key, run)
+                self.campaign.store.keep_run(key, run)
             return found
 
         progress, workers = self.campaign.progress, self.campaign.workers
@@ -175,7 +151,7 @@ class FirstOrder:
         """All observables, and all curves' displacements (mm), forces (N) and rows that count."""
         observed = [
             factor * outcome.observables[test][source]
-            for (test, source), (_, factor) in names_in(self.lab).items()
+            for (test, source), (_, factor) in names_observed(self.lab.tests.apparatus).items()
         ]
         curves = [
             column
@@ -197,7 +173,7 @@ class FirstOrder:
     def _neighbour(
         self, centre: Run, found: Traced, number: int, shift: float, believed: np.ndarray
     ) -> Run:
-        tests, called = self.lab.tests.apparatus, names_in(self.lab)
+        tests, called = self.lab.tests.apparatus, names_observed(self.lab.tests.apparatus)
         order = [test.name for test in tests]
         moved = found.values + shift * found.slopes[:, number]
         single, rows = moved[: len(called)], moved[len(called) :].reshape(len(tests), 3, -1)

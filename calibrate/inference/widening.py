@@ -254,7 +254,7 @@ def _start(calibration: Calibration, last: Round, screened: Screened, found: Adv
 
 
 def _off_the_rim(space: Space, values: np.ndarray) -> np.ndarray:
-    low, high = np.log([(entry.low, entry.high) for entry in space.ranges]).T
+    low, high = space.log_bounds()
     rim = RIM * (high - low)
     return np.exp(np.clip(np.log(values), low + rim, high - rim))
 

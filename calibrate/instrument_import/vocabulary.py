@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pint
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict
 
 from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.units import registry
-from calibrate.io.labfile import explained, read_toml
+from calibrate.io.labfile import read_toml, validated
 from calibrate.labtests.composite import TYPES
 
 FILE = Path(__file__).with_name("vocabulary.toml")
@@ -189,10 +189,7 @@ class Vocabulary(Section):
 
 def load(path: Path) -> Vocabulary:
     """The words of a file; `InputError` with the entry and the repair for the first slip in it."""
-    try:
-        return Vocabulary.model_validate(read_toml(path))
-    except ValidationError as error:
-        raise explained(error).at(str(path), "") from None
+    return validated(Vocabulary, read_toml(path), str(path))
 
 
 WORDS = load(FILE)

@@ -4,20 +4,20 @@ Everything is SI except curves and targets, which stay in the units of the obser
 N.  Curve files are CSV and must lie in the folder of the lab file or below it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
-from calibrate.core.units import positive_quantity, unit_factor
+from calibrate.core.units import Kind, positive_quantity, unit_factor
 from calibrate.io.conventions import check_free, check_values, held_by
 from calibrate.io.curves import read_curve, read_repeats
-from calibrate.io.labfile import check_parameter, checked_tables, read_toml
+from calibrate.io.labfile import check_parameter, read_toml, validated
 from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
-from calibrate.io.tables import ParameterTable
+from calibrate.io.tables import LabTables, ParameterTable
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
@@ -125,10 +125,6 @@ class Lab:
             named_sets={name: {**values, **held} for name, values in self.named_sets.items()},
         )
 
-    def called(self, test: str) -> AbstractLabTest:
-        """The test of this name."""
-        return next(each for each in self.tests if each.called == test)
-
 
 @dataclass(frozen=True)
 class TestedSpecimen:
@@ -160,7 +156,7 @@ def load_lab(path: str | Path) -> Lab:
     file, raw = str(path), read_toml(Path(path))
     usual = Plausibility(file, _accepted(raw))
     usual.tables(raw)
-    tables = checked_tables(raw, file)
+    tables = validated(LabTables, raw, file)
     stated = stated_tests(tables, file)
     _check_something_measured(stated, file)
     cylinders = _cylinders(stated, tables.specimen.cylinder())
@@ -259,12 +255,19 @@ def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
     table, file = target.table, str(path)
     if table.file is None:
         mean, scatter = (
-            _amount(getattr(table, name), target, cylinder, f"{target.field}.{name}", file)
+            _in_unit(
+                positive_quantity,
+                getattr(table, name),
+                target,
+                cylinder,
+                f"{target.field}.{name}",
+                file,
+            )
             for name in ("mean", "scatter")
         )
         amounts = (table.times * mean, table.times * scatter)
         return Target(*amounts, table.repeats or 1, table.published_error)
-    factor = _factor(target, cylinder, f"{target.field}.unit", file)
+    factor = _in_unit(unit_factor, table.unit, target, cylinder, f"{target.field}.unit", file)
     repeats = factor * read_repeats(table, path, target.field)
     if len(repeats) < 2 or repeats.min() <= 0:
         problem = "fewer than two repeats" if len(repeats) < 2 else "a repeat is not above zero"
@@ -273,27 +276,18 @@ def _target(target: StatedTarget, cylinder: Cylinder, path: Path) -> Target:
     return Target(*amounts, len(repeats), table.published_error)
 
 
-def _amount(written: Any, target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
-    """A quantity above zero in the observable's unit; stress and strain by the specimen's size."""
+def _in_unit(
+    read: Callable[[Any, Kind], float], written: Any, target: StatedTarget, size: Cylinder,
+    field: str, file: str,
+) -> float:  # fmt: skip
+    """A quantity, or what takes a column's unit, to the observable's unit; stress and strain by the
+    specimen's size."""
     try:
-        return positive_quantity(written, target.observable.kind)
+        return read(written, target.observable.kind)
     except BadValue as bad:
-        other, factor = target.observable.by_size(cylinder)
+        other, factor = target.observable.by_size(size)
         try:
-            return factor * positive_quantity(written, other)
-        except BadValue:
-            raise bad.at(file, field) from None
-
-
-def _factor(target: StatedTarget, cylinder: Cylinder, field: str, file: str) -> float:
-    """What takes a column's unit to the observable's."""
-    unit = target.table.unit
-    try:
-        return unit_factor(unit, target.observable.kind)
-    except BadValue as bad:
-        other, factor = target.observable.by_size(cylinder)
-        try:
-            return factor * unit_factor(unit, other)
+            return factor * read(written, other)
         except BadValue:
             raise bad.at(file, field) from None
 

@@ -8,16 +8,16 @@ becomes one `InputError` that names file, field and repair.  `calibrate.io.state
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import number_or_quantity
-from calibrate.io.tables import AbstractLabTables, LabTables
 from jdem.materials.catalogue import CATALOGUE
 
+Checked = TypeVar("Checked", bound=BaseModel)
 _FREE = {name: entry for name, entry in CATALOGUE.items() if entry.free}
 
 # Parameter names and the SI unit of each ("" for a pure number).
@@ -62,30 +62,31 @@ def read_text(path: Path) -> str:
         raise BadValue(f"it cannot be read ({error.strerror})", "check its permissions") from None
 
 
+def read_file(path: Path) -> str:
+    """The same, or an `InputError` that names the file."""
+    try:
+        return read_text(path)
+    except BadValue as bad:
+        raise bad.at(str(path), "") from None
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """What the lab file at `path` says, unchecked; `InputError` where it is no TOML."""
     try:
-        return tomllib.loads(read_text(path))
-    except BadValue as bad:
-        raise bad.at(str(path), "") from None
+        return tomllib.loads(read_file(path))
     except (ValueError, RecursionError) as error:
         reason = str(error) or "nested too deeply"
         raise InputError(str(path), "", f"not valid TOML: {reason}", "correct that line") from None
 
 
-def checked_tables(raw: dict[str, Any], file: str) -> AbstractLabTables:
-    """The tables of a lab file, checked; `InputError` for the first thing wrong."""
+def validated(kind: type[Checked], raw: Any, file: str, field: str = "") -> Checked:
+    """A table of a lab file; `InputError` for the first thing wrong."""
     try:
-        return LabTables.model_validate(raw)
+        return kind.model_validate(raw)
     except BadValue as bad:
-        raise bad.at(file, "") from None
+        raise bad.at(file, field) from None
     except ValidationError as error:
-        raise explained(error).at(file, "") from None
-
-
-def explained(error: ValidationError) -> BadValue:
-    """The first thing that pydantic refused, in our words."""
-    return _explain(error.errors()[0])
+        raise _explain(error.errors()[0]).at(file, field) from None
 
 
 def _explain(error: ErrorDetails) -> BadValue:

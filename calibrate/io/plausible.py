@@ -90,20 +90,20 @@ class Plausibility:
         least = "0.05 kPa" if curve.points else "0.5 kPa"
         loads = Range(STRESS, least if soil else "0.005 kPa", "20 MPa")
         ways = Range(STRAIN, "0.02 %" if soil else "0 %", "100 %")
-        unit = getattr(table.force or table.stress, "unit", 1.0)
-        kind = STRESS if table.force is None else FORCE
-        on = 1e3 * cylinder.area if table.force is None else 1.0
-        self._column(
-            ("largest force", force, force / (unit * on), kind, on),
-            loads, cylinder, f"{field}.{'force' if table.force else 'stress'}.unit",
-        )  # fmt: skip
+        if table.force is not None:
+            said = "largest force", force, force / table.force.unit, FORCE
+            self._column(*said, loads, cylinder, f"{field}.force.unit")
+        elif table.stress is not None:
+            newtons = 1e3 * cylinder.area  # of one kPa
+            said = "largest force", force, force / (table.stress.unit * newtons), STRESS
+            self._column(*said, loads, cylinder, f"{field}.stress.unit")
         if table.displacement is not None:
-            said = ("largest displacement", 1e-3 * way, way / table.displacement.unit, LENGTH, 1.0)
-            self._column(said, ways, cylinder, f"{field}.displacement.unit")
+            said = "largest displacement", 1e-3 * way, way / table.displacement.unit, LENGTH
+            self._column(*said, ways, cylinder, f"{field}.displacement.unit")
         elif table.strain is not None:
             strain = way / (1e3 * cylinder.height)
-            said = ("largest strain", 1e-3 * way, strain / table.strain.unit, STRAIN, 1.0)
-            self._column(said, ways, cylinder, f"{field}.strain.unit")
+            said = "largest strain", 1e-3 * way, strain / table.strain.unit, STRAIN
+            self._column(*said, ways, cylinder, f"{field}.strain.unit")
 
     def repeats(self, mean: float, observable: Observable, cylinder: Cylinder, field: str) -> None:
         """The mean of a column of repeats, in the unit of its observable."""
@@ -114,7 +114,9 @@ class Plausibility:
         for number, name in enumerate(self.accepted):
             if name not in self.seen and name not in {_plain(seen) for seen in self.seen}:
                 problem = f"{shown(name)} is no entry of this file whose size is checked"
-                raise InputError(self.file, f"accept[{number}]", problem, _known(name, self.seen))
+                known = dict.fromkeys(self.seen)
+                repair = suggestion(name, known) if known else "leave it out"
+                raise InputError(self.file, f"accept[{number}]", problem, repair)
 
     # ---- tables
 
@@ -194,8 +196,8 @@ class Plausibility:
             ends = entry.search.low / UNUSUAL, entry.search.high * UNUSUAL
             allowed = Range(kind, *(spoken(end, kind) for end in ends))
             for field, written in _stated(raw, name):
-                text = written if isinstance(written, str) and not _bare(written) else None
-                text = text or f"{written} {entry.unit}"
+                bare = not isinstance(written, str) or number_of(written) == written.strip()
+                text = f"{written} {entry.unit}" if bare else written
                 self._written(text, (allowed,), field, None)
 
     # ---- one entry
@@ -216,15 +218,11 @@ class Plausibility:
             return
 
     def _column(
-        self,
-        said: tuple[str, float, float, Kind, float],
-        allowed: Range,
-        size: Cylinder,
+        self, what: str, value: float, number: float, kind: Kind, allowed: Range, size: Cylinder,
         field: str,
-    ) -> None:
-        """Refuses a column whose largest value lies outside: what it is, its value (N or m), the
-        number in the file, the kind of its unit and what takes that kind to the value's."""
-        what, value, number, kind, _ = said
+    ) -> None:  # fmt: skip
+        """Refuses a column whose largest value (N or m), which is a `number` of some unit of a kind
+        in the file, lies outside."""
         text = f"{value!r} {'m' if allowed.kind is STRAIN else 'N'}"
         self.seen.append(field)
         found = _value(text, allowed, size)
@@ -233,9 +231,8 @@ class Plausibility:
         meant = [
             unit for unit in UNITS[kind.unit] if _fits(f"{number!r} {unit}".strip(), allowed, size)
         ]
-        problem = f"the {what} of the curve, {number:.4g} in this unit, " + _words(
-            value, found, allowed, size
-        )
+        problem = f"the {what} of the curve, {number:.4g} in this unit, "
+        problem += _words(value, found, allowed, size)
         self._refuse(field, problem, f'unit = "{meant[0]}"' if meant else "")
 
     def _refuse(self, field: str, problem: str, meant: str) -> None:
@@ -335,15 +332,6 @@ def _stated(raw: Mapping[str, Any], name: str) -> Iterator[tuple[str, Any]]:
             yield f"named_sets.{called}.{name}", values[name]
 
 
-def _bare(text: str) -> bool:
-    """Whether a number has no unit."""
-    return number_of(text) == text.strip()
-
-
 def _plain(field: str) -> str:
     """The field without the number in a list at its end: soil.density[0] is soil.density."""
     return field[: field.rindex("[")] if field.endswith("]") else field
-
-
-def _known(name: str, seen: list[str]) -> str:
-    return suggestion(name, dict.fromkeys(seen)) if seen else "leave it out"

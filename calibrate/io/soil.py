@@ -26,12 +26,11 @@ def with_values(soil: SoilParameters, values: Mapping[str, float]) -> SoilParame
     return soil
 
 
-def base_soil(lab: Lab, named_set: str | None = None) -> SoilParameters:
+def base_soil(lab: Lab) -> SoilParameters:
     """The soil that a lab file describes: defaults, its particles, its parameters."""
     soil = SoilParameters(conventions=CONVENTIONS[lab.particles.conventions])
     soil = with_values(soil, {"poisson_ratio": lab.particles.poisson_ratio})
     if lab.particles.reference_diameter is not None:
         soil = with_values(soil, {"reference_diameter": lab.particles.reference_diameter})
     chosen = {n: c.value for n, c in lab.parameters.items() if c.value is not None}
-    soil = with_values(soil, chosen)
-    return with_values(soil, lab.named_sets[named_set]) if named_set else soil
+    return with_values(soil, chosen)

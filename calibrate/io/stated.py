@@ -7,10 +7,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import ValidationError
-
-from calibrate.core.errors import BadValue, InputError, shown, suggestion
-from calibrate.io.labfile import explained
+from calibrate.core.errors import InputError, shown, suggestion
+from calibrate.io.labfile import validated
 from calibrate.io.tables import AbstractLabTables, targets_of
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.composite import PLAIN, TYPES
@@ -49,17 +47,13 @@ class StatedTests:
 
 def stated_tests(tables: AbstractLabTables, file: str) -> StatedTests:
     """The tests of a lab file; both ways at once are refused."""
-    plain = [name for name in (*PLAIN, "targets", "curves") if _is_given(tables, name)]
+    plain = [n for n in (*PLAIN, "targets", "curves") if n in tables.model_fields_set]
     if not tables.tests:
         return _plain_tests(tables, file)
     if plain:
         problem = f"there are [[tests]], too: which test is [{plain[0]}] of?"
         raise InputError(file, plain[0], problem, "put it into one of [[tests]]")
     return _listed_tests(tables, file)
-
-
-def _is_given(tables: AbstractLabTables, name: str) -> bool:
-    return name in tables.model_fields_set
 
 
 def _plain_tests(tables: AbstractLabTables, file: str) -> StatedTests:
@@ -116,12 +110,7 @@ def _listed(table: dict[str, Any], file: str, field: str) -> AbstractLabTest:
     if not isinstance(kind, str) or kind not in TYPES:
         repair = suggestion(kind if isinstance(kind, str) else "", TYPES)
         raise InputError(file, f"{field}.type", f"no type of test is called {shown(kind)}", repair)
-    try:
-        return TYPES[kind].model_validate(table)
-    except BadValue as bad:
-        raise bad.at(file, field) from None
-    except ValidationError as error:
-        raise explained(error).at(file, field) from None
+    return validated(TYPES[kind], table, file, field)
 
 
 def _targets(test: AbstractLabTest, number: int, field: str) -> list[StatedTarget]:

@@ -9,6 +9,7 @@ from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.unconfined import UnconfinedTest
+from jdem.apparatus.base import AbstractApparatus
 
 TYPES: Mapping[str, type[AbstractLabTest]] = {
     kind.type_name: kind
@@ -24,8 +25,11 @@ PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
 OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.every()}  # by source
 BY_NAME = {o.name: o for o in OBSERVABLES.values()}
 
+# Of observables, given as (test, source): names in results, and factors there.
+Called = dict[tuple[str, str], tuple[str, float]]
 
-def names(given: Iterable[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, float]]:
+
+def names(given: Iterable[tuple[str, str]]) -> Called:
     """What observables, given as (test, source), are called in results, and their factors there.
 
     The test's name stands before that of an observable which several tests give; an observable
@@ -41,9 +45,14 @@ def names(given: Iterable[tuple[str, str]]) -> dict[tuple[str, str], tuple[str, 
     return found
 
 
-def names_of(tests: Iterable[AbstractLabTest]) -> dict[tuple[str, str], tuple[str, float]]:
+def names_of(tests: Iterable[AbstractLabTest]) -> Called:
     """The same for the tests of a lab."""
     return names((test.called, o.source) for test in tests for o in test.given)
+
+
+def names_observed(tests: Iterable[AbstractApparatus]) -> Called:
+    """The same for virtual tests."""
+    return names((test.name, source) for test in tests for source in test.observables)
 
 
 def described(name: str) -> Observable:

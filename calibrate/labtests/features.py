@@ -229,7 +229,7 @@ def path_features(test: str, curves: Sequence[Curve]) -> list[AbstractFeature]:
     found: list[AbstractFeature] = []
     for end in range(2, len(path) + 1):
         last = path[end - 1]
-        number = _turns(path[:end])
+        number = sum(a.rising != b.rising for a, b in pairwise(path[:end]))  # of turns
         course = ("loading", "unloading")[number % 2] if path[0].rising else "course"
         name = f"displacement at {last.force:.4g} N, {course} {number // 2 + 1}, {test}"
         found.append(DisplacementOnPath(name, "mm", test, tuple(path[:end])))
@@ -286,8 +286,3 @@ def _branches(force: np.ndarray) -> list[Waypoint]:
             Waypoint(float(low + share * (high - low)), bool(high > low)) for share in A_BRANCH
         ]
     return path
-
-
-def _turns(path: Sequence[Waypoint]) -> int:
-    """How often the path turns."""
-    return sum(a.rising != b.rising for a, b in pairwise(path))

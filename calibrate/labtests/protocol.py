@@ -77,10 +77,7 @@ class StepTable(AbstractTable):
     def goal(self) -> tuple[str, float]:
         """Which quantity the step goes to, and its value (N, kPa, m or a fraction)."""
         expected = 'give a force, stress, displacement or strain: "400 N", "200 kPa", "2 mm", "5 %"'
-        try:
-            kind, value = first_of(self.to, list(KINDS.values()), expected)
-        except BadValue as bad:
-            raise BadValue(bad.problem, bad.repair, "to") from None
+        kind, value = first_of(self.to, list(KINDS.values()), expected, "to")
         name = next(name for name, each in KINDS.items() if each is kind)
         if value < 0 or (value == 0 and self.step != "unload"):
             raise BadValue(f"{self.to} is not above zero", 'give e.g. "400 N"', "to")
@@ -93,10 +90,7 @@ class StepTable(AbstractTable):
         if self.rate is None:
             return USUAL_RATE
         expected = 'give a speed or a strain rate: "8 mm/s", "1 %/min"'
-        try:
-            kind, value = first_of(self.rate, [SPEED, STRAIN_RATE], expected)
-        except BadValue as bad:
-            raise BadValue(bad.problem, bad.repair, "rate") from None
+        kind, value = first_of(self.rate, [SPEED, STRAIN_RATE], expected, "rate")
         if value <= 0:
             raise BadValue(f"{self.rate} is not above zero", expected, "rate")
         return value if kind is SPEED else value * height

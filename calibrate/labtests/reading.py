@@ -177,13 +177,10 @@ def passing(displacement, force, row, wanted: float, rising: bool, tolerance: fl
     close = abs(rest[nearest] - sign * wanted) <= tolerance
     before = numbers.maximum(at - 1, row)
     change = force[at] - force[before]
-    share = numbers.where(change == 0, 1.0, (wanted - force[before]) / _not_zero(numbers, change))
+    safe = numbers.where(change == 0, 1.0, change)
+    share = numbers.where(change == 0, 1.0, (wanted - force[before]) / safe)
     way = displacement[at] - displacement[before]
     passed = displacement[before] + numbers.clip(share, 0.0, 1.0) * way
     never = numbers.where(close, displacement[nearest], numbers.nan)
     found = reached.any()
     return numbers.where(found, at, nearest), numbers.where(found, passed, never)
-
-
-def _not_zero(numbers, change):
-    return numbers.where(change == 0, 1.0, change)

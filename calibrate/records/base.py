@@ -6,6 +6,7 @@ JSON has no NaN: what is not known stands there as null, and here as NaN.
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -19,7 +20,7 @@ from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown
 from calibrate.core.files import as_json
-from calibrate.io.labfile import PARAMETER_UNITS, read_text
+from calibrate.io.labfile import PARAMETER_UNITS, read_file
 
 LARGEST = 1e150  # larger numbers count as not known; squares of these are finite
 RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
@@ -66,6 +67,11 @@ class Curve(Record):
 
     displacement_mm: list[Number]
     force_n: list[Number]
+
+    @staticmethod
+    def of(points: np.ndarray) -> "Curve":
+        """Of points (n, 2) in mm and N."""
+        return Curve(displacement_mm=points[:, 0].tolist(), force_n=points[:, 1].tolist())
 
     @check(mode="after")
     def _same_length(self) -> "Curve":
@@ -128,9 +134,7 @@ def record(kind: type[R], content: dict) -> R:
 def read(path: Path, kind: type[R]) -> R:
     """The record in a JSON file; `InputError` for the first thing that is wrong."""
     try:
-        return kind.model_validate_json(read_text(path))
-    except BadValue as bad:
-        raise bad.at(str(path), "") from None
+        return kind.model_validate_json(read_file(path))
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"])

@@ -231,6 +231,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
     found = diagnosis.as_json()
     comparison, d = diagnosis.comparison, diagnosis.prepared.description
     moved = comparison.base.delta / d.prior_sd
+    repeats = {test: diagnosis.found.repeats.get(test, 0) for test in TESTS}
     return {
         **origin,
         **found,
@@ -252,7 +253,7 @@ def content(diagnosis: Diagnosis, origin: dict) -> dict:
         "records_begin": dict(diagnosis.found.begun),
         "scatter_over_assumed": _scatter_over_assumed(diagnosis),
         "amplitudes": {str(test): float(a) for test, a in comparison.noise.amplitudes.items()},
-        "settings": {**origin["settings"], **_repeats(diagnosis)},
+        "settings": {**origin["settings"], **repeats},
     }
 
 
@@ -269,10 +270,6 @@ def _scatter_over_assumed(diagnosis: Diagnosis) -> dict[str, float]:
         if mine.any() and len(rows) >= FEWEST:
             found[test] = float(np.median(rows.std(axis=0, ddof=1) / assumed[mine]))
     return found
-
-
-def _repeats(diagnosis: Diagnosis) -> dict[str, int]:
-    return {test: diagnosis.found.repeats.get(test, 0) for test in TESTS}
 
 
 def _features(diagnosis: Diagnosis) -> list[dict]:

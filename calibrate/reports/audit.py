@@ -47,23 +47,24 @@ def page(path: Path) -> Page:
             ["parameter", "value"],
             [[words(n), quantity(n, v)] for n, v in found.parameters.items()],
         ),
-        "settings": _settings(found),
+        "settings": {"spheres": str(found.spheres), "packings": ", ".join(map(str, found.seeds))},
     }
     return Page(content["sentence"], render("audit.html", found=found, **content))
 
 
 def sentence(found: AuditRecord) -> str:
     """How many slopes pass, by strategy."""
-    parts = [f"{words(name)}: {_passed(each)}" for name, each in found.strategies.items()]
+    parts = [f"{words(name)}: {passed(each)}" for name, each in found.strategies.items()]
     listed = "; ".join(parts)
     where = f"on {found.packings} packings of {found.spheres} spheres"
     return f"{listed[:1].upper()}{listed[1:]}, {where}."
 
 
-def _passed(each: StrategyRecord) -> str:
+def passed(each: StrategyRecord) -> str:
+    """How many slopes of a strategy pass."""
     judged = each.judged()
-    passed = sum(row.passed is True for row in judged)
-    return f"{passed} of {len(judged)} slopes that can be judged pass"
+    right = sum(row.passed is True for row in judged)
+    return f"{right} of {len(judged)} slopes that can be judged pass"
 
 
 def _name(observable: Observable) -> str:
@@ -73,7 +74,7 @@ def _name(observable: Observable) -> str:
 def _strategy(found: AuditRecord, name: str) -> Strategy:
     each = found.strategies[name]
     cost = f"{each.forward_runs:.3g} forward runs a packing"
-    text = f"{each.described}. {_passed(each)}; it costs {cost}."
+    text = f"{each.described}. {passed(each)}; it costs {cost}."
     tables = [_table(each, observable) for observable in found.observables]
     return Strategy(words(name), text, tables)
 
@@ -133,7 +134,3 @@ def _curves(found: AuditRecord, parameter: str) -> Picture:
         "strategies' lines.",
         f"Slopes in {name}. Band: reference ± 2 s.e.",
     )
-
-
-def _settings(found: AuditRecord) -> dict[str, str]:
-    return {"spheres": str(found.spheres), "packings": ", ".join(map(str, found.seeds))}

@@ -86,13 +86,10 @@ def said(found: DiagnosisRecord) -> Iterator[RenderableType]:
     yield Text(sentence(found))
     if found.which.reason in BEFORE_TESTS:
         return
-    table = Terminal(box=None, pad_edge=False)
-    for column in ("explanation", "probability", "strength if so"):
-        table.add_column(column)
-    for explanation in _leading(found):
-        table.add_row(
-            title(explanation.label), percent(explanation.probability), _if_so(explanation)
-        )
+    columns = ("explanation", "probability", "strength if so")
+    table = Terminal(*columns, box=None, pad_edge=False)
+    for each in _leading(found):
+        table.add_row(title(each.label), percent(each.probability), _if_so(each))
     yield table
 
 

@@ -1,9 +1,10 @@
 """The report of a calibration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from calibrate.figures import panels
 from calibrate.figures.style import above, panel_svg
@@ -265,11 +266,6 @@ def _settings(found: FitRecord) -> dict[str, str]:
 
 
 def _curves(found: FitRecord, test: Test) -> Picture:
-    def draw(axis):
-        panels.compression(axis, test, panels.fit_groups(found, test), found.measured)
-        axis.set_title("")
-        above(axis)
-
     packings = (*found.packings.fitted, *found.packings.fresh)
     shown = found.measured.tests[test]
     alt = f"Force against displacement, {shown.title}: {_reach(packings, test)}"
@@ -281,7 +277,20 @@ def _curves(found: FitRecord, test: Test) -> Picture:
         + "".join(f"Band: measured {described(name).label} ± scatter of one repeat. "
                   for name in shown.drawn if name in found.measured.targets)
     )  # fmt: skip
-    return Picture(panel_svg(draw), alt, f"{shown.title.capitalize()}. {caption.strip()}")
+    groups = panels.fit_groups(found, test)
+    drawing = _untitled(lambda axis: panels.compression(axis, test, groups, found.measured))
+    return Picture(drawing, alt, f"{shown.title.capitalize()}. {caption.strip()}")
+
+
+def _untitled(draw: Callable[[Axes], None]) -> str:
+    """A panel whose title stands in its caption, as SVG."""
+
+    def drawn(axis: Axes) -> None:
+        draw(axis)
+        axis.set_title("")
+        above(axis)
+
+    return panel_svg(drawn)
 
 
 def _reach(packings: Sequence[Packing], test: Test) -> str:
@@ -299,18 +308,12 @@ def _reach(packings: Sequence[Packing], test: Test) -> str:
 
 def _pictures(found: FitRecord) -> Iterator[Picture]:
     if found.measured.targets:
-
-        def draw(axis):
-            panels.observables(axis, found)
-            axis.set_title("")
-            above(axis)
-
         targets = found.measured.targets
         spread = "; ".join(f"{words(name)}: {_ratios(found, name)}" for name in targets)
         alt = f"Simulated over measured, packing by packing. {spread}."
-        yield Picture(
-            panel_svg(draw), alt, "Points: packings. Bars: their means. Grey: measured ± scatter."
-        )
+        drawing = _untitled(lambda axis: panels.observables(axis, found))
+        caption = "Points: packings. Bars: their means. Grey: measured ± scatter."
+        yield Picture(drawing, alt, caption)
     values = "; ".join(
         f"{words(name)} {quantity(name, found.parameters[name])}, {_interval(found, name)}"
         for name in found.free
@@ -335,25 +338,18 @@ def _ratios(found: FitRecord, name: Observable) -> str:
 
 
 def _profile(found: FitRecord, name: str) -> Picture:
-    def draw(axis):
-        panels.profile(axis, found, name)
-        axis.legend(fontsize=8, frameon=False)
-
     points = found.profiles[name]
     costs = ", ".join(number(point.simulated, 2) for point in points)
     return Picture(
-        panel_svg(draw, SMALL),
+        panel_svg(lambda axis: panels.profile(axis, found, name), SMALL),
         f"Objective along {words(name)}: {costs} by simulation.",
         "Others are where the slopes put them. Where points leave the line, so does the interval.",
     )
 
 
 def _course(found: FitRecord) -> Picture:
-    def draw(axis):
-        panels.descent(axis, found)
-        axis.legend(fontsize=8, frameon=False)
-
     costs = [step.cost for step in found.history]
     alt = f"Objective over {len(costs)} evaluations: from {number(costs[0], 2)} to "
     best = number(float(np.nanmin(costs)), 2)
-    return Picture(panel_svg(draw, SMALL), f"{alt}{best}.", "The line follows the best so far.")
+    drawing = panel_svg(lambda axis: panels.descent(axis, found), SMALL)
+    return Picture(drawing, f"{alt}{best}.", "The line follows the best so far.")

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibrate.core.errors import BadValue, InputError
-from calibrate.io.labfile import read_text
+from calibrate.core.errors import InputError
+from calibrate.io.labfile import read_file
 from calibrate.records.base import RUN_AGAIN
 from calibrate.reports import audit, diagnosis, fit, study_page
 from calibrate.reports.html import Page
@@ -68,9 +68,7 @@ def page_of(kind: Kind, file: Path) -> Page:
 def _kinds_of(file: Path) -> list[Kind]:
     """The kinds whose keys are in a JSON file."""
     try:
-        content = json.loads(read_text(file))
-    except BadValue as bad:
-        raise bad.at(str(file), "") from None
+        content = json.loads(read_file(file))
     except (ValueError, RecursionError) as error:
         problem = f"not valid JSON: {error}"
         raise InputError(str(file), "", problem, "run the command that wrote it again") from None

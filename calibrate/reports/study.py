@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 
 from rich.console import RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from calibrate.core.files import whole, write_json, write_text
@@ -122,19 +122,17 @@ def _write_sheet(experiment: Experiment, path: Path) -> None:
 def words(found: Designed) -> Iterator[RenderableType]:
     """Endings and slopes as tables."""
     compared = found.comparison
-    table = _plain("where each method ended (mean ± one packing)")
     goals = [(found.study.observables.index(name), described(name)) for name in found.study.goals]
     columns = [(f"{short(o.name)} fitted ({o.unit})", f"{short(o.name)} fresh") for _, o in goals]
-    for column in ("", "runs", *chain.from_iterable(columns)):
-        table.add_column(column, no_wrap=True)
+    title = "where each method ended (mean ± one packing)"
+    table = _plain(title, "", "runs", *chain.from_iterable(columns))
     for ending in compared.endings:
         cells = [cell(values, m) for m, _ in goals for values in (ending.fitted, ending.fresh)]
         table.add_row(ending.method, str(ending.simulations), *cells)
     yield table
     units = ", ".join(f"{short(n)} in {described(n).unit}" for n in found.study.observables)
-    table = _plain(f"slopes per ln p of factors that matter ({units})")
-    for column in ("design", "factor", "of", "surface", "gradient", "intervals"):
-        table.add_column(column, no_wrap=True)
+    title = f"slopes per ln p of factors that matter ({units})"
+    table = _plain(title, "design", "factor", "of", "surface", "gradient", "intervals")
     for pair in compared.slopes:
         if pair.matters:
             cells = [f"{pair.surface:.3g} ± {number(pair.surface_se, 1)}"]
@@ -151,6 +149,7 @@ def short(name: str) -> str:
     return known.symbol or known.label
 
 
-def _plain(title: str) -> Table:
+def _plain(title: str, *columns: str) -> Table:
     """A table narrow enough for 80 columns."""
-    return Table(title=title, title_justify="left", box=None, pad_edge=False)
+    unwrapped = (Column(column, no_wrap=True) for column in columns)
+    return Table(*unwrapped, title=title, title_justify="left", box=None, pad_edge=False)

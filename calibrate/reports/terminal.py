@@ -11,19 +11,16 @@ from calibrate.simulation.specimens import coarse
 
 
 def course(result: dict) -> str:
-    """How the runs went: their resolution, how quasi-static and how fast they were."""
-    if not result["quality"]["spheres"]:
+    """How the runs went: how finely the specimen is resolved, how quasi-static and how fast they
+    were."""
+    quality = result["quality"]
+    if not quality["spheres"]:
         return "no test has soil in it"
     speed = result["particle_steps_per_s"] / 1e6
-    inertial = result["quality"]["inertial_number"]
-    each = f"{speed:.2f} M particle-steps/s per run"
-    return f"{_resolution(result)}, inertial number {inertial:.1e}, {each}"
-
-
-def _resolution(result: dict) -> str:
-    """How finely the specimen is resolved."""
-    quality = result["quality"]
-    return f"{quality['spheres_across']:.1f} spheres across, porosity {quality['porosity']:.2f}"
+    return (
+        f"{quality['spheres_across']:.1f} spheres across, porosity {quality['porosity']:.2f}, "
+        f"inertial number {quality['inertial_number']:.1e}, {speed:.2f} M particle-steps/s per run"
+    )
 
 
 def warned_of_resolution(result: dict) -> Iterator[Text]:
@@ -41,10 +38,8 @@ def warned_of_observables(result: dict) -> Iterator[Text]:
 
 def observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
     """Observables of groups of runs below what was measured, each with its scatter."""
-    table = Table(title=lab.name, title_justify="left")
     names = list(next(iter(groups.values()))["observables"])
-    for column in ("", *map(label, names)):
-        table.add_column(column)
+    table = Table("", *map(label, names), title=lab.name, title_justify="left")
     measured = [
         f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
         for n in names

@@ -18,7 +18,7 @@ from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.simulation.compiled import blank
 from calibrate.simulation.executors import AbstractPlace, Here, MachineFailure, cores
 from calibrate.simulation.keys import content_hash, packing_content, run_content
-from calibrate.simulation.run import Run, completed, not_simulated
+from calibrate.simulation.run import Run, Runs, Soils, completed, not_simulated
 from calibrate.simulation.store import SHIPPED, Store
 from jdem.apparatus.base import AbstractApparatus
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -33,7 +33,8 @@ Made = TypeVar("Made")
 
 @dataclass(eq=False)
 class Campaign:
-    """Runs soils on the packings of one specimen in one virtual laboratory.
+    """Runs soils on the packings of one specimen in one virtual laboratory, as an
+    `AbstractCampaign` (`calibrate.simulation.joint`) does.
 
     `folder` holds packings/ and runs/; `workers` threads share one compiled program, or hand
     their work to another `place`.
@@ -51,7 +52,6 @@ class Campaign:
 
     @property
     def apparatus(self) -> tuple[AbstractApparatus, ...]:
-        """The tests, in order."""
         return self.lab.tests.apparatus
 
     def packings(self, seeds: Sequence[int]) -> list[Packing]:
@@ -65,16 +65,10 @@ class Campaign:
         found |= {seed: self._prepared(seed) for seed in missing}
         return [found[seed] for seed in seeds]
 
-    def runs(
-        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
-        """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
         return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
 
-    def each(
-        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
-        """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
         packings = dict(zip(seeds, self._packings_while_compiling(soils, seeds), strict=True))
         keyed = [
             [
@@ -84,7 +78,7 @@ class Campaign:
             for row in soils
         ]
         unique = {task[0]: task for row in keyed for task in row}
-        found = {key: self._store.run(key) for key in unique}
+        found = {key: self.store.run(key) for key in unique}
         tasks = [task for key, task in unique.items() if found[key] is None]
         found.update(self._simulated(tasks, what))
         return [
@@ -96,22 +90,14 @@ class Campaign:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""
         return content_hash({**run_content(self.lab, soil), **self._packing_content(seed)})
 
-    def stored(self, key: str) -> Run | None:
-        """What is kept under a key, if anything."""
-        return self._store.run(key)
-
-    def keep(self, key: str, run: Run) -> None:
-        """Keeps a run that was made from runs of this campaign."""
-        self._store.keep_run(key, run)
-
     # ---- simulating
 
     def _simulated(self, tasks: Sequence[Task], what: str) -> dict[str, Run]:
         """Runs of all tasks by key."""
         if not tasks:
             return {}
-        self._store.sweep()
-        damaged = sum(self._run_path(key).exists() for key, _, _ in tasks)
+        self.store.sweep()
+        damaged = sum(self.store.run_path(key).exists() for key, _, _ in tasks)
         if damaged:
             self.progress.say(f"{damaged} damaged entries of the cache are simulated again")
         for _, soil, packing in tasks:
@@ -121,10 +107,10 @@ class Campaign:
     def _simulate(self, task: Task, patient: bool) -> tuple[str, Run] | None:
         """One run, simulated or found; None if another process has it in hand."""
         key, soil, packing = task
-        with self._store.claim(key, patient) as ours:
+        with self.store.claim(key, patient) as ours:
             if not ours:
                 return None
-            run = self._store.run(key)
+            run = self.store.run(key)
             return key, self._new(key, soil, packing) if run is None else run
 
     def _new(self, key: str, soil: SoilParameters, packing: Packing) -> Run:
@@ -134,7 +120,7 @@ class Campaign:
         except MachineFailure as failure:
             reason = f"not simulated, tried {TRIES} times: {one_line(str(failure))}"
             return not_simulated(self.lab, reason)
-        self._store.keep_run(key, run)
+        self.store.keep_run(key, run)
         with self._lock:
             self.simulated += 1
         return run
@@ -163,11 +149,11 @@ class Campaign:
     def _prepare(self, seed: int, patient: bool) -> int | None:
         """The seed, once its packing is on disk; None if another process has it in hand."""
         name = self._packing_name(seed)
-        with self._store.claim(name, patient) as ours:
+        with self.store.claim(name, patient) as ours:
             if not ours:
                 return None
-            if self._store.packing(name) is None:
-                self._store.keep_packing(name, self._settled(seed))
+            if self.store.packing(name) is None:
+                self.store.keep_packing(name, self._settled(seed))
             return seed
 
     def _settled(self, seed: int) -> Packing:
@@ -222,7 +208,8 @@ class Campaign:
     # ---- places on disk
 
     @property
-    def _store(self) -> Store:
+    def store(self) -> Store:
+        """What is kept."""
         return Store(self.folder)
 
     def _packing_content(self, seed: int) -> dict:
@@ -232,10 +219,7 @@ class Campaign:
         return content_hash(self._packing_content(seed))
 
     def _packing_path(self, seed: int) -> Path:
-        return self._store.packing_path(self._packing_name(seed))
+        return self.store.packing_path(self._packing_name(seed))
 
     def _stored_packing(self, seed: int) -> Packing | None:
-        return self._store.packing(self._packing_name(seed))
-
-    def _run_path(self, key: str) -> Path:
-        return self._store.run_path(key)
+        return self.store.packing(self._packing_name(seed))

@@ -32,11 +32,11 @@ PATIENCE = 20.0  # s until a scheduler must have answered
 class DaskCluster(AbstractPlace):
     """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786.
 
-    Raises `InputError` about `option` where no scheduler answers.
+    Raises `InputError` about --dask where no scheduler answers.
     """
 
-    def __init__(self, address: str, option: str = "--dask"):
-        self._client = _connected(address, option)
+    def __init__(self, address: str):
+        self._client = _connected(address)
         self._address = address
         self._said = False
 
@@ -77,7 +77,7 @@ class DaskCluster(AbstractPlace):
         return _on_device(result)
 
 
-def _connected(address: str, option: str) -> Client:
+def _connected(address: str) -> Client:
     try:
         return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -86,7 +86,7 @@ def _connected(address: str, option: str) -> Client:
     # whichever thread collects it, which locks up if that is the thread of a next client.
     gc.collect()
     repair = "give the address that the scheduler printed, such as tcp://host:8786"
-    raise InputError(address, option, f"no Dask scheduler answers ({why})", repair)
+    raise InputError(address, "--dask", f"no Dask scheduler answers ({why})", repair)
 
 
 SETTINGS = (

@@ -4,20 +4,21 @@ A soil that is tested on two specimens, one for each test, is simulated on two p
 seed; what both give is one run, and what the machine gives without soil joins it.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from calibrate.core.progress import AbstractProgress
-from calibrate.labtests.composite import names
-from calibrate.simulation.bare import BareCampaign
+from calibrate.labtests.composite import names_observed
 from calibrate.simulation.campaign import Campaign
-from calibrate.simulation.run import Run
+from calibrate.simulation.run import QUALITY, Run, Runs, Soils, points_of
 from jdem.apparatus.base import AbstractApparatus
-from jdem.materials.soil import SoilParameters
+from jdem.laboratory.bare_machine import BareMachine
 
 # How the checks of several runs become one; the largest counts of those that are not named.
 COMBINED = {name: np.sum for name in ("steps", "runtime_s", "repeats", "platen_work_j")}
@@ -43,17 +44,49 @@ class AbstractCampaign(Protocol):
         """All tests, in order."""
         ...
 
-    def runs(
-        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
         """Every soil on every packing: a list (soils) of lists (seeds) of `Run`."""
         ...
 
-    def each(
-        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
         """Rows of soils, one for each packing: a list of lists (seeds) of `Run`."""
         ...
+
+
+@dataclass(eq=False)
+class BareCampaign:
+    """What a bare machine records, asked for as of any soil; `folder` is where others' runs are.
+
+    No soil and no packing changes it, so one run serves all and none is kept on disk.
+    """
+
+    machine: BareMachine
+    folder: Path
+    progress: AbstractProgress
+    simulated: int = 0  # none: nothing is simulated in time
+
+    @property
+    def apparatus(self) -> tuple[AbstractApparatus, ...]:
+        return self.machine.tests.apparatus
+
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
+        return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
+
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
+        return [[self._run] * len(row) for row in soils]
+
+    @cached_property
+    def _run(self) -> Run:
+        begun = time.perf_counter()
+        found = self.machine.run()
+        observables = {
+            name: factor * float(found[test].observables[source])
+            for (test, source), (name, factor) in names_observed(self.apparatus).items()
+        }
+        curves = {name: points_of(reading.curve) for name, reading in found.items()}
+        nothing = {"overflow": 0.0, "steps": 0.0, "spheres": 0.0, "repeats": 0.0}
+        quality = {name: np.nan for name in QUALITY} | nothing
+        return Run(observables, curves, quality | {"runtime_s": time.perf_counter() - begun})
 
 
 @dataclass(frozen=True)
@@ -84,14 +117,10 @@ class JointCampaign:
     def apparatus(self) -> tuple[AbstractApparatus, ...]:
         return tuple(test for part in self.all for test in part.apparatus)
 
-    def runs(
-        self, soils: Sequence[SoilParameters], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def runs(self, soils: Soils, seeds: Sequence[int], what: str) -> Runs:
         return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
 
-    def each(
-        self, soils: Sequence[Sequence[SoilParameters]], seeds: Sequence[int], what: str
-    ) -> list[list[Run]]:
+    def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
         """A specimen whose runs fail does not keep the others from being simulated."""
         rows = []
         for number, part in enumerate(self.all, 1):
@@ -104,19 +133,14 @@ class JointCampaign:
 
     def _joined(self, together: Sequence[Run]) -> Run:
         """The runs of one soil on all specimens as one."""
-        called = _called(self.apparatus)
+        called = names_observed(self.apparatus)
         observables, curves = {}, {}
         for part, run in zip(self.all, together, strict=True):
-            for which, (name, _) in _called(part.apparatus).items():
+            for which, (name, _) in names_observed(part.apparatus).items():
                 observables[called[which][0]] = run.observables[name]
             curves |= run.curves
         failures = [run.failure for run in together if run.failure]
         return Run(observables, curves, _worst(together), "; ".join(failures))
-
-
-def _called(tests: Sequence[AbstractApparatus]) -> dict[tuple[str, str], tuple[str, float]]:
-    """What the observables of these tests are called in results."""
-    return names((test.name, source) for test in tests for source in test.observables)
 
 
 def _worst(together: Sequence[Run]) -> dict[str, float]:

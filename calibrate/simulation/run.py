@@ -4,12 +4,13 @@ A failure is one sentence that names the cause: a contact list that was too smal
 that was too large, a number that is not finite, a soil too soft to test, a machine that gave up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
-from calibrate.labtests.composite import names
+from calibrate.labtests.composite import names_observed
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import Curve, inertial_number
@@ -47,11 +48,15 @@ class Run:
     failure: str = ""
 
 
+Soils = Sequence[SoilParameters]
+Runs = list[list[Run]]  # by soil, or row of soils, and by packing
+
+
 def not_simulated(lab: VirtualLab, failure: str) -> Run:
     """The row of a run that no machine could finish: empty curves, numbers that are NaN."""
     quality = {name: np.nan for name in QUALITY} | {"overflow": 0.0}
     curves = {test.name: np.zeros((0, 2)) for test in lab.tests.apparatus}
-    found = {name: np.nan for name, _ in names_in(lab).values()}
+    found = {name: np.nan for name, _ in names_observed(lab.tests.apparatus).values()}
     return Run(found, curves, quality, failure)
 
 
@@ -64,11 +69,12 @@ def summary(
     time_step = float(lab.time_step(packing, soil))
     steps = samples * round(lab.numerics.sample_time / time_step)
     energy = record.state.energy
-    rest = np.flatnonzero(np.isin(np.asarray(record.samples.segment), _last_rest(lab)))
+    rests = [k for k, movement in enumerate(lab.tests.movements()) if movement.resting]
+    rest = np.flatnonzero(np.isin(np.asarray(record.samples.segment), rests[-1:]))
     kinetic = np.asarray(record.samples.kinetic_energy)
     quality = {
         "inertial_number": _inertial_number(lab, packing),
-        "overflow": float(_overflowed(lab, outcome)),
+        "overflow": float(bool(record.overflow_of(lab.grid))),
         "energy_balance": _integration_error(outcome),
         "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
         "platen_work_j": float(energy.platen),
@@ -80,7 +86,10 @@ def summary(
         **resolution_of(packing),
     }
     return Run(
-        observables=_observables(lab, outcome),
+        observables={
+            name: factor * float(outcome.observables[test][source])
+            for (test, source), (name, factor) in names_observed(lab.tests.apparatus).items()
+        },
         curves={name: points_of(curve) for name, curve in outcome.curves.items()},
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
@@ -107,25 +116,6 @@ def repeated(run: Run, before: Run) -> Run:
     return replace(run, quality=run.quality | {"repeats": 1.0, "runtime_s": both})
 
 
-def _observables(lab: VirtualLab, outcome: Outcome) -> dict[str, float]:
-    """All observables of an outcome by their names in results."""
-    return {
-        name: factor * float(outcome.observables[test][source])
-        for (test, source), (name, factor) in names_in(lab).items()
-    }
-
-
-def names_in(lab: VirtualLab) -> dict[tuple[str, str], tuple[str, float]]:
-    """Name in results and factor of each observable, by test and name in the apparatus."""
-    tests = lab.tests.apparatus
-    return names((test.name, source) for test in tests for source in test.observables)
-
-
-def _last_rest(lab: VirtualLab) -> list[int]:
-    """Number of the last movement in which a free specimen rests; empty if none does."""
-    return [k for k, movement in enumerate(lab.tests.movements()) if movement.resting][-1:]
-
-
 def _inertial_number(lab: VirtualLab, packing: Packing) -> float:
     """The largest of all tests that state a force for it; NaN if none does."""
     area = np.pi * float(packing.mould_radius) ** 2
@@ -137,10 +127,6 @@ def _inertial_number(lab: VirtualLab, packing: Packing) -> float:
         if test.reference_force is not None
     ]
     return max(found, default=np.nan)
-
-
-def _overflowed(lab: VirtualLab, outcome: Outcome) -> bool:
-    return bool(outcome.record.overflow_of(lab.grid))
 
 
 def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome) -> str:
@@ -177,7 +163,7 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
             "the time step is too large or a parameter is extreme: integration errors are "
             f"{error:.2g} times the platen's work"
         )
-    if _overflowed(lab, outcome) and not finds:
+    if bool(record.overflow_of(lab.grid)) and not finds:
         finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
     return "; ".join(finds)
 

@@ -11,10 +11,9 @@ from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import names_of
-from calibrate.simulation.bare import BareCampaign
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
-from calibrate.simulation.joint import AbstractCampaign, JointCampaign
+from calibrate.simulation.joint import AbstractCampaign, BareCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
 from calibrate.simulation.run import LEAST_ACROSS, Run
 from jdem.materials.soil import SoilParameters
@@ -88,8 +87,7 @@ def simulation_json(runs: Sequence[Run]) -> dict:
     seconds = sum(run.quality["runtime_s"] for run in runs)
     work = sum(run.quality["steps"] * run.quality["spheres"] for run in runs)
     return {
-        "observables": mean_observables(runs),
-        "spread": spread_observables(runs),
+        **summary_json(runs),
         "curves": curves_json(runs[0]),
         "packings": [{**run.observables, "failure": run.failure} for run in runs],
         "quality": quality_json(runs),
@@ -189,9 +187,16 @@ def checked_json(lab: Lab, seeds: Seeds, fitted: Sequence[Run], fresh: Sequence[
     }
 
 
-def summary_json(runs: Sequence[Run]) -> dict:
-    """Means over packings, and the scatter of one."""
-    return {"observables": mean_observables(runs), "spread": spread_observables(runs)}
+def summary_json(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
+    """Means over packings that did not fail, and the scatter of one; NaN where these are none, or
+    only one."""
+    sound = [run for run in runs if not run.failure]
+    values = {name: [run.observables[name] for run in sound] for name in runs[0].observables}
+    nan, count = float("nan"), len(sound)
+    return {
+        "observables": {n: float(np.mean(v)) if count else nan for n, v in values.items()},
+        "spread": {n: float(np.std(v, ddof=1)) if count > 1 else nan for n, v in values.items()},
+    }
 
 
 def _packings_json(seeds: Sequence[int], runs: Sequence[Run]) -> list[dict]:
@@ -234,21 +239,6 @@ def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
         "guides_n": list(test.guides()),
         "drawn": drawn,
     }
-
-
-def mean_observables(runs: Sequence[Run]) -> dict[str, float]:
-    """Means over the packings that did not fail; NaN where all did."""
-    return _over_packings(runs, lambda v: np.mean(v) if len(v) else float("nan"))
-
-
-def spread_observables(runs: Sequence[Run]) -> dict[str, float]:
-    """Standard deviation over packings (one packing's scatter)."""
-    return _over_packings(runs, lambda v: np.std(v, ddof=1) if len(v) > 1 else float("nan"))
-
-
-def _over_packings(runs: Sequence[Run], statistic) -> dict[str, float]:
-    names, sound = runs[0].observables, [run for run in runs if not run.failure]
-    return {n: float(statistic([run.observables[n] for run in sound])) for n in names}
 
 
 def check_some_sound(runs: Sequence[Run], which: str = "packings", result: object = None) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -19,58 +18,40 @@ from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.on_response import OnResponse
 from calibrate.inference.parameters import FACTORS, space
 from calibrate.records.audit import AuditRecord
-from calibrate.records.base import record
+from calibrate.reports.audit import passed
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractRecordedResult, line, listed, parameter_values, verb
 from jdem.materials.soil import SoilParameters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AuditResult(AbstractDrawnResult):
+class AuditResult(AbstractRecordedResult[AuditRecord]):
     """Slopes of observables and curves in every parameter, and how far from the reference they are.
 
     Attributes:
         slopes: the estimates and the reference.
         folder: where audit.json, audit.png and audit_curves.png are.
-        content: everything, with the keys of audit.json.
     """
 
-    verb = "audit"
+    verb, kind = "audit", AuditRecord
     files = ("audit.json",)
     slopes: Audit
     folder: Path
     content: dict
 
-    @cached_property
-    def record(self) -> AuditRecord:
-        """The whole result with typed entries."""
-        return record(AuditRecord, self.content)
-
     def words(self) -> Iterator[RenderableType]:
         for name in self.slopes.estimates:
             yield self._table(name)
-            yield line(f"{name}: {_judgement(self.slopes.rows(name))}")
+            yield line(f"{name}: {passed(self.record.strategies[name])}")
             yield from (line(f"{name}: {sentence}") for sentence in self._refusals(name))
-
-    @property
-    def drawn(self) -> tuple[AuditRecord]:
-        """The record of the audit."""
-        return (self.record,)
 
     def _table(self, strategy: str) -> Table:
         title = f"{strategy}, {self.slopes.packings} packings"
-        table = Table(title=title, title_justify="left")
-        for column in (
-            "parameter",
-            "observable",
-            "estimate per ln p",
-            "reference per ln p",
-            "verdict",
-        ):
-            table.add_column(column)
+        columns = ("parameter", "observable", "estimate per ln p", "reference per ln p", "verdict")
+        table = Table(*columns, title=title, title_justify="left")
         for row in self.slopes.rows(strategy):
             cells = [f"{row[k]:.3g} ± {row[k + '_se']:.2g}" for k in ("estimate", "reference")]
             table.add_row(row["parameter"], row["observable"], *cells, _word(row))
@@ -94,12 +75,6 @@ def _word(row: dict) -> str:
     if not row["judged"]:
         return "too small to judge"
     return "passed" if row["passed"] else "FAILED"
-
-
-def _judgement(rows: list[dict]) -> str:
-    judged = [row for row in rows if row["judged"]]
-    passed = sum(bool(row["passed"]) for row in judged)
-    return f"{passed} of {len(judged)} slopes that can be judged pass"
 
 
 @verb

@@ -9,22 +9,25 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, ForwardRef, ParamSpec, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, ForwardRef, Generic, ParamSpec, TypeVar, get_args
 
 from rich.console import Console, RenderableType
 from rich.text import Text
 
 from calibrate import figures
 from calibrate.core import runtime
-from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, shown
+from calibrate.core.errors import COMMAND_LINE, BadValue, CalibrationError, InputError, shown
 from calibrate.core.files import as_json, write_text
+from calibrate.core.units import LENGTH, positive_quantity
 from calibrate.io.labfile import check_parameter
+from calibrate.records.base import Record, record
 
 if TYPE_CHECKING:
     from calibrate.figures import Figure
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Kept = TypeVar("Kept", bound="Record")
 WIDTH = 110  # characters of a line in a notebook
 
 
@@ -120,6 +123,22 @@ class AbstractDrawnResult(AbstractResult):
         return (*self.files, *names) if self.files else ()
 
 
+class AbstractRecordedResult(AbstractDrawnResult, Generic[Kept]):
+    """A result whose content is that of a record, from which its pictures are drawn."""
+
+    kind: ClassVar[type[Record]]  # the record's class
+
+    @functools.cached_property
+    def record(self) -> Kept:
+        """The whole result with typed entries."""
+        return record(self.kind, self.content)  # pyright: ignore[reportReturnType]
+
+    @property
+    def drawn(self) -> tuple:
+        """The record."""
+        return (self.record,)
+
+
 def _or(names: Iterable[str]) -> str:
     return " or ".join(f'"{name}"' for name in names)
 
@@ -203,6 +222,19 @@ def parameter_values(values: Mapping[str, float | str] | None) -> dict[str, floa
         name: check_parameter(name, value, COMMAND_LINE, f"--set {name}")
         for name, value in (values or {}).items()
     }
+
+
+def understood(option: str, text: str | None, read: Callable[[str], R]) -> R | None:
+    """What an option's text says; None where it is not given."""
+    try:
+        return None if text is None else read(text)
+    except BadValue as bad:
+        raise bad.at(COMMAND_LINE, option) from None
+
+
+def length(text: str) -> float:
+    """A length with its unit, in m."""
+    return positive_quantity(text, LENGTH)
 
 
 def line(sentence: str) -> Text:

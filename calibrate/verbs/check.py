@@ -56,9 +56,8 @@ class CheckResult(AbstractResult):
         yield from (line(f"warning: {sentence}") for sentence in self.warnings)
 
     def _numbers(self) -> Table:
-        table = Table(title="numbers that a fit compares (mm or N)", title_justify="left")
-        for column in ("", "measured", "± one repeat", "from"):
-            table.add_column(column)
+        columns = ("", "measured", "± one repeat", "from")
+        table = Table(*columns, title="numbers that a fit compares (mm or N)", title_justify="left")
         for name, row in self.content["numbers"].items():
             known = self.lab.targets.get(name)
             scatter = "" if known is None else f"{known.scatter:.2g}"
@@ -68,9 +67,8 @@ class CheckResult(AbstractResult):
         return table
 
     def _parameters(self) -> Table:
-        table = Table(title="starting values", title_justify="left")
-        for column in ("", "value", "unit", "in a fit"):
-            table.add_column(column)
+        columns = ("", "value", "unit", "in a fit")
+        table = Table(*columns, title="starting values", title_justify="left")
         for name, value in self.content["parameters"].items():
             role = "held" if name in self.content["held"] else "may be freed"
             role = "free" if name in self.content["free"] else role

@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import RenderableType
 
-from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
+from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json, write_text
-from calibrate.core.units import LENGTH, positive_quantity
 from calibrate.instrument_import import labtext
 from calibrate.instrument_import.convert import Export, file_stem, joined, read_export
 from calibrate.instrument_import.measured import Units
@@ -21,7 +20,9 @@ from calibrate.instrument_import.unittext import Unit, doubt, unit_of
 from calibrate.instrument_import.vocabulary import TESTS
 from calibrate.io.lab import Lab, load_lab
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, verb
+from calibrate.verbs.base import AbstractDrawnResult, length, line, understood, verb
+
+EXAMPLES = {"force": "kN", "displacement": "mm", "stress": "kPa", "strain": "%", "time": "min"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,7 +33,6 @@ class ConvertResult(AbstractDrawnResult):
         export: specimens as read and kept, with what was assumed of each.
         lab_file: the lab file that was written.
         folder: where it is, with the curves, convert.json and preview.png.
-        content: everything, with the keys of convert.json.
     """
 
     verb = "convert"
@@ -156,8 +156,19 @@ def convert(
     if test is not None and test not in TESTS:
         repair = f"give one of {', '.join(sorted(TESTS))}"
         raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
-    units = _units(force_unit, displacement_unit, stress_unit, strain_unit, time_unit)
-    size = _size(diameter, height, void_ratio, settlement)
+    units = Units(
+        force=_insisted("force", force_unit),
+        displacement=_insisted("displacement", displacement_unit),
+        stress=_insisted("stress", stress_unit),
+        strain=_insisted("strain", strain_unit),
+        time=_insisted("time", time_unit),
+    )
+    size = Size(
+        diameter=understood("--diameter", diameter, length),
+        height=understood("--height", height, length),
+        void_ratios=understood("--void-ratio", void_ratio, initial_void_ratios),
+        settlements=understood("--settlement", settlement, settlements),
+    )
     paths = [Path(export) for export in exports]
     read = joined([read_export(export, test, units, size, points) for export in paths])
     return _kept(read, Path(out))
@@ -247,46 +258,12 @@ def _conversion(specimen: Specimen) -> dict:
     }
 
 
-def _units(
-    force: str | None,
-    displacement: str | None,
-    stress: str | None,
-    strain: str | None,
-    time: str | None,
-) -> Units:
-    """The units that the user insists on, each of its kind."""
-    return Units(
-        force=_checked(force, "force", "kN"),
-        displacement=_checked(displacement, "displacement", "mm"),
-        stress=_checked(stress, "stress", "kPa"),
-        strain=_checked(strain, "strain", "%"),
-        time=_checked(time, "time", "min"),
-    )
-
-
-def _checked(text: str | None, kind: str, example: str) -> Unit | None:
+def _insisted(kind: str, text: str | None) -> Unit | None:
     """A unit from the command line, refused if it is none of this kind."""
     unit = None if text is None else unit_of(text)
     if text is None or (unit is not None and unit.kind == kind):
         return unit
     problem = f"{shown(text, 20)} {doubt(text) or f'is not a unit of {kind}'}"
-    raise InputError(COMMAND_LINE, f"--{kind}-unit", problem, f"use a unit such as {example}")
-
-
-def _size(
-    diameter: str | None, height: str | None, void_ratio: str | None, settlement: str | None
-) -> Size:
-    """The specimen's size from the command line, SI."""
-
-    def read(text, option, reader):
-        try:
-            return None if text is None else reader(text)
-        except BadValue as bad:
-            raise bad.at(COMMAND_LINE, option) from None
-
-    return Size(
-        diameter=read(diameter, "--diameter", lambda text: positive_quantity(text, LENGTH)),
-        height=read(height, "--height", lambda text: positive_quantity(text, LENGTH)),
-        void_ratios=read(void_ratio, "--void-ratio", initial_void_ratios),
-        settlements=read(settlement, "--settlement", settlements),
+    raise InputError(
+        COMMAND_LINE, f"--{kind}-unit", problem, f"use a unit such as {EXAMPLES[kind]}"
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from rich.console import RenderableType
@@ -15,13 +14,12 @@ from calibrate.discrepancy.library.run_library import RunLibrary
 from calibrate.discrepancy.library.store import bundled_library, load
 from calibrate.discrepancy.model_discrepancy import load as load_discrepancy
 from calibrate.io.lab import load_lab
-from calibrate.records.base import record
 from calibrate.records.diagnosis import DiagnosisRecord, content
 from calibrate.reports import diagnosis as report
 from calibrate.reports.effects import title
 from calibrate.simulation.session import Session, origin_of
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, verb
+from calibrate.verbs.base import AbstractRecordedResult, verb
 
 RUNS = "simulated"  # folder of runs about the lab's explanations, in the output folder
 NO_PRESET = "none: a library of runs stands for simulations"
@@ -29,23 +27,17 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult(AbstractDrawnResult):
+class DiagnosisResult(AbstractRecordedResult[DiagnosisRecord]):
     """Where model and curves differ, which effect is left out, how far the gap shrinks with it.
 
     Attributes:
         folder: where result.json, diagnosis.html and figures are.
-        content: everything, with the keys of result.json.
     """
 
-    verb = "diagnose"
+    verb, kind = "diagnose", DiagnosisRecord
     files, pictures = ("result.json", "diagnosis.html"), "figures/{}.svg"
     folder: Path
     content: dict
-
-    @cached_property
-    def record(self) -> DiagnosisRecord:
-        """The whole result with typed entries."""
-        return record(DiagnosisRecord, self.content)
 
     @property
     def verdict(self) -> str:

@@ -2,40 +2,32 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from rich.console import RenderableType
 
 from calibrate.designs.comparison import Designed, design
-from calibrate.records.base import record
 from calibrate.records.study import StudyRecord
 from calibrate.reports import study as report
 from calibrate.simulation.session import Session
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, parameter_values, verb
+from calibrate.verbs.base import AbstractRecordedResult, parameter_values, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DoeResult(AbstractDrawnResult):
+class DoeResult(AbstractRecordedResult[StudyRecord]):
     """A study by designed experiments: screening, response surfaces, optimum, gradients beside.
 
     Attributes:
         study: designs, surfaces and the comparison.
         folder: where result.json, study.html, study.png and a run sheet for each design are.
-        content: everything, with the keys of result.json.
     """
 
-    verb = "doe"
+    verb, kind = "doe", StudyRecord
     files = ("result.json", "study.html", "run sheets")
     study: Designed
     folder: Path
     content: dict
-
-    @cached_property
-    def record(self) -> StudyRecord:
-        """The whole result with typed entries."""
-        return record(StudyRecord, self.content)
 
     @property
     def optimum(self) -> dict[str, float]:
@@ -44,11 +36,6 @@ class DoeResult(AbstractDrawnResult):
 
     def words(self) -> Iterator[RenderableType]:
         yield from report.words(self.study)
-
-    @property
-    def drawn(self) -> tuple[StudyRecord]:
-        """The record of the study."""
-        return (self.record,)
 
 
 @verb

@@ -8,15 +8,21 @@ from typing import Annotated, Any
 import typer
 from rich.console import RenderableType
 
-from calibrate.core.errors import COMMAND_LINE, BadValue, InputError
+from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder, write_text
-from calibrate.core.units import LENGTH, positive_quantity
 from calibrate.exporters import notes
 from calibrate.exporters.composite import EXPORTERS, NAMES
 from calibrate.exporters.parameters_json import content as content_of
 from calibrate.exporters.source import Found, find, find_draws
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import (
+    AbstractDrawnResult,
+    length,
+    line,
+    parameter_values,
+    understood,
+    verb,
+)
 from calibrate.verbs.fit import FitResult
 
 FOLDER = Path("results/export")
@@ -108,10 +114,11 @@ def export(
     if to not in EXPORTERS:
         raise InputError(COMMAND_LINE, "--to", f"no program '{to}'", f"give {NAMES}")
     place = Path(source) if isinstance(source, str | Path) else source.folder
+    changed, size = parameter_values(values), understood("--diameter", diameter, length)
     if draws:
-        every = find_draws(place, draws, parameter_values(values), _length(diameter))
+        every = find_draws(place, draws, changed, size)
         return _each_in_a_file(every, EXPORTERS[to], FOLDER / "draws" if out is None else Path(out))
-    found = find(place, parameter_values(values), _length(diameter))
+    found = find(place, changed, size)
     if found.missed and not force:
         repair = "fit again, or give --force to export it all the same, with this warning"
         rest = len(found.missed) - 1
@@ -134,12 +141,3 @@ def _each_in_a_file(every: Sequence[Found], exporter: Any, folder: Path) -> Expo
         write_text(folder / f"{number:02d}_{exporter.FILE}", exporter.text(found))
     found = every[len(every) // 2]
     return ExportResult(folder, exporter.text(found), found, folder, content_of(found))
-
-
-def _length(diameter: str | None) -> float | None:
-    if diameter is None:
-        return None
-    try:
-        return positive_quantity(diameter, LENGTH)
-    except BadValue as bad:
-        raise bad.at(COMMAND_LINE, "--diameter") from None

@@ -2,9 +2,9 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,22 +15,21 @@ from rich.table import Table
 from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError
 from calibrate.core.files import write_json, write_text
 from calibrate.discrepancy.library.stand_in import served
-from calibrate.inference.calibration import Calibrated, calibrate, explore, fit_json
+from calibrate.inference.calibration import Calibrated, Explored, calibrate, explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
+from calibrate.inference.on_response import OnResponse
 from calibrate.inference.parameters import RANGES, checked_free
 from calibrate.inference.resolutions import Coarse
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
-from calibrate.records.base import record
 from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import observables_table, warned_of_observables
-from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import check_some_sound
 from calibrate.verbs import options
 from calibrate.verbs.base import (
-    AbstractDrawnResult,
+    AbstractRecordedResult,
     AbstractResult,
     line,
     listed,
@@ -41,25 +40,19 @@ from jdem.materials.soil import SoilParameters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FitResult(AbstractDrawnResult):
+class FitResult(AbstractRecordedResult[FitRecord]):
     """Fitted parameters of one soil, how well the data fix them, and the check on fresh packings.
 
     Attributes:
         lab: the soil that was fitted.
         folder: where result.json, history.csv and fit.png are.
-        content: everything, with the keys of result.json.
     """
 
-    verb = "fit"
+    verb, kind = "fit", FitRecord
     files = ("result.json", "history.csv")
     lab: Lab
     folder: Path
     content: dict
-
-    @cached_property
-    def record(self) -> FitRecord:
-        """The whole result with typed entries."""
-        return record(FitRecord, self.content)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -109,11 +102,6 @@ class FitResult(AbstractDrawnResult):
         yield from map(line, [*self._verification(), *self._conclusions()])
         yield from warned_of_observables(found)
 
-    @property
-    def drawn(self) -> tuple[FitRecord]:
-        """The record of the fit."""
-        return (self.record,)
-
     def _verification(self) -> Iterator[str]:
         """How far fresh packings' means are from what was measured, and a publication's error."""
         fresh = self.record.fresh_packings
@@ -152,7 +140,6 @@ class EstimateResult(AbstractResult):
     Attributes:
         lab: the soil.
         folder: where estimate.json is.
-        content: everything, with the keys of estimate.json.
     """
 
     files = ("estimate.json",)
@@ -177,13 +164,12 @@ class EstimateResult(AbstractResult):
 
     def words(self) -> Iterator[RenderableType]:
         start = self.content["start"]
-        table = parameters_table({n: (start[n], self.parameters[n]) for n in self.content["free"]},
-                                 self.interval_95)  # fmt: skip
+        both = {name: (start[name], self.parameters[name]) for name in self.content["free"]}
         yield line(
             "NOT SIMULATED: an estimate by the bundled library of runs, as specimens of "
             f"{self.content['spheres']} spheres would give it; calibrate fit checks it"
         )
-        yield table
+        yield parameters_table(both, self.interval_95)
         for name, row in self.content["features"].items():
             if not row["known"]:
                 yield line(f"{name}: beyond the library's curves, so without a say")
@@ -202,9 +188,8 @@ def parameters_table(
     values: Mapping[str, tuple[float, float]], intervals: Mapping[str, Sequence[float]]
 ) -> Table:
     """Free parameters by name: start, fitted value and interval."""
-    table = Table(title="free parameters", title_justify="left")
-    for column in ("", "start", "fitted", "95 % interval", "unit"):
-        table.add_column(column)
+    columns = ("", "start", "fitted", "95 % interval", "unit")
+    table = Table(*columns, title="free parameters", title_justify="left")
     for name, both in values.items():
         low, high = intervals[name]
         cells = [f"{x:.4g}" for x in both]
@@ -287,32 +272,29 @@ def fit(
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
     work = session.campaign(folder, preparation)
-    if no_runs:
-        return _estimate(session, names, base, seed, work)
-    done, why = None, "--runs-alone was given"
+    response, why = None, "--runs-alone was given"
     if not runs_alone:
-        done, why = _on_library(session, names, base, seed, work)
+        response, why = served(session.lab, session.preset, names, base, work)
+    given = (session.lab, session.preset, names, base, seed, work)
+    if no_runs:
+        return _estimate(session, partial(explore, *given), response, why)
+    fitted = partial(calibrate, *given)
+    done, why = _on_library(fitted, response, why)
     if done is None:
         session.progress.say(f"the library of runs does not explore: {why}")
-        done = calibrate(
-            session.lab, session.preset, names, base, seed, work, _smaller(session, preparation)
-        )
+        done = fitted(_smaller(session, preparation))
     return kept(session, done, why)
 
 
 def _on_library(
-    session: Session,
-    free: tuple[str, ...] | None,
-    base: SoilParameters,
-    seed: int,
-    work: AbstractCampaign,
+    fitted: Callable[[OnResponse], Calibrated], response: OnResponse | None, why: str
 ) -> tuple[Calibrated | None, str]:
-    """A fit that explores on the library of runs, or why there is none that meets the data."""
-    response, why = served(session.lab, session.preset, free, base, work)
+    """A fit that explores on the library of runs, or why there is none that meets the data; `why`
+    the library does not serve."""
     if response is None:
         return None, why
     try:
-        done = calibrate(session.lab, session.preset, free, base, seed, work, response)
+        done = fitted(response)
     except CalibrationError as failed:
         return None, str(failed)
     return (done, "") if done.met else (None, "the fit that it led to missed the data")
@@ -320,19 +302,16 @@ def _on_library(
 
 def _estimate(
     session: Session,
-    free: tuple[str, ...] | None,
-    base: SoilParameters,
-    seed: int,
-    work: AbstractCampaign,
+    explored: Callable[[OnResponse], Explored],
+    response: OnResponse | None,
+    why: str,
 ) -> EstimateResult:
     """The estimate by the library of runs, with estimate.json; refused where it does not serve."""
-    response, why = served(session.lab, session.preset, free, base, work)
     if response is None:
+        problem = f"the library of runs does not serve: {why}"
         repair = "leave it out: simulations are needed"
-        raise InputError(COMMAND_LINE, "--no-runs", f"the library of runs does not serve: {why}",
-                         repair)  # fmt: skip
-    explored = explore(session.lab, session.preset, free, base, seed, work, response)
-    found = estimate_json(estimated(explored, response))
+        raise InputError(COMMAND_LINE, "--no-runs", problem, repair)
+    found = estimate_json(estimated(explored(response), response))
     content = {**origin_of(session), "spheres": session.preset.spheres, **found}
     write_json(session.out / "estimate.json", content)
     return EstimateResult(session.lab, session.out, content)

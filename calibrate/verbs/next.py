@@ -42,7 +42,6 @@ class NextTestResult(AbstractDrawnResult):
     Attributes:
         diagnosis: what they are to narrow down.
         folder: where next.json, a lab file for the answer and a figure are.
-        content: everything, with the keys of next.json.
         origin: what made it.
     """
 
@@ -85,7 +84,6 @@ class NarrowingResult(AbstractResult):
     Attributes:
         lab: the laboratory.
         folder: where narrowing.json is.
-        content: everything, with the keys of narrowing.json.
     """
 
     files = ("narrowing.json",)

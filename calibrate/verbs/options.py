@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from calibrate.io.lab import LabLike
 
 
-def _as_typed(value: Any) -> Any:
-    return value
-
-
 @dataclass(frozen=True)
 class Typed:
     """What is typed for an argument.
@@ -32,7 +28,7 @@ class Typed:
     """
 
     kind: Any
-    read: Callable[[Any], Any] = _as_typed
+    read: Callable[[Any], Any] = lambda value: value
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, str]:

@@ -73,17 +73,15 @@ class PosteriorResult(AbstractDrawnResult):
             for group in ("posterior", "prior")
         ]
         curves = {
-            str(test): [Curve(displacement_mm=c[:, 0].tolist(), force_n=c[:, 1].tolist())
-                        for c in np.asarray(every)]
+            str(test): [Curve.of(points) for points in np.asarray(every)]
             for test, every in self.draws["curves"].data_vars.items()
-        }  # fmt: skip
+        }
         return *draws, curves, record(Measured, measured_json(self.lab))
 
     def words(self) -> Iterator[RenderableType]:
         title = f"{self.lab.name}: 90 % of draws lie between low and high"
-        table = Table(title=title, title_justify="left")
-        for column in ("", "median", "low", "high", "unit", "width, of the prior's"):
-            table.add_column(column)
+        columns = ("", "median", "low", "high", "unit", "width, of the prior's")
+        table = Table(*columns, title=title, title_justify="left")
         units = {**PARAMETER_UNITS, **{name: row["unit"] for name, row in self.effects.items()}}
         for name, row in {**self.parameters, **self.effects}.items():
             numbers = (f"{row[key]:.4g}" for key in ("median", "low", "high"))

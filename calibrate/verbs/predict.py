@@ -43,7 +43,6 @@ class PredictionResult(AbstractDrawnResult):
     Attributes:
         lab: the tests.
         folder: where prediction.json and prediction.png are.
-        content: everything, with the keys of prediction.json.
     """
 
     verb = "predict"

@@ -32,7 +32,6 @@ class SimulationResult(AbstractDrawnResult):
     Attributes:
         lab: the soil that was simulated.
         folder: where result.json and curves.png are.
-        content: everything, with the keys of result.json.
         runs: one run a packing, failed ones among them.
     """
 

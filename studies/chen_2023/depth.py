@@ -10,10 +10,11 @@ from functools import cache
 import numpy as np
 
 from calibrate.designs.anova import Anova, anova
-from calibrate.designs.factors import Factor, coded_points
+from calibrate.designs.factors import Factor
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import parse
 from studies.chen_2023 import equations
+from studies.chen_2023.levels import coded_points, run_interval
 from studies.chen_2023.tables import Range, in_text, printed, table
 from studies.chen_2023.verdict import (
     Attempt,
@@ -138,8 +139,7 @@ def predictions_at_optimum() -> Ranges:
 def interval_at_optimum() -> tuple[float, float]:
     """The cubic's 95 % prediction interval at the published optimum, mm."""
     at = np.array([[printed(in_text(f"optimum.{name}")).value for name in NAMES]])
-    low, high = surface(depths()).predict(coded_points(FACTORS, at)).run_interval[0]
-    return float(low), float(high)
+    return run_interval(surface(depths()), coded_points(FACTORS, at))
 
 
 @cache

@@ -191,13 +191,12 @@ def force_equation() -> Finding:
 
 def force_optimum() -> Finding:
     """The force at the published optimum, with its interval, and at the final multiplier."""
-    at_optimum = force.interval_at("optimum.tangential_multiplier")
-    at_final = force.interval_at("final.tangential_multiplier")
-    low, high = at_optimum.run_interval[0]
+    at_optimum, low, high = force.interval_at("optimum.tangential_multiplier")
+    at_final, *_ = force.interval_at("final.tangential_multiplier")
     values = {
-        "force_n": float(at_optimum.mean[0]),
-        "half_width_n": float(high - low) / 2,
-        "force_at_final_multiplier_n": float(at_final.mean[0]),
+        "force_n": at_optimum,
+        "half_width_n": (high - low) / 2,
+        "force_at_final_multiplier_n": at_final,
         "table_5_at_final_multiplier_n": sweep.final_row("crushing_force").value,
     }
     statement = (

@@ -10,10 +10,11 @@ from functools import cache
 import numpy as np
 
 from calibrate.designs.anova import Anova, anova
-from calibrate.designs.factors import Factor, coded_points
-from calibrate.designs.surface import Prediction, Surface, fit_surface
+from calibrate.designs.factors import Factor
+from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import quadratic
 from studies.chen_2023 import equations
+from studies.chen_2023.levels import coded_points, run_interval
 from studies.chen_2023.tables import Range, in_text, printed, table
 from studies.chen_2023.verdict import (
     Attempt,
@@ -151,11 +152,13 @@ def force_at_optimum() -> Range:
     return rounded(predict, inputs, np.concatenate([reach, half_units()]))["force"]
 
 
-def interval_at(multiplier: str) -> Prediction:
-    """The quadratic's prediction at the optimum, with the multiplier printed under that name."""
+def interval_at(multiplier: str) -> tuple[float, float, float]:
+    """The quadratic's prediction at the optimum, with the multiplier printed under that name, and
+    the ends of its 95 % interval, N."""
     place = [printed(in_text(f"optimum.{name}")).value for name in NAMES[:2]]
     at = np.array([[*place, printed(in_text(multiplier)).value]])
-    return surface(forces()).predict(coded_points(FACTORS, at))
+    fitted, coded = surface(forces()), coded_points(FACTORS, at)
+    return float(fitted(coded)[0]), *run_interval(fitted, coded)
 
 
 @cache

@@ -8,6 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calibrate.designs.factors import Factor
+from calibrate.designs.surface import Surface
+from calibrate.designs.terms import matrix
 from studies.chen_2023.tables import Range, Table, in_text, place, printed, table
 from studies.chen_2023.verdict import (
     Attempt,
@@ -155,3 +158,15 @@ def coded(source: Table, names: tuple[str, ...]) -> np.ndarray:
     """Two-level columns (n, p) of a table as exact -1 and +1."""
     points = source.points(names)
     return np.where(points == points.max(axis=0), 1.0, -1.0)
+
+
+def coded_points(factors: tuple[Factor, ...], natural: np.ndarray) -> np.ndarray:
+    """Coded values (n, p) of natural points (n, p)."""
+    return np.column_stack([f.coded(column) for f, column in zip(factors, natural.T, strict=True)])
+
+
+def run_interval(surface: Surface, at: np.ndarray) -> tuple[float, float]:
+    """The 95 % interval of a new run at one coded point (1, p)."""
+    predicted = surface.fit.get_prediction(matrix(surface.terms, at))
+    low, high = predicted.conf_int(obs=True, alpha=0.05)[0]
+    return float(low), float(high)

@@ -9,6 +9,7 @@ DIR/withheld.json     scores
 
 import hashlib
 import json
+import os
 import secrets
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.core.files import write_json, write_once, write_text
+from calibrate.core.files import part_of, write_json, write_text
 from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.reduction import shrinkage
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
@@ -123,6 +124,21 @@ def _plan(
         drawn = Planner(emulated, secret, beds, sizes).cases(counts)
         write_once(path, json.dumps([[asdict(c) for c in rows] for rows in drawn]))
     return _planned(out)
+
+
+def write_once(path: Path, text: str) -> None:
+    """Writes a file that is not there yet; of several writers at once, the first one's stays."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = part_of(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.link(part, path)
+    except FileExistsError:
+        return
+    except OSError:  # a file system without links
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _planned(out: Path) -> list[list[WithheldCase]]:

@@ -18,7 +18,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from calibrate.core import files
-from calibrate.core.files import whole, write_json, write_once, write_text
+from calibrate.core.files import whole, write_json, write_text
 from calibrate.designs.designs import sweep
 from calibrate.designs.factors import Factor
 from calibrate.figures import style
@@ -27,6 +27,7 @@ from calibrate.view import vtk
 from jdem.bodies.spheres import Spheres
 from jdem.core.vector import Vector
 from jdem.packing.specimen import Packing
+from studies.sealed.run import write_once
 from tests import ROOT
 from tests.support import pieces
 from tests.support.formulas import BASE, specimen

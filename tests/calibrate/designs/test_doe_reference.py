@@ -15,9 +15,9 @@ import statsmodels.api as sm
 import statsmodels.formula.api as smf
 from statsmodels.stats.anova import anova_lm
 
-from calibrate.designs import designs, terms
+from calibrate.designs import terms
 from calibrate.designs.anova import Anova, anova, pure_error
-from calibrate.designs.factors import Factor, coded_points
+from calibrate.designs.factors import Factor
 from calibrate.designs.surface import Surface, fit_surface
 from calibrate.designs.terms import Term
 from tests import DATA
@@ -34,7 +34,7 @@ def paper_surface() -> Surface:
     """The quadratic in the coded factors of the paper's Table 4."""
     rows = table("paper_table_4.csv")
     factors = (Factor("C", 4, 20), Factor("D", 0.3, 0.7), Factor("E", 0.3, 1.0))
-    X = coded_points(factors, rows[:, 1:4])
+    X = np.column_stack([f.coded(rows[:, j]) for j, f in enumerate(factors, 1)])
     return fit_surface(X, rows[:, 4], terms.quadratic(3), ("C", "D", "E"))
 
 
@@ -202,7 +202,7 @@ def test_pure_error_finds_replicates_in_natural_units_too():
 
 
 def test_a_saturated_model_says_nothing_about_noise():
-    X = designs.full_factorial((Factor("A", 0, 1), Factor("B", 0, 1))).coded
+    X = np.array(list(itertools.product([-1.0, 1.0], repeat=2)))
     both = terms.parse("A + B + A*B", ("A", "B"))
     analysis = anova(fit_surface(X, np.array([1.0, 2.0, 4.0, 9.0]), both))
     assert analysis["Model"].df == 3

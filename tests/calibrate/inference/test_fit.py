@@ -76,9 +76,7 @@ def scalar_problem(runs):
 
 def calibration_of(problem, names, work=None, settings=None):
     work = Formulas() if work is None else work
-    scatter = packing_scatter(
-        problem, lambda seeds: work.runs([BASE], seeds, "scatter")[0], range(8)
-    )
+    scatter = packing_scatter(problem, work.runs([BASE], range(8), "scatter")[0])
     settings = Settings() if settings is None else settings
     return Calibration(problem, space(LAB, names, BASE), work, SEEDS, scatter, 8, settings)
 
@@ -419,7 +417,7 @@ def test_a_fit_of_which_nothing_succeeds_says_why():
 def test_a_starting_soil_that_fails_is_named():
     work = Formulas(fails=lambda soil: True)
     with pytest.raises(CalibrationError, match="starting soil"):
-        packing_scatter(None, lambda seeds: work.runs([BASE], seeds, "scatter")[0], SEEDS)
+        packing_scatter(None, work.runs([BASE], SEEDS, "scatter")[0])
 
 
 def test_profiles_agree_with_the_covariance_where_the_response_is_straight():
@@ -467,7 +465,7 @@ def tiny_fit(work):
     """Best values, features and slopes of a short fit with everything in the campaign's cache."""
     lab = tiny_lab()
     problem = pose(lab)
-    scatter = packing_scatter(problem, lambda s: work.runs([BASE], s, "scatter")[0], range(3))
+    scatter = packing_scatter(problem, work.runs([BASE], range(3), "scatter")[0])
     settings = Settings(evaluations=2, tolerance=0.0)
     free = space(lab, TWO, BASE)
     result = fit(Calibration(problem, free, work, (0, 1), scatter, 3, settings))
@@ -508,7 +506,7 @@ def test_a_packing_that_is_no_numbers_is_found(tmp_path):
 @pytest.mark.slow
 def test_a_packing_that_is_no_numbers_is_named(tmp_path):
     work = tiny_campaign(tmp_path)
-    work._store.keep_packing(work._packing_name(0), broken(work.packings([0])[0]))
+    work.store.keep_packing(work._packing_name(0), broken(work.packings([0])[0]))
     run = work.runs([BASE], [0], "broken bed")[0][0]
     assert "the packing holds numbers that are not finite" in run.failure
 

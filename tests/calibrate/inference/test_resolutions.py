@@ -64,7 +64,7 @@ def calibration(large, small):
     runs = large.runs([hidden], range(1000, 1064), "laboratory")[0]
     measured = np.array([list(run.observables.values()) for run in runs]).mean(axis=0)
     problem = Problem(FEATURES, measured, (0.01 * measured) ** 2, np.zeros(2, int))
-    scatter = packing_scatter(problem, lambda s: large.runs([BASE], s, "scatter")[0], range(8))
+    scatter = packing_scatter(problem, large.runs([BASE], range(8), "scatter")[0])
     large.simulated = 0
     coarse = None if small is None else Coarse(small, 500, 2000)
     return Calibration(problem, space(LAB, NAMES, BASE), large, SEEDS, scatter, 8, coarse=coarse)

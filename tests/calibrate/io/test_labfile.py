@@ -84,7 +84,7 @@ def test_a_failure_strain_is_a_target_in_per_cent(tmp_path, mean, scatter):
     lab = load_lab(path)
     target = lab.targets["failure_strain_percent"]
     assert (target.mean, target.scatter, target.repeats) == pytest.approx((6.0, 0.5, 3))
-    assert [o.name for o in lab.called("unconfined").given][1:] == ["failure_strain_percent"]
+    assert [o.name for o in lab.tests[1].given][1:] == ["failure_strain_percent"]
 
 
 @pytest.mark.parametrize(

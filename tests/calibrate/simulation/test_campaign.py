@@ -435,7 +435,7 @@ def test_a_run_of_an_earlier_cache_states_its_resolution(tmp_path):
     (run,) = work.runs(soils(1), [0], "run")[0]
     key = work.key(soils(1)[0], 0)
     old = {k: v for k, v in run.quality.items() if k not in ("spheres_across", "porosity")}
-    work._store.keep_run(key, replace(run, quality=old))
+    work.store.keep_run(key, replace(run, quality=old))
     (again,) = work.runs(soils(1), [0], "run")[0]
     (packing,) = work.packings([0])
     across, height = 2 * float(packing.mould_radius), float(packing.height)
