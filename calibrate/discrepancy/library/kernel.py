@@ -26,8 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from scipy.linalg import cho_solve, cholesky
-from scipy.linalg.lapack import dtfttr, dtrttf
+from scipy.linalg import cho_solve, cholesky, get_lapack_funcs
 from scipy.optimize import minimize
 
 from calibrate.core.kept import arrays, kept
@@ -42,6 +41,7 @@ JITTER = 1e-6
 NOTHING = -6.0  # logarithm of a deviation that counts for nothing
 PACE = SETTINGS.index("pace") - len(SETTINGS)  # in it rows of one soil may differ
 BLOCK = 256  # rows of which covariances are worked out at once
+PACK, UNPACK = get_lapack_funcs(("trttf", "tfttr"), dtype=np.float64)  # triangles
 COARSE = 0.36  # where that with the size of spheres starts: N^-0.4 (verification/resolution.py)
 
 
@@ -159,8 +159,8 @@ class RowCovariance:
         if not self.again:
             return self._lower()
         known = (self.x, self.s, *self.pairs, self.noise, *self.kernel)
-        packed = arrays("factor", known, lambda: dtrttf(self._lower(), uplo="L")[0])
-        return dtfttr(len(self.x), packed, uplo="L")[0]
+        packed = arrays("factor", known, lambda: PACK(self._lower(), uplo="L")[0])
+        return UNPACK(len(self.x), packed, uplo="L")[0]
 
     def _lower(self) -> np.ndarray:
         """Rows come in blocks: temporary arrays of all rows at once are so large that the system
