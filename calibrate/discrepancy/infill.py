@@ -24,12 +24,13 @@ from calibrate.discrepancy.library.design import (
     POROSITIES,
     SETTINGS,
     SHAPE_COLUMNS,
+    SLOW,
     SMOOTHING,
-    SPEEDS,
+    RunPoints,
 )
 from calibrate.discrepancy.library.lab_size import SoilPrior, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
-from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
+from calibrate.discrepancy.library.simulate import Simulator, run_points, switched_off
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.simulation import HERE, AbstractPlace
@@ -93,8 +94,7 @@ def rows_about(
     held = tuple(HELD.get(lab.particles.conventions, ()))
     points = scattered_about(locations, library, packings, seed, held, sizes)
     runs = run_points(library.design, points, simulator, plan.progress, plan.workers)
-    of_packing = points.seeds - FIRST_SEED - packings.start
-    return Rows.of(library.cylinder, points.base, points.strengths, of_packing, runs)
+    return Rows.of(library.cylinder, points, runs)
 
 
 def simulated_lab(lab: Lab, library: RunLibrary) -> Lab:
@@ -168,7 +168,9 @@ def scattered_about(
     base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
     looser = np.mean([location.base[porosity] for location in locations])
     base[:, porosity] = min(POROSITIES, key=lambda level: abs(level - looser))
-    base[:, pace] = SPEEDS[1] / SPEEDS[0]
+    base[:, pace] = SLOW
     base[:, size] = [design.sphere_size(number) for number in spheres]
-    seeds = FIRST_SEED + np.repeat(np.array(packings), len(locations))
-    return RunPoints(base, strengths, spheres.tolist(), seeds)
+    number = np.repeat(np.array(packings), len(locations))
+    return RunPoints(
+        base, strengths, spheres.tolist(), FIRST_SEED + number, number - packings.start
+    )

@@ -15,11 +15,10 @@ import pytest
 
 from calibrate import cli
 from calibrate.discrepancy import diagnosis
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import Design, RunPoints
 from calibrate.discrepancy.library.emulator import COMPONENTS
 from calibrate.discrepancy.library.kernel import start
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
-from calibrate.discrepancy.library.simulate import RunPoints
 from calibrate.discrepancy.library.store import NOTHING, save
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.base import Curves
@@ -59,8 +58,8 @@ def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
 
 def runs(design: Design) -> list[Run]:
     """All runs of a design of this kind."""
-    base, strengths = design.rows()
-    rows = zip(base[:, :2], strengths, range(len(base)), strict=True)
+    points = design.rows()
+    rows = zip(points.base[:, :2], points.strengths, range(len(points.base)), strict=True)
     return [run(soil, strength, row // ROWS) for soil, strength, row in rows]
 
 

@@ -26,7 +26,7 @@ from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import MOST_ROWS, FeatureEmulator, leading, spread
 from calibrate.discrepancy.library.kernel import fit_column, fit_kernel
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
-from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points
+from calibrate.discrepancy.library.simulate import Simulator, run_points
 from calibrate.io.conventions import HELD, held_by
 from calibrate.io.lab import Lab
 from calibrate.simulation import HERE, AbstractPlace
@@ -61,15 +61,13 @@ def simulate(
 ) -> Rows:  # fmt: skip
     """Rows under other conventions in the cylinder and with the sizes of a library's design."""
     under = replace(design, centre=centre_of(conventions, design))
-    base, packing = under.plain_rows(packings, EACH)
+    points = under.plain_rows(packings, EACH)
+    points = replace(points, seeds=points.seeds + FIRST)
     held = [i for i, name in enumerate(under.soil_names) if name in HELD.get(conventions, {})]
-    base[:, held] = 0.0
-    spheres = [under.plain_spheres(int(j)) for j in packing]
-    none = np.zeros((len(base), len(under.limits)))
-    points = RunPoints(base, none, spheres, 1000 * under.seed + FIRST + packing)
+    points.base[:, held] = 0.0
     simulator = Simulator(lab.following(conventions), folder, place=place)
     runs = run_points(under, points, simulator, progress)
-    return Rows.of(Cylinder.of(lab), base, none, packing, runs)
+    return Rows.of(Cylinder.of(lab), points, runs)
 
 
 def fitted(rows: Rows, library: RunLibrary) -> OtherLaw:

@@ -15,7 +15,7 @@ from calibrate.discrepancy.library.cross_validation import (
     TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS, Design
+from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS, Design, RunPoints
 from calibrate.discrepancy.library.emulator import (
     MOST_ROWS,
     Basis,
@@ -88,15 +88,12 @@ class Rows:
     values: np.ndarray
 
     @staticmethod
-    def of(
-        cylinder: Cylinder, base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
-        runs: Sequence[Run | None],
-    ) -> "Rows":  # fmt: skip
+    def of(cylinder: Cylinder, points: RunPoints, runs: Sequence[Run | None]) -> "Rows":
         """The rows of runs (None: not simulated) on specimens shaped as their base coordinates say,
         without failed and incomplete ones."""
-        values = features_of(cylinder, base[:, SHAPE_COLUMNS], runs)
+        values = features_of(cylinder, points.base[:, SHAPE_COLUMNS], runs)
         good = np.asarray(np.isfinite(values).all(axis=1))
-        return Rows(base, strengths, packing, values).some(good)
+        return Rows(points.base, points.strengths, points.packing, values).some(good)
 
     def some(self, kept: np.ndarray) -> "Rows":
         """Those of a mask (n,)."""
@@ -209,13 +206,8 @@ class RunLibrary:
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
-        first = self.design.packings
-        packing = design.of_packing
-        later = packing >= first
-        base, strengths = (part[later] for part in design.rows())
-        rows = Rows.of(self.cylinder, base, strengths, packing[later] - first, runs)
         as_large = replace(design, shaped=self.design.shaped, refined=self.design.refined)
-        return replace(self.joined(rows, first), design=as_large, kernels=(), emulator_errors=None)
+        return self._with(as_large, design.rows(self.design.packings), runs)
 
     def with_shapes(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a design's rows of other shapes, where it has none; not
@@ -228,11 +220,8 @@ class RunLibrary:
         it has; not fitted."""
         return self._with(design, design.refined_rows(self.design.refined), runs)
 
-    def _with(
-        self, design: Design, points: tuple[np.ndarray, np.ndarray, np.ndarray],
-        runs: Sequence[Run | None],
-    ) -> "RunLibrary":  # fmt: skip
-        rows = Rows.of(self.cylinder, *points, runs)
+    def _with(self, design: Design, points: RunPoints, runs: Sequence[Run | None]) -> "RunLibrary":
+        rows = Rows.of(self.cylinder, points, runs)
         return replace(self.joined(rows, 0), design=design, kernels=(), emulator_errors=None)
 
     def joined(self, rows: "Rows", first: int | None = None) -> "RunLibrary":
@@ -360,16 +349,14 @@ def features_of(cylinder: Cylinder, shapes: np.ndarray, runs: Sequence[Run | Non
 
 def repeats_of(design: Design, lab: Lab, runs: Sequence[Run | None]) -> Rows:
     """A design's repeats by soil, without failed and incomplete ones."""
-    base, soil = design.repeats()
-    none = np.zeros((len(base), len(design.limits)))
-    return Rows.of(Cylinder.of(lab), base, none, soil, runs)
+    return Rows.of(Cylinder.of(lab), design.repeats(), runs)
 
 
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
     """The library of a design's runs (None: not simulated), without failed and incomplete ones and
     without repeats."""
     cylinder = Cylinder.of(lab)
-    rows = Rows.of(cylinder, *design.rows(), design.of_packing, runs)
+    rows = Rows.of(cylinder, design.rows(), runs)
     return RunLibrary(
         design, cylinder, PHYSICS,
         rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),

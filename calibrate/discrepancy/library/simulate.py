@@ -15,14 +15,7 @@ import numpy as np
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import (
-    FIRST_REFINED,
-    FIRST_REPEAT,
-    FIRST_SHAPED,
-    SMOOTHING,
-    SPEEDS,
-    Design,
-)
+from calibrate.discrepancy.library.design import SLOW, SMOOTHING, SPEEDS, Design, RunPoints
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
@@ -173,68 +166,6 @@ def loosened(cylinder: Specimen, loose: float) -> Specimen:
     return replace(cylinder, porosity=round(cylinder.porosity + loose, 4)) if loose else cylinder
 
 
-def run_design(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None,
-    first: int = 0,
-) -> list[Run]:  # fmt: skip
-    """Runs of a design from the packing `first` on, in the order of its rows; failed ones keep
-    their place."""
-    base, strengths = design.rows()
-    packing = design.of_packing
-    spheres = [design.spheres_of(int(j)) for j in packing]
-    later = packing >= first
-    points = RunPoints(
-        base[later], strengths[later], np.array(spheres)[later].tolist(),
-        1000 * design.seed + packing[later],
-    )  # fmt: skip
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_repeats(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """Runs of a design's repeats, in their order; failed ones keep their place."""
-    base, soils = design.repeats()
-    none = np.zeros((len(base), len(design.limits)))
-    spheres = [design.spheres_of(int(soil)) for soil in soils]
-    packing = FIRST_REPEAT + np.arange(len(base))
-    points = RunPoints(base, none, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_shaped(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """Runs of a design's rows of other shapes, in their order; failed ones keep their place."""
-    base, strengths, packing = design.shaped_rows()
-    spheres = [design.shaped_spheres(int(j) - FIRST_SHAPED) for j in packing]
-    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_refined(
-    design: Design, simulator: Simulator, progress: AbstractProgress, first: int = 0,
-    workers: int | None = None,
-) -> list[Run]:  # fmt: skip
-    """Runs of a design's effects that are sampled again, from packing `first` on, in the order of
-    their rows; failed ones keep their place."""
-    base, strengths, packing = design.refined_rows(first)
-    spheres = [design.refined_spheres(int(j) - FIRST_REFINED) for j in packing]
-    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-@dataclass(frozen=True, eq=False)
-class RunPoints:
-    """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
-    (n,), seeds of packings (n,)."""
-
-    base: np.ndarray
-    strengths: np.ndarray
-    spheres: Sequence[int]
-    seeds: np.ndarray
-
-
 def run_points(
     design: Design, points: RunPoints, simulator: Simulator, progress: AbstractProgress,
     workers: int | None = None,
@@ -251,7 +182,7 @@ def run_points(
         }
         return simulator.run(
             with_values(centre, values), points.base[row, wide : wide + 5],
-            points.strengths[row], points.spheres[row], int(points.seeds[row]),
+            points.strengths[row], int(points.spheres[row]), int(points.seeds[row]),
         )  # fmt: skip
 
     order = _two_packings_in_turn(points.seeds)
@@ -270,7 +201,7 @@ def reference_run(design: Design, simulator: Simulator) -> Run:
     """The centre's soil on the first packing, slowly, without effects."""
     soil = with_values(base_soil(simulator.lab), dict(design.centre))
     none = [0.0] * len(simulator.effects)
-    setting = (SMOOTHING[0], 0.0, SPEEDS[1] / SPEEDS[0])
+    setting = (SMOOTHING[0], 0.0, SLOW)
     return simulator.run(soil, setting, none, design.spheres, 1000 * design.seed + 1)
 
 

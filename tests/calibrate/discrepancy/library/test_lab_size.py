@@ -26,7 +26,7 @@ from calibrate.discrepancy.library.design import (
 )
 from calibrate.discrepancy.library.lab_size import LabSize, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, features_of
-from calibrate.discrepancy.library.simulate import run_shaped, shaped
+from calibrate.discrepancy.library.simulate import shaped
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from studies.sealed.plan import SpecimenSize
 from tests.support import toy_library
@@ -154,7 +154,8 @@ def test_a_shape_that_no_run_has_is_refused_in_one_sentence(emulated, size, fiel
 
 def test_further_packings_have_every_height_and_many_stresses():
     design = Design(shaped=72)
-    base, strengths, packing = design.shaped_rows()
+    points = design.shaped_rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     assert len(base) == len(strengths) == len(packing) == 72 * design.rows_each
     assert sorted(set(packing)) == list(range(FIRST_SHAPED, FIRST_SHAPED + 72))
     columns = dict(zip(SETTINGS, base[:, -len(SETTINGS) :].T, strict=True))
@@ -164,7 +165,7 @@ def test_further_packings_have_every_height_and_many_stresses():
     assert np.mean(columns["pace"] < 1) == pytest.approx(1 / 3)
     met = {tuple(row) for row in np.column_stack([columns[n] for n in ("slenderness", "porosity")])}
     assert len(met) == len(HEIGHTS) * 3
-    fewer, _, _ = replace(design, shaped=24).shaped_rows()
+    fewer = replace(design, shaped=24).shaped_rows().base
     assert np.array_equal(fewer, base[: len(fewer)])
 
 
@@ -178,20 +179,19 @@ def test_a_shaped_lab_keeps_its_diameter():
     )
 
 
-def test_rows_of_other_shapes_join_a_library(monkeypatch):
+def test_rows_of_other_shapes_join_a_library():
     """Features are read at the displacements and forces of each row's own shape."""
     library = toy_library.library()
     design = replace(library.design, shaped=2)
-    base, _, packing = design.shaped_rows()
-    monkeypatch.setattr("calibrate.discrepancy.library.simulate.run_points", toy_library.run_points)
-    runs = run_shaped(design, None, None)  # type: ignore[arg-type]
+    points = design.shaped_rows()
+    runs = toy_library.run_points(design, points)
     grown = library.with_shapes(design, runs)
     new = len(grown.values) - len(library.values)
-    values = features_of(library.cylinder, base[:, SHAPE_COLUMNS], runs)
+    values = features_of(library.cylinder, points.base[:, SHAPE_COLUMNS], runs)
     whole = np.isfinite(values).all(axis=1)
     assert 0 < new == whole.sum() and grown.design.shaped == 2
     assert np.array_equal(grown.values[-new:], values[whole])
-    assert np.array_equal(grown.packing[-new:], packing[whole])
+    assert np.array_equal(grown.packing[-new:], points.packing[whole])
 
 
 def test_a_file_of_one_shape_is_read_as_such(tmp_path: Path):

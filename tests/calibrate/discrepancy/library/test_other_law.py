@@ -12,9 +12,9 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import other_law, store
 from calibrate.discrepancy.library.description import EmulatedLibrary
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.lab_size import HELD_SD, soil_prior_for
-from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
+from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary, features_of
 from calibrate.io.lab import bundled_lab, load_lab
 from studies.sealed.labels import EffectChange
 from tests.support import toy_library
@@ -35,10 +35,10 @@ def under_law(rows: Rows, library: RunLibrary) -> Rows:
 def library() -> RunLibrary:
     """The toy library with rows of another law beside its own."""
     own = toy_library.library()
-    base, packing = own.design.plain_rows(PACKINGS, other_law.EACH)
-    none = np.zeros((len(base), 3))
-    runs = [toy_library.run(x[:2], none[0], 300 + j) for x, j in zip(base, packing, strict=True)]
-    rows = under_law(Rows.of(own.cylinder, base, none, packing, runs), own)
+    points = own.design.plain_rows(PACKINGS, other_law.EACH)
+    each = zip(points.base, points.packing, strict=True)
+    runs = [toy_library.run(x[:2], np.zeros(3), 300 + j) for x, j in each]
+    rows = under_law(Rows.of(own.cylinder, points, runs), own)
     return replace(own, other_laws={LAW: other_law.fitted(rows, own)})
 
 
@@ -53,7 +53,8 @@ def expected(soil: np.ndarray, library: RunLibrary, law: bool, gain: float = 0.0
     runs = [toy_library.run(soil, strengths, 800 + j) for j in range(40)]
     base = np.zeros((len(runs), len(library.design.base_names)))
     base[:, :2] = soil
-    every = Rows.of(library.cylinder, base, np.tile(strengths, (len(runs), 1)), base[:, 0], runs)
+    values = features_of(library.cylinder, base[:, SHAPE_COLUMNS], runs)
+    every = Rows(base, np.tile(strengths, (len(runs), 1)), base[:, 0], values)
     return (under_law(every, library) if law else every).values.mean(axis=0)
 
 

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 from calibrate.core.errors import CalibrationError, InputError
-from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import run_library, simulate, store
 from calibrate.discrepancy.library.cross_validation import (
     BLOCK,
@@ -54,7 +53,7 @@ from calibrate.discrepancy.library.emulator import (
 from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.lab_size import soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
-from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
+from calibrate.discrepancy.library.simulate import lacks_refined
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.response.process import covariance
 from jdem.physics import PHYSICS
@@ -103,15 +102,15 @@ def test_an_emulator_that_was_used_goes_to_another_process(emulator):
 
 def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
     small, large = Design(packings=8), Design(packings=16)
-    base, strengths = large.rows()
-    beginning = len(small.of_packing)
-    assert np.array_equal(small.rows()[0], base[:beginning])
-    assert np.array_equal(small.rows()[1], strengths[:beginning])
-    assert np.array_equal(small.of_packing, large.of_packing[:beginning])
+    fewer, every = small.rows(), large.rows()
+    beginning = len(fewer.base)
+    for name, part in vars(fewer).items():
+        assert np.array_equal(part, getattr(every, name)[:beginning])
+        assert np.array_equal(getattr(large.rows(8), name), getattr(every, name)[beginning:])
     low, high = np.array(list(LIMITS.values())).T
-    assert (strengths >= low).all() and (strengths <= high).all()
+    assert (every.strengths >= low).all() and (every.strengths <= high).all()
     wide = len(large.soil_names)
-    assert np.abs(base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
+    assert np.abs(every.base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
 
 
 def alone(design: Design) -> np.ndarray:
@@ -121,7 +120,10 @@ def alone(design: Design) -> np.ndarray:
 
 def test_effects_are_at_work_together_where_rows_differ_in_everything():
     design = Design(packings=200, slow_in=0)
-    base, strengths = (part.reshape(200, design.rows_each, -1) for part in design.rows())
+    points = design.rows()
+    base, strengths = (
+        part.reshape(200, design.rows_each, -1) for part in (points.base, points.strengths)
+    )
     mixed = ~alone(design)
     assert (strengths[mixed] != 0).mean() == pytest.approx(ACTIVE, abs=0.02)
     assert not (base[mixed] == base[mixed, :1]).all(axis=(1, 2)).any()
@@ -129,9 +131,10 @@ def test_effects_are_at_work_together_where_rows_differ_in_everything():
 
 def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing():
     design = Design(packings=2 * TURN, slow_in=2)
-    base, strengths = design.rows()
+    points = design.rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     pace = base[:, design.base_names.index("pace")]
-    slow, packing = pace < 1, design.of_packing
+    slow = pace < 1
     assert set(pace) == {1.0, SPEEDS[1] / SPEEDS[0]}
     assert set(packing[slow]) == set(range(TURN)) and len(set(packing)) == 2 * TURN
     rest = np.delete(base, design.base_names.index("pace"), axis=1)
@@ -142,19 +145,22 @@ def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing
 
 def test_every_size_of_spheres_meets_every_porosity():
     design = Design(packings=48, slow_in=0)
-    base, _ = design.rows()
-    settings = dict(zip(SETTINGS, base[:: design.rows_each, -len(SETTINGS) :].T, strict=True))
+    points = design.rows()
+    of_packing, spheres = points.base[:: design.rows_each], points.spheres[:: design.rows_each]
+    settings = dict(zip(SETTINGS, of_packing[:, -len(SETTINGS) :].T, strict=True))
     porosity, size = settings["porosity"], settings["sphere_size"]
-    pairs = {(design.spheres_of(j), porosity[j]) for j in range(48)}
+    pairs = set(zip(spheres, porosity.tolist(), strict=True))
     assert pairs == {(n, p) for n in (500, 1000, 2500) for p in POROSITIES}
-    assert (1 + size) ** -3 * 1000 == pytest.approx([design.spheres_of(j) for j in range(48)])
+    assert (1 + size) ** -3 * 1000 == pytest.approx(spheres)
     assert np.median(settings["smoothing"]) < -0.5 and settings["smoothing"].max() > 0
 
 
 def test_some_packings_show_each_effect_by_itself_on_one_soil():
     design = Design(packings=65, slow_in=0)
+    points = design.rows()
     base, strengths = (
-        part.reshape(design.packings, design.rows_each, -1)[alone(design)] for part in design.rows()
+        part.reshape(design.packings, design.rows_each, -1)[alone(design)]
+        for part in (points.base, points.strengths)
     )
     assert (base == base[:, :1]).all()
     assert not strengths[:, 0].any()
@@ -424,7 +430,8 @@ def test_what_no_component_holds_is_split_too():
 
 def test_effects_are_sampled_again_on_packings_of_one_soil():
     design = Design(refined=24)
-    base, strengths, packing = design.refined_rows()
+    points = design.refined_rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     each = 1 + len(REFINED)
     assert np.array_equal(packing, np.repeat(np.arange(24), each) + FIRST_REFINED)
     of_packing = base.reshape(24, each, -1)
@@ -440,38 +447,37 @@ def test_effects_are_sampled_again_on_packings_of_one_soil():
     density = strengths[:, design.effect_names.index("specimen_density")]
     assert density.min() < 0 < density.max()
     assert len(set(base[:, list(design.base_names).index("pace")])) == 2
-    fewer = replace(design, refined=8).refined_rows()[0]
+    fewer = replace(design, refined=8).refined_rows().base
     assert np.array_equal(fewer, base[: len(fewer)])
 
 
 def test_later_packings_sample_other_effects_again():
     design = Design(refined=AGAIN + 16)
     every, later = design.refined_rows(), design.refined_rows(AGAIN)
-    for whole, part in zip(every, later, strict=True):
-        assert np.array_equal(part, whole[-len(part) :])
-    strengths, each = later[1], 1 + len(REFINED_AGAIN)
+    for name, part in vars(later).items():
+        assert np.array_equal(part, getattr(every, name)[-len(part) :])
+    strengths, each = later.strengths, 1 + len(REFINED_AGAIN)
     at_work = strengths.reshape(16, each, -1) != 0
     names = [[design.effect_names[k] for k in np.flatnonzero(row)] for row in at_work[0]]
     assert names == [[], *([name] for name in REFINED_AGAIN)]
     assert (at_work == at_work[0]).all()
     density = strengths[:, design.effect_names.index("specimen_density")].reshape(16, each).sum(1)
-    sizes = np.array([design.refined_spheres(j) for j in range(AGAIN, AGAIN + 16)])
+    sizes = np.array(later.spheres)[::each]
     for size in set(sizes):  # of one size some are denser and some looser
         assert len(set(np.sign(density[sizes == size]))) == 2
 
 
-def test_effects_that_are_sampled_again_join_a_library(monkeypatch):
+def test_effects_that_are_sampled_again_join_a_library():
     library = toy_library.library()
     design = replace(library.design, refined=2)
-    monkeypatch.setattr("calibrate.discrepancy.library.simulate.run_points", toy_library.run_points)
-    runs = run_refined(design, None, None)  # type: ignore[arg-type]
+    runs = toy_library.run_points(design, design.refined_rows())
     assert lacks_refined(design, library)
     grown = library.refined(design, runs)
     assert 0 < len(grown.values) - len(library.values) <= len(runs)
     assert grown.design.refined == 2 and not lacks_refined(design, grown)
     assert grown.packing.max() == FIRST_REFINED + 1
     more = replace(design, refined=3)
-    larger = grown.refined(more, run_refined(more, None, None, first=2))  # type: ignore[arg-type]
+    larger = grown.refined(more, toy_library.run_points(more, more.refined_rows(2)))
     assert np.array_equal(larger.base[: len(grown.base)], grown.base)
     assert set(larger.packing[len(grown.base) :]) == {FIRST_REFINED + 2}
 
@@ -538,8 +544,8 @@ def test_emulator_errors_survive_their_file(tmp_path):
 def toy_repeats() -> run_library.Rows:
     """Repeats of the toy library's design, by formula; the first run of the second soil failed."""
     design = toy_library.DESIGN
-    base, _ = design.repeats()
-    runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(base[:, :2])]
+    soils = design.repeats().base[:, :2]
+    runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(soils)]
     return run_library.repeats_of(design, LAB, [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]])
 
 
@@ -603,25 +609,22 @@ def test_specimens_of_one_class_of_porosity_share_a_program(tmp_path):
         assert grid.cell >= 2 * each.specimen.max_radius() + grid.skin + grid.reach
 
 
-def test_repeats_are_simulated_on_their_packings(monkeypatch):
-    seen = []
-    monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))
+def test_repeats_are_simulated_on_their_packings():
     design = Design()
-    simulate.run_repeats(design, None, Silent())  # pyright: ignore[reportArgumentType]
-    (points,), (base, _) = seen, design.repeats()
-    assert (points.base == base).all() and not points.strengths.any()
-    assert len(set(points.seeds)) == len(base)
-    assert points.seeds.min() > 1000 * design.seed + design.of_packing.max()
+    points = design.repeats()
+    assert not points.strengths.any()
+    assert len(set(points.seeds)) == len(points.base)
+    assert points.seeds.min() > 1000 * design.seed + design.rows().packing.max()
     sizes = [design.sphere_size(spheres) for spheres in points.spheres]
-    assert sizes == base[:, design.base_names.index("sphere_size")].tolist()
+    assert sizes == points.base[:, design.base_names.index("sphere_size")].tolist()
 
 
 def test_repeats_are_soils_of_several_specimens():
     design = Design()
-    base, soil = design.repeats()
-    of_soil = base.reshape(design.repeated, SPECIMENS, -1)
+    points = design.repeats()
+    of_soil = points.base.reshape(design.repeated, SPECIMENS, -1)
     assert (of_soil == of_soil[:, :1]).all()
-    assert np.bincount(soil).tolist() == [SPECIMENS] * design.repeated
+    assert np.bincount(points.packing).tolist() == [SPECIMENS] * design.repeated
     assert len(np.unique(of_soil[:, 0, 0])) == design.repeated
     pace = of_soil[:, 0, design.base_names.index("pace")]
     assert np.mean(pace < 1) == pytest.approx(1 / design.slow_in)
@@ -643,13 +646,13 @@ def test_specimens_have_components_of_the_size_that_is_known(emulator):
 def small_library() -> RunLibrary:
     """Rows of a design with made-up features."""
     design = replace(Design(), packings=8)
-    base, strengths = design.rows()
+    points = design.rows()
     features = Cylinder(0.05, 0.1, 200.0, 400.0).features()
-    values = RNG.uniform(1, 2, size=(len(base), len(features)))
+    values = RNG.uniform(1, 2, size=(len(points.base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(
-        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS, base, strengths,
-        design.of_packing, values,
+        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS, points.base, points.strengths,
+        points.packing, values,
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
 
