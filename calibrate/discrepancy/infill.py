@@ -3,9 +3,8 @@
     lab, library -> explanations -> locations -> runs -> library with these runs joined -> again
 
 A location is the soil and the strength that best explain the curves by one explanation: none, the
-leading effects, the leading pair.  Every packing is tested at every location, so that explanations
-are compared on the same packings; soils and strengths scatter a little about a location, which
-gives slopes too.  Runs lie in a cache, so that the same question is answered without a new run.
+leading effects, the leading pair.  Every packing is tested at every location; soils and strengths
+scatter a little about it, which gives slopes too.  Runs lie in a cache.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,8 +16,9 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.discrepancy.comparison.compare import Comparison, compare
+from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
 from calibrate.discrepancy.comparison.refit import Refit
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import (
     POROSITIES,
@@ -86,7 +86,7 @@ def rows_about(
     discrepancy: ModelDiscrepancy | None = None, sizes: Sequence[float] = SIZES,
 ) -> Rows:  # fmt: skip
     """Simulations about the leading explanations of a lab, in whose size the library speaks, on
-    these packings; sizes: their spheres over the design's."""
+    packings with spheres of these sizes over the design's."""
     library = emulated.library
     effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
     simulator = Simulator(simulated_lab(lab, library), plan.folder, effects, place=plan.place)
@@ -114,7 +114,7 @@ def leading_locations(
     """Where the likeliest explanations have their best fits: none first, then effects and the
     likeliest pair."""
     _, d, measured = described(lab, emulated, seed, discrepancy)
-    prepared = prepared_diagnosis(d, measured, seed, InferenceSetup.uncalibrated(), DRAWS)
+    prepared = prepared_diagnosis(d, measured, seed, ProbabilityCalibration(), DRAWS)
     comparison = compare(prepared, measured)
     soil_prior = soil_prior_for(lab, emulated.library)
     return [
@@ -136,8 +136,8 @@ def leading_fits(comparison: Comparison) -> list[Refit]:
 def location_of(
     fit: Refit, soil_prior: SoilPrior, library: RunLibrary, names: Sequence[str]
 ) -> InfillLocation:
-    """A fit with these candidate effects in the coordinates of a library, its strengths within what
-    it covers; of the lab's own shape, so that one packing serves all."""
+    """A fit with these candidate effects in a library's coordinates, within its strengths; of the
+    lab's own shape, so that one packing serves all."""
     base = soil_prior.offset + fit.delta[: len(soil_prior.offset)]
     base[SHAPE_COLUMNS] = np.round(soil_prior.offset[SHAPE_COLUMNS], 6)
     of_name = dict(zip(names, fit.strengths, strict=True))

@@ -18,7 +18,7 @@ from calibrate.core.files import make_folder
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library import other_law, store
 from calibrate.discrepancy.library.design import Design
-from calibrate.discrepancy.library.run_library import RunLibrary, collect, repeats_of
+from calibrate.discrepancy.library.run_library import Rows, RunLibrary, collect
 from calibrate.discrepancy.library.simulate import (
     Simulator,
     check_cylinder,
@@ -127,9 +127,9 @@ def make_library(
         design = replace(design, centre=centre)
     simulator = Simulator(measured, path.parent / f"{path.stem}_runs", place=place_of(batch=batch))
     library = _simulated(design, simulator, smaller, str(onto))
-    for_terminal().say(f"{len(library.values)} simulations have all features; fitting")
+    for_terminal().say(f"{len(library.rows.values)} simulations have all features; fitting")
     store.save(library.fitted(), path)
-    content = {"library": str(path), "runs": len(library.values), "conventions": None}
+    content = {"library": str(path), "runs": len(library.rows.values), "conventions": None}
     return LibraryResult(path, path.parent, content)
 
 
@@ -154,8 +154,9 @@ def _simulated(
         points = design.refined_rows(library.design.refined)
         library = library.refined(design, run_points(design, points, simulator, progress))
     if library.repeats is None:
-        runs = run_points(design, design.repeats(), simulator, progress)
-        library = replace(library, repeats=repeats_of(design, simulator.lab, runs))
+        points = design.repeats()
+        runs = run_points(design, points, simulator, progress)
+        library = replace(library, repeats=Rows.of(library.cylinder, points, runs))
     return library
 
 

@@ -12,30 +12,21 @@ A row is a point x of
 
 drawn from a Sobol sequence, so that every beginning of the list is a smaller library.  Rows of one
 packing differ in all else, or in an effect alone: what packings have in common drops out of the
-slopes (common random numbers), and what they differ by is sampled PACKINGS times.
+slopes (common random numbers).
 
-Numbers of spheres take turns, so that what resolution changes is learned with all else: most rows
-are cheap, enough are dear.  The size of spheres is the coordinate, d/D ~ N^(-1/3): walls and the
-ends of a specimen count in proportion to it, and the limit of fine grains lies at -1.
+Numbers of spheres take turns: most rows are cheap, enough are dear.  The size of spheres is the
+coordinate, d/D ~ N^(-1/3): walls and the ends of a specimen count in proportion to it, and the
+limit of fine grains lies at -1.  A simulated press is twenty times as fast as a laboratory's, so
+the rows of some packings are simulated again, slowly: a laboratory lies near the pace 0.
 
-A simulated press is twenty times as fast as a laboratory's, and what dashpots carry goes with
-its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
-soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
+Further packings:
 
-Laboratories differ in height over diameter and in the largest stress.  Further packings, `shaped`,
-have the heights of HEIGHTS in turn, and each of their rows a largest stress within STRESSES; all
-else is as in the rows of the library's own cylinder.
-
-What the emulator misses most is sampled again: on further packings, `refined`, all rows share one
-soil, the first has no effect at work and the others one each, at strengths that leave much of the
-curve to the soil: those of REFINED, from packing AGAIN on those of REFINED_AGAIN.
-
-What other conventions of the contact law change is learned from soils under these (`other_law`),
-without effects, a few on each of further packings, of which every third is slow.
-
-Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
-effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
-misses, as a row has a soil and nearly a packing of its own; repeats can.
+    shaped   heights of HEIGHTS in turn, and a largest stress within STRESSES for each row
+    refined  what the emulator misses most, again: all rows share one soil, the first has no effect
+             at work, the others one each of REFINED, from packing AGAIN on of REFINED_AGAIN
+    plain    soils without effects, a few on each, under other conventions (`other_law`)
+    repeats  further soils without effects, each on SPECIMENS packings of its own: rows alone cannot
+             tell what a packing does from what a smooth function of the soil misses
 """
 
 import math
@@ -141,12 +132,10 @@ class RunPoints:
 
 @dataclass(frozen=True)
 class Design:
-    """The plan of a library; `base` holds the soil's values that are not varied.
-
-    packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
-    TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils;
-    `shaped` packings of other heights; `refined` packings of effects that are sampled again.
-    """
+    """The plan of a library: packings x rows_each simulations of specimens of `spheres` spheres,
+    and those of one block of TURN packings in `slow_in` again, slowly (0: of none); repeats of
+    `repeated` further soils; `shaped` packings of other heights; `refined` packings of effects that
+    are sampled again."""
 
     packings: int = 160
     rows_each: int = 6

@@ -47,17 +47,14 @@ COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories
 
 @dataclass(eq=False)
 class Simulator:
-    """Runs single specimens of a lab's tests with effects and settings of any strength.
-
-    One compiled program serves all that have the same number of spheres, height and class of
-    porosity, a second one those without costly effects: strength 0 changes no bit.
-    """
+    """Runs single specimens of a lab's tests with effects and settings of any strength; one
+    compiled program serves all of one number of spheres, height and class of porosity, a second one
+    those without costly effects: strength 0 changes no bit."""
 
     lab: Lab
     folder: Path
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
-    dtype: str = "float32"
     place: AbstractPlace = HERE
     _campaigns: dict[tuple, Campaign] = field(default_factory=dict)
 
@@ -88,12 +85,6 @@ class Simulator:
         except CalibrationError as error:  # this packing does not stand
             return not_simulated(lab, str(error))
 
-    def porosity(self, spheres: int) -> float:
-        """The usual one of a bed of this many spheres."""
-        usual = specimen(self.lab, replace(PRESET, spheres=spheres)).porosity
-        assert usual is not None  # PRESET grows its beds
-        return usual
-
     @property
     def slots(self) -> int:
         """How many specimens may be handed in at once."""
@@ -107,11 +98,11 @@ class Simulator:
         if key not in self._campaigns:
             own = shaped(self.lab, slenderness, stress)
             speed = round(pace * PRESET.rate_in_mould, 6)
-            count = in_all(spheres, slenderness)
+            count = round(spheres * math.exp(slenderness))
             preset = replace(PRESET, spheres=count, rate_in_mould=speed)
             cylinder = loosened(specimen(own, preset), loose)
             room = loosened(specimen(own, preset), densest(loose))
-            numerics = numerics_for(room, dtype=self.dtype)
+            numerics = numerics_for(room, dtype="float32")
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
             tests = virtual_lab(own, preset, numerics).tests
             lab = VirtualLab.of(room, tests, numerics, kept)
@@ -127,15 +118,9 @@ def switched_off(
     return tuple(effect(0.0) for effect in effects.values())
 
 
-def in_all(spheres: int, slenderness: float) -> int:
-    """Number of spheres of a specimen whose height is exp(slenderness) times the library's, for
-    this many in that."""
-    return round(spheres * math.exp(slenderness))
-
-
 def shaped(lab: Lab, slenderness: float, stress: float = 0.0) -> Lab:
-    """A lab whose height and largest stress are exp(slenderness) and exp(stress) times as large;
-    the test in the mould reads its depth between as many times the forces."""
+    """A lab whose height is exp(slenderness) times as large, and whose forces of the depth are
+    exp(stress) times."""
     if not (slenderness or stress):
         return lab
     own, high = lab.specimen, lab.pair().compression.force_high
@@ -155,8 +140,8 @@ def resized(lab: Lab, diameter: float, height: float, force_high: float) -> Lab:
 
 
 def densest(loose: float) -> float:
-    """The least porosity, over the usual one, of the class of specimens for which one program is
-    compiled: that of their lists of neighbours and samples, made for the largest spheres."""
+    """The least porosity, over the usual one, of a class of specimens: lists of neighbours and
+    samples of its one program are made for the largest spheres."""
     return round(math.floor(loose / POROSITY_CLASS) * POROSITY_CLASS, 6)
 
 
@@ -229,7 +214,7 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
 
 
 def check_cylinder(library: RunLibrary, lab: Lab, file: str) -> None:
-    """Refuses to lay runs of another cylinder beside a library."""
+    """Refuses runs of another cylinder beside a library."""
     if Cylinder.of(lab) != library.cylinder:
         problem = "this library was made for another cylinder, or for other forces, than this lab's"
         raise InputError(file, "cylinder", problem, "give the lab file that it was made for")

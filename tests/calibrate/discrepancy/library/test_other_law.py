@@ -121,7 +121,8 @@ def test_rows_beside_a_library_survive_its_file(library, tmp_path: Path):
     np.testing.assert_allclose(again.rows.values, own.rows.values, rtol=1e-6)
     np.testing.assert_allclose(again.columns, own.columns)
     np.testing.assert_allclose(again.widening, own.widening)
-    grown = replace(toy_library.library(), values=1.01 * toy_library.library().values)
+    rows = toy_library.library().rows
+    grown = replace(toy_library.library(), rows=replace(rows, values=1.01 * rows.values))
     store.save(grown, tmp_path / "toy.nc")
     with pytest.raises(InputError, match="beside another library, or an earlier state"):
         store.load(tmp_path / "toy.nc")
@@ -151,8 +152,8 @@ def bare_library(design: Design) -> RunLibrary:
     """One row of a full design, of which only points are read."""
     lab, wide = load_lab(bundled_lab()), len(design.base_names)
     none = np.zeros((1, len(design.limits)))
-    rows = np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53))
-    return RunLibrary(design, Cylinder.of(lab), 1, *rows, reference={})
+    rows = Rows(np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53)))
+    return RunLibrary(design, Cylinder.of(lab), 1, rows, reference={})
 
 
 def test_rows_are_simulated_under_the_conventions(monkeypatch, tmp_path: Path):

@@ -18,7 +18,6 @@ from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
     Repeats,
     Split,
-    TrainingPoints,
     by_effects,
     cross_validate,
     dropped_split,
@@ -52,7 +51,7 @@ from calibrate.discrepancy.library.emulator import (
 )
 from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.lab_size import soil_prior_for
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
+from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
 from calibrate.discrepancy.library.simulate import lacks_refined
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.response.process import covariance
@@ -333,23 +332,26 @@ def test_components_hold_what_hardly_scatters():
     assert np.std(warped[:, 9] - back[:, 9]) < 0.02
 
 
-def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
+def validated(emulator: FeatureEmulator, **changes) -> EmulatorErrors:
+    """On other specimens of the same soils; with other hyperparameters."""
     scatter = np.exp(PACKING_SD * np.random.default_rng(5).normal(size=(ROWS // EACH, 1)))[PACKING]
-    kernels = [component.kernel._replace(**changes) for component in emulator.components]
-    return TrainingPoints(X, S, PACKING, formula(X, S) * scatter, SCALE, kernels)
+    components = tuple(
+        replace(each, kernel=each.kernel._replace(**changes)) for each in emulator.components
+    )
+    changed = replace(emulator, components=components)
+    return cross_validate(changed, PACKING, formula(X, S) * scatter)
 
 
 def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
-    honest = cross_validate(points(emulator), emulator)
-    alike = points(emulator, packing=np.log(0.01))  # forgets that packings differ
-    sure = cross_validate(alike, emulator)
+    honest = validated(emulator)
+    sure = validated(emulator, packing=np.log(0.01))  # forgets that packings differ
     most = int(np.argmax([component.kernel.packing for component in emulator.components]))
     assert 1 / 3 < honest.scatter[most] < 3.0  # 22 packings in one sample and 22 in the other
     assert sure.scatter[most] > 3 * honest.scatter[most]
 
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
-    assert (cross_validate(points(emulator), emulator).widening >= 1.0).all()
+    assert (validated(emulator).widening >= 1.0).all()
 
 
 MISSED, SCATTERED = 0.10, 0.05  # of ln force: by soils beside a smooth function, by specimens
@@ -376,11 +378,8 @@ def split_errors() -> tuple[FeatureEmulator, EmulatorErrors, EmulatorErrors]:
     again = rng.normal(size=(soils, P))
     soil = (forces(again) + scattered(MISSED, soils))[:, None]
     repeats = Repeats(again, list(np.exp(soil + scattered(SCATTERED, soils, specimens))))
-    kernels = [component.kernel for component in emulator.components]
-    known = TrainingPoints(x, s, packing, values, scale, kernels)
-    return (
-        emulator, cross_validate(known, emulator, repeats), cross_validate(known, emulator)
-    )  # fmt: skip
+    known = emulator, packing, values
+    return emulator, cross_validate(*known, repeats), cross_validate(*known)
 
 
 def test_repeats_tell_scatter_of_specimens_from_what_is_missed(split_errors):
@@ -422,7 +421,7 @@ def test_what_no_component_holds_is_split_too():
     basis = leading(np.arcsinh(values / scale), x, s, count=1)
     emulator = fit_emulator(x, s, np.arange(n), values, scale, basis=basis)
     again = rng.normal(size=(soils, P))
-    split = dropped_split(emulator, Repeats(again, list(features(again, 4))), scale)
+    split = dropped_split(emulator, Repeats(again, list(features(again, 4))))
     whole = MISSED**2 + SCATTERED**2
     assert split.scatter == pytest.approx(SCATTERED**2 / whole, rel=0.25)
     assert split.misfit == pytest.approx(MISSED**2 / whole, rel=0.25)
@@ -473,13 +472,13 @@ def test_effects_that_are_sampled_again_join_a_library():
     runs = toy_library.run_points(design, design.refined_rows())
     assert lacks_refined(design, library)
     grown = library.refined(design, runs)
-    assert 0 < len(grown.values) - len(library.values) <= len(runs)
+    assert 0 < len(grown.rows.values) - len(library.rows.values) <= len(runs)
     assert grown.design.refined == 2 and not lacks_refined(design, grown)
-    assert grown.packing.max() == FIRST_REFINED + 1
+    assert grown.rows.packing.max() == FIRST_REFINED + 1
     more = replace(design, refined=3)
     larger = grown.refined(more, toy_library.run_points(more, more.refined_rows(2)))
-    assert np.array_equal(larger.base[: len(grown.base)], grown.base)
-    assert set(larger.packing[len(grown.base) :]) == {FIRST_REFINED + 2}
+    assert np.array_equal(larger.rows.base[: len(grown.rows.base)], grown.rows.base)
+    assert set(larger.rows.packing[len(grown.rows.base) :]) == {FIRST_REFINED + 2}
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
@@ -543,10 +542,11 @@ def test_emulator_errors_survive_their_file(tmp_path):
 
 def toy_repeats() -> run_library.Rows:
     """Repeats of the toy library's design, by formula; the first run of the second soil failed."""
-    design = toy_library.DESIGN
-    soils = design.repeats().base[:, :2]
+    points = toy_library.DESIGN.repeats()
+    soils = points.base[:, :2]
     runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(soils)]
-    return run_library.repeats_of(design, LAB, [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]])
+    runs = [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]]
+    return Rows.of(Cylinder.of(LAB), points, runs)
 
 
 def test_repeats_survive_their_file_and_growth(tmp_path):
@@ -651,8 +651,8 @@ def small_library() -> RunLibrary:
     values = RNG.uniform(1, 2, size=(len(points.base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(
-        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS, points.base, points.strengths,
-        points.packing, values,
+        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS,
+        Rows(points.base, points.strengths, points.packing, values),
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
 
@@ -683,7 +683,7 @@ def test_a_library_survives_its_file(tmp_path: Path):
     store.save(library, path)
     again = store.load(path)
     assert again.design == library.design and again.cylinder == library.cylinder
-    assert np.allclose(again.values, library.values, rtol=1e-6)
+    assert np.allclose(again.rows.values, library.rows.values, rtol=1e-6)
     assert np.allclose(again.reference["confined"], library.reference["confined"])
 
 
@@ -695,10 +695,11 @@ def test_a_library_grows_to_the_one_that_a_larger_design_gives():
     later = [None, *runs[toy_library.PACKINGS * toy_library.ROWS + 1 :]]
     grown = toy_library.library().grown(larger, later)
     first = toy_library.PACKINGS * toy_library.ROWS
-    keep = np.delete(np.arange(len(whole.values)), first)
-    assert len(whole.values) == len(runs) and not grown.kernels and grown.emulator_errors is None
+    keep = np.delete(np.arange(len(whole.rows.values)), first)
+    assert len(whole.rows.values) == len(runs)
+    assert not grown.kernels and grown.emulator_errors is None
     for part in ("base", "strengths", "packing", "values"):
-        np.testing.assert_array_equal(getattr(grown, part), getattr(whole, part)[keep])
+        np.testing.assert_array_equal(getattr(grown.rows, part), getattr(whole.rows, part)[keep])
 
 
 def test_a_library_grows_only_by_more_of_the_same():
