@@ -72,8 +72,8 @@ def evidence(
 
 
 def at_a_fit(fit: Refit, one_sided: np.ndarray, noise: Noise, inflation: float) -> float:
-    """ln evidence of the none, one or two effects chosen, linearised at their own best fit and
-    weighed by the noise there."""
+    """ln evidence of none, one or two chosen effects, linearised at their own best fit and with the
+    noise there."""
     on, total = list(fit.chosen), []
     for scale, log_weight in _scales(noise.ln_scale_sd):
         design = fit.projected(inflation * scale**2 * fit.covariance, on)

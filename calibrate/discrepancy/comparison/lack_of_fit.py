@@ -51,7 +51,7 @@ class NullDistributions:
 
 
 def null_distribution(draws: np.ndarray) -> NullDistribution:
-    """That of simulated statistics (n, q)."""
+    """The table of simulated statistics (n, q)."""
     ranks = (draws[None, :, :] >= draws[:, None, :]).sum(axis=1) / len(draws)
     return NullDistribution(draws, ranks.min(axis=1))
 

@@ -195,7 +195,7 @@ class Design:
         base, soil = np.repeat(base, SPECIMENS, axis=0), np.repeat(soil, SPECIMENS)
         of_bed = FIRST_REPEAT + np.arange(len(soil))
         return replace(
-            self._points(base, None, np.repeat(spheres, SPECIMENS), of_bed), packing=soil
+            self._points(base, None, np.repeat(spheres, SPECIMENS).tolist(), of_bed), packing=soil
         )
 
     def shaped_rows(self) -> RunPoints:
@@ -235,7 +235,8 @@ class Design:
         return self._points(
             np.repeat(base[first:], rows, axis=0),
             np.concatenate([*strengths, np.zeros((0, len(self.limits)))]),
-            np.repeat(spheres[first:], rows), FIRST_REFINED + np.repeat(number[first:], rows),
+            np.repeat(spheres[first:], rows).tolist(),
+            FIRST_REFINED + np.repeat(number[first:], rows),
         )  # fmt: skip
 
     def _points(

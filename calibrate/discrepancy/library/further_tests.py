@@ -184,13 +184,11 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
     if test.type_name in first and not test.protocol and _of_shape(file, test, cylinder):
         name, (longer, wider) = test.type_name, _to_size(file.cylinder_of(test.called), cylinder)
         condition = TEST_FEATURES[name].condition(first[name], test)
-        features, records = _of_test(d, name), [(c.displacement_mm, c.force_n) for c in curves]
+        features = [d.features[i] for i in _of_test(d, name)]
+        records = [(c.displacement_mm, c.force_n) for c in curves]
         begun = () if begins_before_contact(records) else (name,)
         scaled = ({name: (longer * x, wider * force)} for x, force in records)
-        rows = [
-            recorded_feature_values([d.features[i] for i in features], curve, begun=begun)
-            for curve in scaled
-        ]
+        rows = [recorded_feature_values(features, curve, begun=begun) for curve in scaled]
         return _known(_again(d, noise, name, condition, test.called, 0.0), np.array(rows))
     return None
 

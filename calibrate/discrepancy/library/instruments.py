@@ -1,7 +1,8 @@
 """What instruments add to a description: recording, and the force before contact.
 
 A recording misses what is sharp; where the force reading lags, the turn of a curve is round already
-and nothing is lost there.  So the shift by recording is found for several lags (`BetweenLags`).
+and nothing is lost there.  So the shift by recording is found for several lags, with monotone
+cubics between them (Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238; `BetweenLags`).
 How a machine is steered where it turns tells nothing of a soil (`steering`).
 
 Where the force before contact was recorded, it is taken off (`recorded_feature_values`), so that
