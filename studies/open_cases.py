@@ -39,7 +39,7 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     ProbabilityCalibration,
     bundled_calibration,
 )
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import described
 from calibrate.discrepancy.library import store
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.design import CENTRE
@@ -67,8 +67,8 @@ def emulated() -> EmulatedLibrary:
 
 
 @cache
-def setup() -> InferenceSetup:
-    return InferenceSetup()
+def setup() -> trial.InferenceSetup:
+    return trial.InferenceSetup()
 
 
 @cache
@@ -108,7 +108,7 @@ def judge(case: Path) -> None:
 def evidence_of(lab: Lab, known: EmulatedLibrary) -> dict:
     """What a library says of a lab: facts, classes of alike effects, ln evidences."""
     _, d, measured = described(lab, known, 0)
-    prepared = prepared_diagnosis(d, measured, 0, setup())
+    prepared = setup().prepared(d, measured)
     found = compare(prepared, measured)
     return {
         "p_before": found.summary.p_before, "p_after": found.summary.p_after,

@@ -33,7 +33,6 @@ from calibrate.discrepancy.diagnosis import (
     beyond_library,
     described,
     library_error,
-    prepared_diagnosis,
 )
 from calibrate.discrepancy.library.measurements import Measurements
 from calibrate.io.lab import Lab, load_lab
@@ -72,7 +71,7 @@ def said(lab: Lab) -> dict:
     """What is said of a lab, as `calibrate diagnose` says it, and what it rests on."""
     emulated = open_cases.emulated()
     found, d, measured = described(lab, emulated, 0)
-    first = compare(prepared_diagnosis(d, measured, 0, open_cases.setup()), measured)
+    first = compare(open_cases.setup().prepared(d, measured), measured)
     last, reduction = answered(lab, emulated, found, d, measured, first, 0)
     delta = first.base.delta
     return {

@@ -1,26 +1,17 @@
 """`calibrate diagnose`: from a lab file and a library of runs to an explanation of the gap.
 
-    curves -> features -> description about the best base fit -> null distributions
-           -> localisation, comparison of explanations, whether one is named, reduction of the gap,
-           next test
-
-The calibration of probabilities was fitted once (`comparison.probability_calibration`); null
-distributions depend on the plan of measurement and may be shared by labs with the same plan.
+curves -> features -> description about the best base fit -> null distributions
+       -> localisation, comparison of explanations, whether one is named, reduction of the gap,
+       next test
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.compare import (
-    Comparison,
-    Prepared,
-    compare,
-    design_classes,
-    prepare,
-)
-from calibrate.discrepancy.comparison.generated import SampleGenerator, plan_of
+from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, prepare
+from calibrate.discrepancy.comparison.generated import plan_of
 from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.localise import Localisation, localise
@@ -32,7 +23,6 @@ from calibrate.discrepancy.comparison.next_test import (
     next_tests,
     updated,
 )
-from calibrate.discrepancy.comparison.noise import packing_covariance
 from calibrate.discrepancy.comparison.probability_calibration import (
     ProbabilityCalibration,
     bundled_calibration,
@@ -60,22 +50,9 @@ from calibrate.io.lab import Lab
 DRAWS = 400  # of null distributions
 WITHIN = 16  # soils among the library's runs whose stated errors are typical
 LARGE_ERROR = 2.0  # times these, which hardly any soil among the runs reaches
+LARGEST_DENSITY_SD = 0.02  # of specimens in one mould; more is the field's scatter
 STATED = "stated error"  # of the library at the best base fit, beside parameters beyond its runs
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class InferenceSetup:
-    """The calibration of probabilities, and null distributions by plan of measurement
-    (specimens, features), to be shared by labs that have the same plan."""
-
-    calibration: ProbabilityCalibration = field(default_factory=bundled_calibration)
-    nulls: dict[tuple[int, ...], NullDistributions] = field(default_factory=dict)
-
-    @staticmethod
-    def uncalibrated() -> "InferenceSetup":
-        """Evidences as they are."""
-        return InferenceSetup(ProbabilityCalibration())
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +92,7 @@ def described(
     before_contact: bool = True,
 ) -> tuple[Measurements, Linearised, Measured]:
     """What was measured, and the simulator about the best base fit to it; before_contact: with the
-    forces before contact, and with what is free where none was recorded.  Without, the lab is one
-    whose records are known to begin at no force."""
+    forces before contact; without, records are known to begin at no force."""
     emulated = emulated.for_lab(lab)
     like, usual = emulated.size.curves(emulated.library.reference), emulated.size.cylinder
     found = read_measurements(lab, emulated.size.features, like, from_zero=not before_contact)
@@ -130,26 +106,18 @@ def described(
     return found, d, robust(measured, scatter_of(d))
 
 
-LARGEST_DENSITY_SD = 0.02  # of specimens in one mould; more is the field's scatter
-
-
 def prepared_diagnosis(
     d: Linearised,
     measured: Measured,
     seed: int,
-    setup: InferenceSetup | None = None,
+    calibration: ProbabilityCalibration | None = None,
     draws: int = DRAWS,
+    null: NullDistributions | None = None,
 ) -> Prepared:
-    """Null distributions of the linear description; the emulator is put back for refits."""
-    setup = setup or InferenceSetup()
+    """Null distributions of the linear description, unless those of its plan are known; the
+    emulator is put back for refits."""
     linear, plan = replace(d, emulator=None), plan_of(measured)
-    if plan.shape in setup.nulls:
-        generator = SampleGenerator(linear, plan, packing_covariance(linear))
-        null = setup.nulls[plan.shape]
-        prepared = Prepared(generator, null, design_classes(generator), setup.calibration)
-    else:
-        prepared = prepare(linear, plan, seed, draws, setup.calibration)
-        setup.nulls[plan.shape] = prepared.null
+    prepared = prepare(linear, plan, seed, draws, calibration or bundled_calibration(), null)
     return replace(prepared, generator=replace(prepared.generator, description=d))
 
 
@@ -157,7 +125,6 @@ def diagnosed(
     lab: Lab,
     emulated: EmulatedLibrary,
     seed: int = 0,
-    setup: InferenceSetup | None = None,
     discrepancy: ModelDiscrepancy | None = None,
     say: Say = lambda text: None,
     further: Sequence[Lab] = (),
@@ -167,7 +134,7 @@ def diagnosed(
     say("reading curves, fitting the base model")
     found, d, measured = described(lab, emulated, seed, discrepancy)
     say("simulating null distributions")
-    prepared = prepared_diagnosis(d, measured, seed, setup)
+    prepared = prepared_diagnosis(d, measured, seed)
     say("comparing explanations")
     comparison = compare(prepared, measured)
     cylinder = Cylinder.of(lab)
@@ -197,22 +164,18 @@ def answered(
     comparison: Comparison, seed: int,
 ) -> tuple[Comparison, Reduction | None]:  # fmt: skip
     """A comparison with the verdict that its grounds allow."""
-    grounds = Grounds(
-        found.repeats, lambda delta: beyond_runs(lab, emulated, delta), bool(found.specimens)
-    )
+
+    def beyond(delta: np.ndarray) -> tuple[str, ...]:
+        stated = (STATED,) if library_error(lab, emulated, delta) > LARGE_ERROR else ()
+        return (*beyond_library(lab, emulated, delta), *stated)
+
+    grounds = Grounds(found.repeats, beyond, bool(found.specimens))
     return named(d, measured, comparison, grounds, seed)
-
-
-def beyond_runs(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
-    """What lies beyond the library's runs at a fit: soil parameters, and the error that it
-    states."""
-    stated = (STATED,) if library_error(lab, emulated, delta) > LARGE_ERROR else ()
-    return (*beyond_library(lab, emulated, delta), *stated)
 
 
 def beyond_library(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> tuple[str, ...]:
     """Soil parameters of a fit, shifted by delta (p,) from the lab's prior, that lie clearly
-    farther from the library's centre than its runs, of its design or added about this lab."""
+    farther from the library's centre than its runs."""
     library = emulated.for_lab(lab).library
     soil = slice(len(library.design.soil_names))  # base coordinates begin with the soil's
     return parameters_beyond(library, soil_prior_for(lab, library).offset[soil] + delta[soil])
@@ -225,10 +188,10 @@ def library_error(lab: Lab, emulated: EmulatedLibrary, delta: np.ndarray) -> flo
     library, prior = emulated.library, soil_prior_for(lab, emulated.library)
     emulator, none = emulated.at(prior), np.zeros(len(library.design.limits))
     own = delta[: len(prior.offset)]
-    rows = np.linspace(0, len(library.base) - 1, WITHIN).astype(int)
+    rows = np.linspace(0, len(library.rows.base) - 1, WITHIN).astype(int)
     soil = slice(len(library.design.soil_names))
     among = np.repeat(own[None], WITHIN, axis=0)
-    among[:, soil] = library.base[rows, soil] - prior.offset[soil]
+    among[:, soil] = library.rows.base[rows, soil] - prior.offset[soil]
     usual = np.array([(emulator.wrong(one, none) ** 2).sum(axis=1) for one in among]).mean(axis=0)
     here = (emulator.wrong(own, none) ** 2).sum(axis=1)
     return float(np.sqrt(np.mean(here / np.maximum(usual, 1e-300))))

@@ -3,9 +3,8 @@
     lab, library -> explanations -> locations -> runs -> library with these runs joined -> again
 
 A location is the soil and the strength that best explain the curves by one explanation: none, the
-leading effects, the leading pair.  Every packing is tested at every location, so that explanations
-are compared on the same packings; soils and strengths scatter a little about a location, which
-gives slopes too.  Runs lie in a cache, so that the same question is answered without a new run.
+leading effects, the leading pair.  Every packing is tested at every location; soils and strengths
+scatter a little about it, which gives slopes too.  Runs lie in a cache.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,19 +16,21 @@ import numpy as np
 from calibrate.core.errors import InputError
 from calibrate.core.progress import AbstractProgress, Silent
 from calibrate.discrepancy.comparison.compare import Comparison, compare
+from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
 from calibrate.discrepancy.comparison.refit import Refit
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.design import (
     POROSITIES,
     SETTINGS,
     SHAPE_COLUMNS,
+    SLOW,
     SMOOTHING,
-    SPEEDS,
+    RunPoints,
 )
 from calibrate.discrepancy.library.lab_size import SoilPrior, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
-from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points, switched_off
+from calibrate.discrepancy.library.simulate import Simulator, run_points, switched_off
 from calibrate.io.conventions import HELD
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.simulation import HERE, AbstractPlace
@@ -85,7 +86,7 @@ def rows_about(
     discrepancy: ModelDiscrepancy | None = None, sizes: Sequence[float] = SIZES,
 ) -> Rows:  # fmt: skip
     """Simulations about the leading explanations of a lab, in whose size the library speaks, on
-    these packings; sizes: their spheres over the design's."""
+    packings with spheres of these sizes over the design's."""
     library = emulated.library
     effects = switched_off({name: EFFECTS[name] for name in library.design.effect_names})
     simulator = Simulator(simulated_lab(lab, library), plan.folder, effects, place=plan.place)
@@ -93,8 +94,7 @@ def rows_about(
     held = tuple(HELD.get(lab.particles.conventions, ()))
     points = scattered_about(locations, library, packings, seed, held, sizes)
     runs = run_points(library.design, points, simulator, plan.progress, plan.workers)
-    of_packing = points.seeds - FIRST_SEED - packings.start
-    return Rows.of(library.cylinder, points.base, points.strengths, of_packing, runs)
+    return Rows.of(library.cylinder, points, runs)
 
 
 def simulated_lab(lab: Lab, library: RunLibrary) -> Lab:
@@ -114,7 +114,7 @@ def leading_locations(
     """Where the likeliest explanations have their best fits: none first, then effects and the
     likeliest pair."""
     _, d, measured = described(lab, emulated, seed, discrepancy)
-    prepared = prepared_diagnosis(d, measured, seed, InferenceSetup.uncalibrated(), DRAWS)
+    prepared = prepared_diagnosis(d, measured, seed, ProbabilityCalibration(), DRAWS)
     comparison = compare(prepared, measured)
     soil_prior = soil_prior_for(lab, emulated.library)
     return [
@@ -136,8 +136,8 @@ def leading_fits(comparison: Comparison) -> list[Refit]:
 def location_of(
     fit: Refit, soil_prior: SoilPrior, library: RunLibrary, names: Sequence[str]
 ) -> InfillLocation:
-    """A fit with these candidate effects in the coordinates of a library, its strengths within what
-    it covers; of the lab's own shape, so that one packing serves all."""
+    """A fit with these candidate effects in a library's coordinates, within its strengths; of the
+    lab's own shape, so that one packing serves all."""
     base = soil_prior.offset + fit.delta[: len(soil_prior.offset)]
     base[SHAPE_COLUMNS] = np.round(soil_prior.offset[SHAPE_COLUMNS], 6)
     of_name = dict(zip(names, fit.strengths, strict=True))
@@ -168,7 +168,9 @@ def scattered_about(
     base[:, smoothing] = np.clip(base[:, smoothing], *SMOOTHING)
     looser = np.mean([location.base[porosity] for location in locations])
     base[:, porosity] = min(POROSITIES, key=lambda level: abs(level - looser))
-    base[:, pace] = SPEEDS[1] / SPEEDS[0]
+    base[:, pace] = SLOW
     base[:, size] = [design.sphere_size(number) for number in spheres]
-    seeds = FIRST_SEED + np.repeat(np.array(packings), len(locations))
-    return RunPoints(base, strengths, spheres.tolist(), seeds)
+    number = np.repeat(np.array(packings), len(locations))
+    return RunPoints(
+        base, strengths, spheres.tolist(), FIRST_SEED + number, number - packings.start
+    )

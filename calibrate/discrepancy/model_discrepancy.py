@@ -1,11 +1,9 @@
 """The model discrepancy: what simulations are wrong by although no effect is at work.
 
 Two simulators of one soil differ, and so do a simulator and a soil, even without any effect
-(Kennedy and O'Hagan 2001).  It is estimated from reference labs of the same kind (other soils,
-other specimens, nothing hidden): the mean of what the base fit leaves is a constant shift; the
-leading directions in which it varies from soil to soil, as many as cross-validation supports,
-become further base coordinates, so that neither is taken for an effect.  The price is power along
-these directions.
+(Kennedy and O'Hagan 2001).  It is estimated from reference labs (other soils, nothing hidden): the
+mean of what the base fit leaves is a constant shift; the leading directions in which it varies from
+soil to soil, as many as cross-validation supports, become further base coordinates.
 """
 
 import json
@@ -65,15 +63,10 @@ class BaseFitResidual:
 
     def predicted_by(self, found: ModelDiscrepancy) -> float:
         """ln density of this reference under a model discrepancy."""
-        return log_base(
-            project(
-                self.working - found.mean[self.measured],
-                np.hstack([self.slopes, found.directions[self.measured]]),
-                np.concatenate([self.prior_sd, np.ones(found.directions.shape[1])]),
-                np.zeros((len(self.measured), 0)),
-                self.covariance,
-            )
-        )
+        left, none = self.working - found.mean[self.measured], np.zeros((len(self.measured), 0))
+        slopes = np.hstack([self.slopes, found.directions[self.measured]])
+        prior = np.append(self.prior_sd, np.ones(found.directions.shape[1]))
+        return log_base(project(left, slopes, prior, none, self.covariance))
 
 
 def estimate(
@@ -88,12 +81,8 @@ def estimate(
 
 
 def base_fit_residual(lab: Lab, emulated: EmulatedLibrary, seed: int) -> BaseFitResidual | None:
-    """What a base fit, made as a diagnosis makes it, leaves of a lab; None if it lacks more than
-    a few features.
-
-    Fits are made without any shift: repeating them with the shift would let it run away along
-    what base parameters can do as well.
-    """
+    """What a base fit leaves of a lab; None if it lacks more than a few features.  Made without any
+    shift, which would else run away along what base parameters can do as well."""
     lab_curves, d, measured = described(lab, emulated, seed, before_contact=False)
     chosen = lab_curves.chosen
     if len(chosen) < len(emulated.library.features) - TARGETS - LACKING:
@@ -111,12 +100,9 @@ def of_references(
     found: Sequence[BaseFitResidual], m: int, most: int = DIRECTIONS
 ) -> ModelDiscrepancy:
     """The model discrepancy of what fits leave of m features: the mean, and the leading directions
-    in which it varies beyond what scatter explains.
-
-    Cross-validation chooses how many: the fewest that predict held-out labs as well as the best
-    number does, within one standard error of the difference (Breiman et al. 1984,
-    Classification and regression trees, section 3.4.3).
-    """
+    in which it varies beyond what scatter explains, the fewest that predict held-out labs as well
+    as the best number does, within one standard error of the difference (Breiman et al. 1984,
+    Classification and regression trees, section 3.4.3)."""
     by_number = np.array([_predicted(found, m, number) for number in range(most + 1)])
     behind = by_number[by_number.sum(axis=1).argmax()] - by_number
     enough = behind.sum(axis=1) <= np.sqrt(len(found)) * behind.std(axis=1)
@@ -150,9 +136,8 @@ def _filled(rows: np.ndarray) -> np.ndarray:
 
 def save(found: ModelDiscrepancy, path: Path, source: str) -> None:
     """Writes a model discrepancy as JSON."""
-    parts = ("mean", "directions")
-    content = {name: getattr(found, name).tolist() for name in parts}
-    write_json(path, {"source": source, **content})
+    parts = {name: part.tolist() for name, part in vars(found).items()}
+    write_json(path, {"source": source, **parts})
 
 
 def load(path: Path, emulated: EmulatedLibrary) -> ModelDiscrepancy:

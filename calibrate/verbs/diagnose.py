@@ -117,7 +117,7 @@ def found_by_library(
     session.lab.pair()  # refuses other tests than those of a library
     source = bundled_library() if library is None else Path(library)
     simulated, say = load(source), for_terminal().say
-    say(f"library of {len(simulated.values)} runs: preparing its emulator")
+    say(f"library of {len(simulated.rows.values)} runs: preparing its emulator")
     emulated = EmulatedLibrary.of(simulated)
     estimated = None if discrepancy is None else load_discrepancy(Path(discrepancy), emulated)
     if simulate:
@@ -137,7 +137,7 @@ def library_used(
     return {
         "library": name,
         "seed": seed,
-        "simulations": len(library.values),
-        "simulated_about_this_lab": len(used.values) - len(library.values),
-        "packings": len(set(library.packing.tolist())),
+        "simulations": len(library.rows.values),
+        "simulated_about_this_lab": len(used.rows.values) - len(library.rows.values),
+        "packings": len(set(library.rows.packing.tolist())),
     }

@@ -18,7 +18,7 @@ from calibrate.core.files import make_folder
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library import other_law, store
 from calibrate.discrepancy.library.design import Design
-from calibrate.discrepancy.library.run_library import RunLibrary, collect, repeats_of
+from calibrate.discrepancy.library.run_library import Rows, RunLibrary, collect
 from calibrate.discrepancy.library.simulate import (
     Simulator,
     check_cylinder,
@@ -26,10 +26,7 @@ from calibrate.discrepancy.library.simulate import (
     lacks_refined,
     lacks_shapes,
     reference_run,
-    run_design,
-    run_refined,
-    run_repeats,
-    run_shaped,
+    run_points,
 )
 from calibrate.io.lab import Lab, lab_of
 from calibrate.io.soil import base_soil
@@ -130,9 +127,9 @@ def make_library(
         design = replace(design, centre=centre)
     simulator = Simulator(measured, path.parent / f"{path.stem}_runs", place=place_of(batch=batch))
     library = _simulated(design, simulator, smaller, str(onto))
-    for_terminal().say(f"{len(library.values)} simulations have all features; fitting")
+    for_terminal().say(f"{len(library.rows.values)} simulations have all features; fitting")
     store.save(library.fitted(), path)
-    content = {"library": str(path), "runs": len(library.values), "conventions": None}
+    content = {"library": str(path), "runs": len(library.rows.values), "conventions": None}
     return LibraryResult(path, path.parent, content)
 
 
@@ -143,20 +140,23 @@ def _simulated(
     progress = for_terminal()
     if smaller is None:
         plain = replace(design, shaped=0, refined=0)
-        runs = run_design(plain, simulator, progress)
+        runs = run_points(plain, plain.rows(), simulator, progress)
         library = collect(plain, simulator.lab, runs, reference_run(plain, simulator))
     else:
         check_extends(design, simulator.lab, smaller, name)
-        runs = run_design(design, simulator, progress, first=smaller.design.packings)
+        points = design.rows(smaller.design.packings)
+        runs = run_points(design, points, simulator, progress)
         library = smaller.grown(design, runs) if runs else smaller
     if lacks_shapes(design, library):
-        library = library.with_shapes(design, run_shaped(design, simulator, progress))
+        runs = run_points(design, design.shaped_rows(), simulator, progress)
+        library = library.with_shapes(design, runs)
     if lacks_refined(design, library):
-        more = run_refined(design, simulator, progress, library.design.refined)
-        library = library.refined(design, more)
+        points = design.refined_rows(library.design.refined)
+        library = library.refined(design, run_points(design, points, simulator, progress))
     if library.repeats is None:
-        repeats = repeats_of(design, simulator.lab, run_repeats(design, simulator, progress))
-        library = replace(library, repeats=repeats)
+        points = design.repeats()
+        runs = run_points(design, points, simulator, progress)
+        library = replace(library, repeats=Rows.of(library.cylinder, points, runs))
     return library
 
 

@@ -21,7 +21,6 @@ from calibrate.discrepancy import model_discrepancy
 from calibrate.discrepancy.comparison.compare import compare
 from calibrate.discrepancy.comparison.probability_calibration import NONE
 from calibrate.discrepancy.diagnosis import (
-    InferenceSetup,
     answered,
     described,
     prepared_diagnosis,
@@ -48,7 +47,7 @@ def judged(lab: Lab, discrepancy: ModelDiscrepancy | None = None) -> dict:
     """What the command says of a lab, and what is likeliest before it asks for grounds."""
     emulated = open_cases.emulated()
     read, d, measured = described(lab, emulated, 0, discrepancy)
-    found = compare(prepared_diagnosis(d, measured, 0, InferenceSetup()), measured)
+    found = compare(prepared_diagnosis(d, measured, 0), measured)
     last, _ = answered(lab, emulated, read, d, measured, found, 0)
     return {
         "verdict": last.verdict, "reason": last.reason, "likeliest": found.verdict,

@@ -22,11 +22,13 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibrate.discrepancy.comparison.compare import Prepared
+from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
 from calibrate.discrepancy.comparison.projection import admissible, fitted_shift
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.comparison.repeats import Measured
+from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
 from calibrate.labtests.diagnosis.curves import tests_of
 
 RIDGE = 1.0  # of the classifier's weights
@@ -163,23 +165,35 @@ def generated_case(prepared: Prepared, rng: np.random.Generator, kind: str) -> G
     snr = float(rng.uniform(*STRATA[rng.integers(len(STRATA))]))
     strengths = np.zeros(len(names))
     if kind == NONE or not names:
-        return GeneratedCase(generator.measured(rng), (NONE,), (), 0.0)
+        return GeneratedCase(generator.sample(generator.specimens(rng)), (NONE,), (), 0.0)
     if kind == UNKNOWN and rng.random() < 0.5:
-        return GeneratedCase(
-            generator.measured(rng, gap=generator.smooth_gap(rng, snr)), (UNKNOWN,), (), snr
-        )
+        drawn = generator.specimens(rng, gap=smooth_gap(generator, rng, snr))
+        return GeneratedCase(generator.sample(drawn), (UNKNOWN,), (), snr)
     count = 2 if kind == "pair" and len(names) > 1 else 1
     chosen = [int(k) for k in rng.permutation(len(names))[:count]]
     for k in chosen:
         strengths[k] = _signed(prepared, rng, k, snr)
-    measured = generator.measured(rng, strengths)
+    measured = generator.sample(generator.specimens(rng, strengths))
     if kind == UNKNOWN:
         return GeneratedCase(measured, (UNKNOWN,), prepared.classes.of(names[chosen[0]]), snr)
     return GeneratedCase(measured, tuple(names[k] for k in chosen), (), snr)
 
 
+def strength_of(generator: SampleGenerator, effect: int, snr: float) -> float:
+    """Strength of an effect that has this signal-to-noise."""
+    return float(snr / generator.snr(generator.description.effect_slopes[:, [effect]])[0])
+
+
+def smooth_gap(generator: SampleGenerator, rng: np.random.Generator, snr: float) -> np.ndarray:
+    """A smooth gap (m,) of no particular cause, at a signal-to-noise."""
+    every = kernel_factors(generator.description.features, generator.specimen)
+    factor = every[rng.integers(len(every))]
+    gap = factor @ rng.standard_normal(factor.shape[1])
+    return gap * snr / generator.snr(gap[:, None])[0]
+
+
 def _signed(prepared: Prepared, rng: np.random.Generator, k: int, snr: float) -> float:
     """A strength with this signal-to-noise, of either sign where both are possible."""
-    strength = prepared.generator.strength_of(k, snr)
+    strength = strength_of(prepared.generator, k, snr)
     one_sided = prepared.description.effects[k].one_sided
     return strength if one_sided or rng.random() < 0.5 else -strength

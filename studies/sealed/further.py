@@ -30,7 +30,7 @@ from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compa
 from calibrate.discrepancy.comparison.further import FurtherTest
 from calibrate.discrepancy.comparison.next_test import Proposal, next_tests, updated, why_stop
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.diagnosis import described
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.further_tests import (
     ANSWER,
@@ -59,6 +59,7 @@ from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence
 from studies.sealed.laboratory import DISPLACEMENT_SD, FORCE_SD, Laboratory
 from studies.sealed.plan import SPECIMENS, Hidden, WithheldCase
+from studies.sealed.trial import InferenceSetup
 
 VARIATIONS: tuple[tuple[str, Variation], ...] = tuple(
     (test, variation) for test in TESTS for variation in TEST_FEATURES[test].variations
@@ -242,7 +243,7 @@ class Asking:
         discrepancy: ModelDiscrepancy | None = None,
     ) -> "Asking":  # fmt: skip
         _, d, measured = described(lab, emulated, 0, discrepancy)
-        prepared = prepared_diagnosis(d, measured, 0, setup)
+        prepared = setup.prepared(d, measured)
         first = compare(prepared, measured)
         offers = menu(d, first.noise, lab.pair().rates, Cylinder.of(lab).force_high)
         return Asking(lab, measured, prepared, first, offers, answer)

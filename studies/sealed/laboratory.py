@@ -20,10 +20,11 @@ from calibrate.core.progress import AbstractProgress
 from calibrate.discrepancy.comparison.recording import interval_means
 from calibrate.discrepancy.library.design import SPEEDS
 from calibrate.discrepancy.library.run_library import Cylinder, curves_of
-from calibrate.discrepancy.library.simulate import COSTLY, Simulator, switched_off
+from calibrate.discrepancy.library.simulate import COSTLY, PRESET, Simulator, switched_off
 from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.simulation import HERE, AbstractPlace, Run, cores, side_by_side
+from calibrate.simulation.resolution import specimen as bed_of
 from jdem.effects.composite import EFFECTS
 from studies.sealed.outside import CARRIED, AggregateCrushing, air_force
 from studies.sealed.plan import (
@@ -166,7 +167,10 @@ class Laboratory:
     def _filled(self, case: WithheldCase, density: float) -> tuple[float, float]:
         """Porosity of a specimen over its case's, in steps, and its relative density error, for a
         density that is off by a share."""
-        solid = 1 - self._simulator(case.size).porosity(in_specimen(case))
+        preset = replace(PRESET, spheres=in_specimen(case))
+        usual = bed_of(self._simulator(case.size).lab, preset).porosity
+        assert usual is not None  # PRESET grows its beds
+        solid = 1 - usual
         loose = round(-solid * density / POROSITY_STEP) * POROSITY_STEP
         return loose, -loose / solid
 

@@ -8,7 +8,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,16 +19,19 @@ from calibrate.core.errors import InputError
 from calibrate.core.files import write_json
 from calibrate.discrepancy.comparison.classes import JOINED, TOGETHER
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label
+from calibrate.discrepancy.comparison.generated import plan_of
+from calibrate.discrepancy.comparison.lack_of_fit import NullDistributions
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN, hypotheses
+from calibrate.discrepancy.comparison.probability_calibration import (
+    NONE,
+    UNKNOWN,
+    ProbabilityCalibration,
+    bundled_calibration,
+    hypotheses,
+)
 from calibrate.discrepancy.comparison.reduction import Reduction, feature_weights
 from calibrate.discrepancy.comparison.repeats import Measured
-from calibrate.discrepancy.diagnosis import (
-    InferenceSetup,
-    answered,
-    described,
-    prepared_diagnosis,
-)
+from calibrate.discrepancy.diagnosis import answered, described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary, ModelDiscrepancy
 from calibrate.discrepancy.library.measurements import read_measurements
 from calibrate.io.lab import load_lab
@@ -40,6 +43,22 @@ DRAWS = 1200  # of null distributions, whose noise all cases share
 TRAINING = 1200
 SAMPLED = 9  # cases among which a typical one is sought
 _of_worker: list[Callable[[Path], None]] = []  # in a worker, the one thing that it does
+
+
+@dataclass(frozen=True, eq=False)
+class InferenceSetup:
+    """The calibration of probabilities, and null distributions by plan of measurement
+    (specimens, features), to be shared by labs that have the same plan."""
+
+    calibration: ProbabilityCalibration = field(default_factory=bundled_calibration)
+    nulls: dict[tuple[int, ...], NullDistributions] = field(default_factory=dict)
+
+    def prepared(self, d: Linearised, measured: Measured, seed: int = 0) -> Prepared:
+        """A diagnosis by these; null distributions of another plan are simulated and kept."""
+        known = self.nulls.get(plan_of(measured).shape)
+        found = prepared_diagnosis(d, measured, seed, self.calibration, null=known)
+        self.nulls[found.generator.plan.shape] = found.null
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +118,7 @@ def typical_case(
 ) -> Prepared:
     """The description and null distributions of one case, by which all of its kind are judged."""
     _, d, measured = described(load_lab(folder / "lab.toml"), emulated, seed, discrepancy)
-    return prepared_diagnosis(d, measured, seed, InferenceSetup.uncalibrated(), DRAWS)
+    return prepared_diagnosis(d, measured, seed, ProbabilityCalibration(), draws=DRAWS)
 
 
 def verdict_of(
@@ -112,7 +131,7 @@ def verdict_of(
     """The verdict on the case in a folder."""
     lab = load_lab(folder / "lab.toml")
     found, d, measured = described(lab, emulated, seed, discrepancy)
-    prepared = prepared_diagnosis(d, measured, seed, trained.setup)
+    prepared = trained.setup.prepared(d, measured, seed)
     first = compare(prepared, measured)
     comparison, reduction = answered(lab, emulated, found, d, measured, first, seed)
     return {

@@ -104,7 +104,8 @@ def test_libraries_are_compared_by_their_numbers(tmp_path):
     found = pieces.result_of(tmp_path / "library.nc")
     store.save(library, tmp_path / "library.nc")
     assert found == pieces.result_of(tmp_path / "library.nc")
-    library.values[0, 0] = np.nextafter(np.float32(library.values[0, 0]), np.float32(np.inf))
+    values = library.rows.values
+    values[0, 0] = np.nextafter(np.float32(values[0, 0]), np.float32(np.inf))
     store.save(library, tmp_path / "library.nc")
     assert found != pieces.result_of(tmp_path / "library.nc")
 

@@ -34,7 +34,6 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     hypotheses,
 )
 from calibrate.discrepancy.comparison.repeats import from_vectors
-from calibrate.discrepancy.diagnosis import InferenceSetup
 from calibrate.discrepancy.library.design import CENTRE
 from studies.sealed import baselines, training, trial
 from studies.sealed.laboratory import SpecimenRecords, write_case
@@ -284,7 +283,7 @@ def judge() -> trial.TrainedBaselines:
     prepared = prepare(known, generator.PLAN, seed=1, draws=16)
     inputs = np.random.default_rng(0).standard_normal((8, 3))
     return trial.TrainedBaselines(
-        InferenceSetup(prepared.calibration, {generator.PLAN.shape: prepared.null}),
+        trial.InferenceSetup(prepared.calibration, {generator.PLAN.shape: prepared.null}),
         ("none of ours",), 3.0, "e1",
         baselines.train(inputs, ["none", "e1"] * 4),
     )  # fmt: skip

@@ -5,13 +5,14 @@ neighbouring features are nearly the same number twice; what a diagnosis may kno
 simulated specimens.  `case` makes a laboratory of four repeats of each test.
 """
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
-from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised, simple
+from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
-from calibrate.labtests.diagnosis.base import UsualSizes
+from calibrate.labtests.diagnosis.base import Feature, UsualSizes
 from calibrate.labtests.diagnosis.confined import NAME as CONFINED
 from calibrate.labtests.diagnosis.curves import declare, tests_of
 
@@ -22,6 +23,39 @@ UNIT = np.where([f.unit == "mm" for f in FEATURES], 0.1, 10.0)
 PLAN = np.array([CONFINED_ONES] * 4 + [~CONFINED_ONES] * 4)
 EFFECTS = 8
 SIMULATED = 60
+
+
+def simple(
+    features: Sequence[Feature],
+    mean: np.ndarray,
+    base: dict[str, tuple[np.ndarray, float]],
+    effects: Sequence[tuple[EffectCandidate, np.ndarray]],
+    packing_residuals: np.ndarray,
+    mean_specimens: int | None = None,
+) -> Linearised:
+    """A description without slope errors, extra covariances or emulator.
+
+    base: slope (m,) per ln p and prior deviation by name; effects with slopes (m,) per unit
+    of their strength.  `dataclasses.replace` adds the rest.
+    """
+    m = len(mean)
+    slopes = np.array([slope for slope, _ in base.values()]).reshape(-1, m).T
+    columns = np.array([slope * e.typical for e, slope in effects]).reshape(-1, m).T
+    return Linearised(
+        features=tuple(features),
+        mean=mean,
+        base_names=tuple(base),
+        base_slopes=slopes,
+        prior_sd=np.array([sd for _, sd in base.values()]),
+        effects=tuple(effect for effect, _ in effects),
+        effect_slopes=columns,
+        packing_residuals=packing_residuals,
+        mean_specimens=mean_specimens or len(packing_residuals),
+        base_errors=np.zeros_like(slopes),
+        extra=np.zeros((m, m)),
+        sensor=np.zeros((m, m)),
+        wrong=np.zeros((m, 0)),
+    )
 
 
 def correlation(length: float) -> np.ndarray:

@@ -15,16 +15,15 @@ import pytest
 
 from calibrate import cli
 from calibrate.discrepancy import diagnosis
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import Design, RunPoints
 from calibrate.discrepancy.library.emulator import COMPONENTS
 from calibrate.discrepancy.library.kernel import start
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary, collect, curves_of
-from calibrate.discrepancy.library.simulate import RunPoints
 from calibrate.discrepancy.library.store import NOTHING, save
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.base import Curves
 from calibrate.simulation import Run
-from studies.sealed import further
+from studies.sealed import trial
 from studies.sealed.laboratory import SpecimenRecords, recorded, write_case
 from tests.support.formulas import BASE, LAB, specimen
 
@@ -59,16 +58,16 @@ def run(soil_ln: np.ndarray, strengths: np.ndarray, seed: int) -> Run:
 
 def runs(design: Design) -> list[Run]:
     """All runs of a design of this kind."""
-    base, strengths = design.rows()
-    rows = zip(base[:, :2], strengths, range(len(base)), strict=True)
+    points = design.rows()
+    rows = zip(points.base[:, :2], points.strengths, range(len(points.base)), strict=True)
     return [run(soil, strength, row // ROWS) for soil, strength, row in rows]
 
 
 @cache
 def library() -> RunLibrary:
     made = collect(DESIGN, LAB, runs(DESIGN), run(np.zeros(2), np.zeros(3), 900))
-    first = start(made.base.shape[1], made.strengths.shape[1])
-    kernels = (first._replace(local=np.full(made.strengths.shape[1], NOTHING)),) * COMPONENTS
+    first = start(made.rows.base.shape[1], made.rows.strengths.shape[1])
+    kernels = (first._replace(local=np.full(made.rows.strengths.shape[1], NOTHING)),) * COMPONENTS
     return replace(made, cylinder=Cylinder.of(LAB), kernels=kernels)
 
 
@@ -87,7 +86,7 @@ def with_few_draws(patch: pytest.MonkeyPatch) -> None:
     """From now on, null distributions of 100 draws in place of 400, which take most of the time
     of a diagnosis by this library."""
     few = partial(diagnosis.prepared_diagnosis, draws=100)
-    for module in (diagnosis, further):
+    for module in (diagnosis, trial):
         patch.setattr(module, "prepared_diagnosis", few)
 
 

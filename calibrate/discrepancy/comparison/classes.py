@@ -1,9 +1,9 @@
 """Which effects this data cannot tell apart: classes of alike projected signatures.
 
 Two effects with signal-to-noise s and confusability c are told apart with 80 % power when
-s sqrt(1 - c^2) >= 2.8 (a two-sided test at 5 %: 1.96 + 0.84).  Classes are made before
-the data are looked at, at a stated signal-to-noise, by complete linkage: any two members of a
-class are alike.  Effects that are one-sided both are alike only with equal sign.
+s sqrt(1 - c^2) >= 2.8 (a two-sided test at 5 %: 1.96 + 0.84).  Classes are made at a stated
+signal-to-noise, by complete linkage: any two members of a class are alike.  Effects that are
+one-sided both are alike only with equal sign.
 """
 
 from dataclasses import dataclass
@@ -45,15 +45,14 @@ def classes(
     confusability: np.ndarray,
     one_sided: np.ndarray,
     visibility: np.ndarray,
-    reference_snr: float = REFERENCE_SNR,
 ) -> Classes:
-    """Classes at a reference signal-to-noise."""
+    """Classes at the reference signal-to-noise."""
     apart = separation(confusability, one_sided)
     groups: list[tuple[str, ...]] = [tuple(names)] if len(names) == 1 else []
     if len(names) > 1:
         np.fill_diagonal(apart, 0.0)
         tree = linkage(squareform(apart, checks=False), method="complete")
-        number = fcluster(tree, SEPARABLE / reference_snr, criterion="distance")
+        number = fcluster(tree, SEPARABLE / REFERENCE_SNR, criterion="distance")
         order = list(dict.fromkeys(number))
         groups = [
             tuple(n for n, c in zip(names, number, strict=True) if c == group) for group in order

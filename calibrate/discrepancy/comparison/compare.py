@@ -5,17 +5,16 @@
 
 The verdict is the likeliest explanation: a class of effects, two of them, or "unknown"; it is
 "none" where that is likeliest, or not unlikely enough to name something (`NAMED_BELOW`).
-`prepare` does what depends on the plan of measurement only.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from calibrate.discrepancy.comparison import evidence as evidences
 from calibrate.discrepancy.comparison.classes import TOGETHER, Classes, classes
-from calibrate.discrepancy.comparison.evidence import Evidence, evidence
+from calibrate.discrepancy.comparison.evidence import Evidence, at_a_fit, evidence
 from calibrate.discrepancy.comparison.fits import all_fits, fitted_base
 from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.lack_of_fit import (
@@ -36,10 +35,12 @@ from calibrate.discrepancy.comparison.probability_calibration import (
     hypotheses,
     log_probabilities,
 )
-from calibrate.discrepancy.comparison.projection import Scores, project, scores
+from calibrate.discrepancy.comparison.projection import Scores, confusability, scores, visibility
 from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.unspecified_gap import Factors, kernel_factors, projected
+
+Key = tuple[int, ...]  #: of an explanation: the effects at work in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +56,13 @@ class Prepared:
     def description(self) -> Linearised:
         return self.generator.description
 
-    def without(self, names: Sequence[str]) -> "Prepared":
-        """The same with fewer candidate effects; the null distributions stay."""
-        generator = replace(self.generator, description=self.description.without_effects(names))
-        return replace(self, generator=generator, classes=design_classes(generator))
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The answer and what it rests on.
-
-    probability by explanation (effects and pairs by name, none, unknown) and by_class; base
-    and refits are fits without and with effects; best is the key of the refit that is named, or
-    of the effect with the largest evidence; reason: why the likeliest explanation is not named
-    although it is likely enough (`naming`).
-    """
+    """The answer and what it rests on: probability by explanation (effects and pairs by name, none,
+    unknown) and by class; fits without (`base`) and with effects; `best` is the key of the one that
+    is named, or of the effect with the largest evidence; reason: why the likeliest explanation is
+    not named although it is likely enough (`naming`)."""
 
     verdict: str
     probability: dict[str, float]
@@ -79,8 +72,8 @@ class Comparison:
     scores: Scores
     noise: Noise
     base: Refit
-    refits: dict[tuple[int, ...], Refit]
-    best: tuple[int, ...]
+    refits: dict[Key, Refit]
+    best: Key
     reason: str = ""
 
     @property
@@ -95,22 +88,21 @@ def prepare(
     seed: int,
     draws: int = DRAWS,
     calibration: ProbabilityCalibration | None = None,
+    null: NullDistributions | None = None,
 ) -> Prepared:
-    """Simulates null distributions and forms classes for a plan (s, m) of measurement."""
+    """Forms classes for a plan (s, m) of measurement, and simulates its null distributions if they
+    are not known."""
     generator = SampleGenerator(description, plan, packing_covariance(description))
-    null = simulate(generator, seed, draws)
-    return Prepared(
-        generator, null, design_classes(generator), calibration or ProbabilityCalibration()
-    )
+    null, found = null or simulate(generator, seed, draws), design_classes(generator)
+    return Prepared(generator, null, found, calibration or ProbabilityCalibration())
 
 
 def design_classes(generator: SampleGenerator) -> Classes:
     """Classes of effects that this plan cannot tell apart."""
     d = generator.description
-    covariance = generator.mean_covariance
-    design = project(np.zeros(len(d.mean)), d.base_slopes, d.prior_sd, d.effect_slopes, covariance)
-    found = scores(design, d.effect_slopes, covariance)
-    return classes(d.effect_names, found.confusability, d.one_sided, found.visibility)
+    effects = generator.projected(d.effect_slopes)
+    visible = visibility(effects, d.effect_slopes, generator.mean_covariance)
+    return classes(d.effect_names, confusability(effects), d.one_sided, visible)
 
 
 def compare(prepared: Prepared, measured: Measured) -> Comparison:
@@ -118,36 +110,27 @@ def compare(prepared: Prepared, measured: Measured) -> Comparison:
     d = prepared.description
     inflation = prepared.null.inflation
     noise, base = fitted_base(d, measured, prepared.generator.packing, inflation)
-    here = replace(noise, mean=base.covariance)
-    covariance = inflation * here.mean
     kernel = kernel_factors(d.features, noise.specimen)
-    plain = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, here.mean)
+    plain = base.projected(base.covariance)
     shapes = projected(kernel, plain.operator)
     p_before = prepared.null.before.p_value(
         statistics(plain.residual, plain.effects, d.one_sided, shapes)
     )
-    first = evidence(
-        d,
-        base.working,
-        base.base_slopes,
-        base.effect_slopes,
-        here,
-        inflation,
-        kernel,
-    )
+    first = evidence(base, d.one_sided, noise, inflation, kernel)
     refits = all_fits(d, measured.mean, noise, inflation, base, first)
     found = first if d.emulator is None else _refined(prepared, noise, base, refits, first)
     best, p_after = _left(prepared, kernel, found, refits)
     summary = EvidenceSummary(d.effect_names, found, p_before, p_after)
-    design = project(base.working, base.base_slopes, d.prior_sd, base.effect_slopes, covariance)
-    return _answer(
-        prepared,
-        summary,
-        scores=scores(design, base.effect_slopes, covariance),
+    covariance = inflation * base.covariance
+    probability, _ = probabilities(summary, prepared.classes, prepared.calibration)
+    likely = found.by_key()
+    return Comparison(
+        **_decided(prepared, probability, refits, lambda key: likely[key], best),
+        summary=summary,
+        scores=scores(base.projected(covariance), base.effect_slopes, covariance),
         noise=noise,
         base=base,
         refits=refits,
-        best=best,
     )
 
 
@@ -158,11 +141,15 @@ def label(classes_: Classes, hypothesis: tuple[str, ...]) -> str:
 
 def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Evidence:
     """Evidences of the refitted explanations replaced by those at their own best fit."""
+
+    def at(fit: Refit) -> float:
+        return at_a_fit(fit, prepared.description.one_sided, noise, prepared.null.inflation)
+
     nothing = [replace(f, chosen=()) for f in refits.values() if not f.strengths.any()]
-    none = max(_at(prepared, noise, fit) for fit in (base, *nothing))
+    none = max(at(fit) for fit in (base, *nothing))
     singles, pairs = first.singles.copy(), first.pairs.copy()
     for key, fit in refits.items():
-        value = _at(prepared, noise, fit) - none
+        value = at(fit) - none
         if len(key) == 1:
             singles[key[0]] = value
         else:
@@ -170,81 +157,56 @@ def _refined(prepared, noise: Noise, base: Refit, refits, first: Evidence) -> Ev
     return replace(first, singles=singles, pairs=pairs)
 
 
-def _at(prepared, noise: Noise, fit: Refit) -> float:
-    """Evidence of a fit, with the noise at its own location."""
-    d, on = prepared.description, list(fit.chosen)
-    return evidences.at_a_fit(
-        fit.working,
-        fit.base_slopes,
-        d.prior_sd,
-        fit.effect_slopes[:, on],
-        d.one_sided[on],
-        replace(noise, mean=fit.covariance),
-        prepared.null.inflation,
-    )
-
-
 def _left(prepared, kernel: Factors, found: Evidence, refits):
     """The best refitted effect, and the p-value of what is left: the better of those after
     this effect and after the best refitted pair."""
     if not refits:
         return (), 1.0
-    d = prepared.description
     value = found.by_key()
     best = max((key for key in refits if len(key) == 1), key=lambda key: value[key])
     pairs = [key for key in refits if len(key) == 2]
     keys = [best, *([max(pairs, key=lambda key: value[key])] if pairs else [])]
     p_values = []
     for key in keys:
-        fit = refits[key]
-        design = project(
-            fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance
-        )
+        design = refits[key].projected(refits[key].covariance)
         shapes = projected(kernel, design.operator)
-        left = statistics_after(design, np.array(key), d.one_sided, shapes)
+        left = statistics_after(design, np.array(key), prepared.description.one_sided, shapes)
         p_values.append(prepared.null.after.p_value(left))
     return best, max(p_values)
-
-
-def _answer(
-    prepared: Prepared, summary: EvidenceSummary, refits: dict, best: tuple[int, ...], **rest
-) -> Comparison:
-    probability, by_class = probabilities(summary, prepared.classes, prepared.calibration)
-    verdict, value = likeliest_verdict(by_class), summary.evidence.by_key()
-    of_verdict = _fits_of(prepared, refits, verdict)
-    return Comparison(
-        verdict=verdict,
-        refits=refits,
-        best=max(of_verdict, key=lambda key: value[key]) if of_verdict else best,
-        probability=probability,
-        by_class=by_class,
-        likely_set=explanations(by_class, prepared.calibration.smallest),
-        summary=summary,
-        **rest,
-    )
 
 
 def answered_with(
     prepared: Prepared, comparison: Comparison, probability: dict[str, float]
 ) -> Comparison:
     """The same comparison with other probabilities of explanations, by name."""
+    names, every = prepared.description.effect_names, dict.fromkeys(comparison.probability, 0.0)
+    every |= probability
+
+    def likely(key: Key) -> float:
+        return every.get(TOGETHER.join(names[k] for k in sorted(key)), 0.0)
+
+    decided = _decided(prepared, probability, comparison.refits, likely, comparison.best)
+    return replace(comparison, **decided | {"probability": every})
+
+
+def _decided(
+    prepared: Prepared, probability: dict[str, float], refits: Iterable[Key],
+    likely: Callable[[Key], float], best: Key,
+) -> dict[str, Any]:  # fmt: skip
+    """Fields of a comparison that follow from probabilities of explanations: `best` is the
+    likeliest of the fits that the verdict names, or as given where it names none."""
     by_class = _by_class(prepared.classes, probability)
-    every = {name: 0.0 for name in comparison.probability} | probability
-    verdict, names = likeliest_verdict(by_class), prepared.description.effect_names
-    of_verdict = _fits_of(prepared, comparison.refits, verdict)
-    best = max(
-        of_verdict,
-        key=lambda key: every.get(TOGETHER.join(names[k] for k in sorted(key)), 0.0),
-        default=comparison.best,
-    )
-    likely = explanations(by_class, prepared.calibration.smallest)
-    return replace(
-        comparison, verdict=verdict, best=best, probability=every, by_class=by_class,
-        likely_set=likely,
-    )  # fmt: skip
+    verdict = likeliest_verdict(by_class)
+    return {
+        "verdict": verdict,
+        "probability": probability,
+        "by_class": by_class,
+        "likely_set": explanations(by_class, prepared.calibration.smallest),
+        "best": max(_fits_of(prepared, refits, verdict), key=likely, default=best),
+    }
 
 
-def _fits_of(prepared: Prepared, refits: dict, verdict: str) -> list[tuple[int, ...]]:
+def _fits_of(prepared: Prepared, refits: Iterable[Key], verdict: str) -> list[Key]:
     """The refitted explanations that a verdict names."""
     names, size = prepared.description.effect_names, verdict.count(TOGETHER) + 1
     return [

@@ -7,9 +7,8 @@ normal prior, cut at zero where the effect is one-sided, of scale 0.3, 1 or 3 ty
 
     ln B = b' C b/2 - ln|1 + s^2 A|/2 + ln P(e > 0 | data)/P(e > 0 | prior)     C = (A + 1/s^2)^-1
 
-exact for a linear description; at the best fit of an emulator it is Laplace's approximation
-with its Gauss-Newton Hessian.  The noise as a whole has an uncertain scale, integrated by
-Gauss-Hermite quadrature.
+exact for a linear description; at the best fit of an emulator it is Laplace's approximation with
+its Gauss-Newton Hessian.  The scale of the noise is integrated by Gauss-Hermite quadrature.
 """
 
 from dataclasses import dataclass
@@ -17,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr, ndtr, owens_t
 
-from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
-from calibrate.discrepancy.comparison.projection import Projected, project
+from calibrate.discrepancy.comparison.projection import Projected
+from calibrate.discrepancy.comparison.refit import Refit
 from calibrate.discrepancy.comparison.unspecified_gap import (
     Factors,
     log_bayes_factor,
@@ -49,26 +48,15 @@ class Evidence:
 
 
 def evidence(
-    description: Linearised,
-    residual: np.ndarray,
-    base_slopes: np.ndarray,
-    effect_slopes: np.ndarray,
-    noise: Noise,
-    inflation: float,
-    kernel: Factors,
+    base: Refit, one_sided: np.ndarray, noise: Noise, inflation: float, kernel: Factors
 ) -> Evidence:
-    """Evidences of all explanations from one linearisation.
-
-    residual (m,): measured minus simulated plus B delta; kernel: factors of
-    smooth discrepancies, not projected (the rough one needs none).
-    """
-    one_sided = description.one_sided
+    """Evidences of all explanations, linearised at the fit without effects; kernel: factors of
+    smooth discrepancies, not projected (the rough one needs none)."""
     index = np.array(np.triu_indices(len(one_sided), 1)).T
-    sd, spectra, total = description.prior_sd, None, []
+    spectra, total = None, []
     scales = _scales(noise.ln_scale_sd)
     for scale, log_weight in scales:
-        covariance = inflation * scale**2 * noise.mean
-        design = project(residual, base_slopes, sd, effect_slopes, covariance)
+        design = base.projected(inflation * scale**2 * base.covariance)
         spectra = spectra or [
             *spectrum(projected(kernel, design.operator), design.residual),
             rough(design.residual),
@@ -83,28 +71,17 @@ def evidence(
     return Evidence(found[:count], found[count:-1], index, float(found[-1]))
 
 
-def at_a_fit(
-    residual: np.ndarray,
-    base_slopes: np.ndarray,
-    prior_sd: np.ndarray,
-    chosen_slopes: np.ndarray,
-    one_sided: np.ndarray,
-    noise: Noise,
-    inflation: float,
-) -> float:
-    """ln evidence of none, one or two chosen effects linearised at their own best fit.
-
-    residual (m,): measured minus simulated, plus B delta and plus G e of the fit.
-    """
-    total = []
+def at_a_fit(fit: Refit, one_sided: np.ndarray, noise: Noise, inflation: float) -> float:
+    """ln evidence of none, one or two chosen effects, linearised at their own best fit and with the
+    noise there."""
+    on, total = list(fit.chosen), []
     for scale, log_weight in _scales(noise.ln_scale_sd):
-        covariance = inflation * scale**2 * noise.mean
-        design = project(residual, base_slopes, prior_sd, chosen_slopes, covariance)
+        design = fit.projected(inflation * scale**2 * fit.covariance, on)
         gain = 0.0
-        if len(one_sided) == 1:
-            gain = float(singles(design, one_sided)[0])
-        elif len(one_sided) == 2:
-            gain = float(pairs(design, one_sided, np.array([[0, 1]]))[0])
+        if len(on) == 1:
+            gain = float(singles(design, one_sided[on])[0])
+        elif len(on) == 2:
+            gain = float(pairs(design, one_sided[on], np.array([[0, 1]]))[0])
         total.append(log_weight + log_base(design) + gain)
     return float(np.logaddexp.reduce(total))
 
@@ -122,9 +99,8 @@ def singles(design: Projected, one_sided: np.ndarray) -> np.ndarray:
     for scale in SCALES:
         precision = information + 1 / scale**2
         value = 0.5 * pull**2 / precision - 0.5 * np.log1p(scale**2 * information)
-        terms.append(
-            value + np.where(one_sided, log_ndtr(pull / np.sqrt(precision)) + np.log(2), 0.0)
-        )
+        positive = log_ndtr(pull / np.sqrt(precision)) + np.log(2)
+        terms.append(value + np.where(one_sided, positive, 0.0))
     return np.logaddexp.reduce(terms, axis=0) - np.log(len(SCALES))
 
 

@@ -1,8 +1,7 @@
 """Best fits of all explanations: none, each effect, pairs of the leading ones.
 
 Each is made with the noise at the base fit, then with that at its own location, and again where
-that moves it, since an emulator knows least where an effect is strong.  A fit is weighed by the
-noise where it ends, not where it came from.
+that moves it; it is weighed by the noise where it ends, not where it came from.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,7 +14,7 @@ from calibrate.core.progress import Silent
 from calibrate.discrepancy.comparison.evidence import Evidence
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise, estimate
-from calibrate.discrepancy.comparison.projection import admissible, fitted_shift, lengths, project
+from calibrate.discrepancy.comparison.projection import admissible, fitted_shift, lengths
 from calibrate.discrepancy.comparison.refit import (
     Refit,
     Start,
@@ -28,8 +27,7 @@ from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.simulation import side_by_side
 
 REFITTED = 3  # leading effects whose pairs are refitted
-BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too, with the soil of
-# the base fit, which may be far off where an effect is strong, and with the prior's
+BEGINNINGS = (0.35, 0.9)  # of an effect's reach, from which it is refitted too
 ELSEWHERE = 4  # further soils, drawn from the prior, from which the base fit starts
 MOVES = 2  # of a fit, at most, to where the noise at its location leads
 MINIMA = 3  # different fits of one explanation that are weighed by their own noise
@@ -70,11 +68,8 @@ def all_fits(
     base: Refit,
     first: Evidence,
 ) -> Fits:
-    """Fits with each effect (without an emulator: with the leading ones), with the pairs of
-    the leading effects, the best one with its companions, and the leading pair.
-
-    measured (m,): means; base: the fit without effects.
-    """
+    """Fits to means (m,) with each effect (without an emulator: with the leading ones), with the
+    pairs of the leading effects, the best one with its companions, and the leading pair."""
     fitter = _Fitter(d, measured, noise, inflation)
     order = [int(k) for k in np.argsort(-first.singles)]
     alone = order if d.emulator is not None else order[:REFITTED]
@@ -107,7 +102,8 @@ def _each(fitted: Callable[[int], Refit], count: int) -> list[Refit]:
 
 
 def _starts(d: Linearised, base: Refit, effect: int) -> Iterator[Start]:
-    """Starts with one effect: without it and, where it is not linear, from several strengths."""
+    """Starts with one effect: without it and, where it is not linear, from several strengths with
+    the soil of the base fit, which may be far off where an effect is strong, and the prior's."""
     yield start_at(d, base.delta)
     if d.emulator is None:
         return
@@ -130,8 +126,7 @@ class _Fitter:
         self, key: tuple[int, ...], starts: Iterable[Start], parts: Sequence[Refit] = ()
     ) -> Refit:
         """The likeliest of the best fits from some starts, each weighed by the noise at its own
-        location and moved to where this leads, and of the fits of its parts, with fewer effects:
-        it never ends below these."""
+        location and moved to where this leads, and of those of its parts, with fewer effects."""
         covariance = self.inflation * self.noise.mean
         found = local_minima(self.d, self.measured, covariance, key, starts)[:MINIMA]
         every = [self._weighed(fit) for fit in found]
@@ -165,7 +160,7 @@ class _Fitter:
 def _companions(d: Linearised, fit: Refit) -> list[int]:
     """The two effects that would help most beside the fitted one."""
     on = list(fit.chosen)
-    design = project(fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes, fit.covariance)
+    design = fit.projected(fit.covariance)
     unit = design.effects[:, on] / lengths(design.effects[:, on])
     others = design.effects - unit @ (unit.T @ design.effects)
     left = design.residual - unit @ (unit.T @ design.residual)

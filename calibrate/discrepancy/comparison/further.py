@@ -5,20 +5,19 @@
 (delta, e) is the best fit of explanation h to the data at hand, W directions in which simulations
 may be wrong, u what the data say of these errors, C the covariance of delta, e and u there
 (Laplace's), J the slopes of the further test, S the scatter of one specimen, n repeats, r what is
-left of the data at hand.  The multivariate t has heavy tails, so that a test that nothing foresees
-decides less than a normal density would say (Lange, Little and Taylor 1989).
+left of the data at hand.  Heavy tails let a test that nothing foresees decide less (Lange, Little
+and Taylor 1989).
 
-What an explanation leaves is partly scatter, which goes, and partly what the simulator is wrong by,
-which stays: half of it is expected again in a test of the same soil, give or take half.  What an
-effect does may differ from repeat to repeat, and from its formula (`Uneven`).  What has no name yet
-("unknown") is still there: it predicts all that base fit and errors leave of the same features,
-give or take half of that, and nothing for a machine by itself.
+What an explanation leaves is partly scatter, which goes, and partly what the simulator is wrong by:
+half of it is expected again in a test of the same soil, give or take half.  A cause of no name
+("unknown") predicts all that base fit and errors leave of the same features, give or take half of
+that, and nothing for a machine by itself.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -28,7 +27,8 @@ from calibrate.discrepancy.comparison.linear import Emulator, Linearised
 from calibrate.discrepancy.comparison.refit import STRENGTH_SD, Refit
 
 FREEDOM = 5.0
-STAYS = 0.5  # share of what an explanation leaves that is expected again in a further test
+ALL = 1.0  # of what a cause of no name leaves
+STAYS = 0.5  # share of what any other explanation leaves that is expected again in a further test
 CHANGES = 0.5  # share of it by which this may differ
 
 
@@ -40,8 +40,8 @@ class LinearResponse:
     mean: np.ndarray
     base_slopes: np.ndarray
     effect_slopes: np.ndarray
-    as_a_whole: np.ndarray | None = None
-    by_feature: np.ndarray | None = None
+    as_a_whole: np.ndarray | float = 0.0
+    by_feature: np.ndarray | float = 0.0
 
     def __call__(self, delta: np.ndarray, strengths: np.ndarray):
         values = self.mean + self.base_slopes @ delta + self.effect_slopes @ strengths
@@ -58,36 +58,28 @@ class LinearResponse:
         return np.zeros((len(self.mean), 0))
 
     def scatter(self, strengths: np.ndarray) -> np.ndarray:
-        done, none = self.effect_slopes * strengths, np.zeros_like(strengths)
-        whole = done * (none if self.as_a_whole is None else self.as_a_whole)
-        apart = done * (none if self.by_feature is None else self.by_feature)
+        done = self.effect_slopes * strengths
+        whole, apart = done * self.as_a_whole, done * self.by_feature
         return whole @ whole.T + np.diag((apart**2).sum(axis=1))
 
 
-@runtime_checkable
-class Uneven(Protocol):
-    """A response whose effects differ from what their formulas say: covariance (m, m) of the mean
-    of the repeats by that."""
+class Response(Emulator, Protocol):
+    """What a further test shows; `scatter` is the covariance (m, m) of the mean of its repeats by
+    what effects do otherwise than their formulas say."""
 
     def scatter(self, strengths: np.ndarray) -> np.ndarray: ...
 
 
-def scatter_of(response: Emulator, strengths: np.ndarray, count: int) -> np.ndarray:
-    """The same (count, count), nothing for a response that is not uneven."""
-    even = np.zeros((count, count))
-    return response.scatter(strengths) if isinstance(response, Uneven) else even
-
-
 @dataclass(frozen=True, eq=False)
 class FurtherTest:
-    """A feasible test: its name, cost (h of a technician), fresh specimens, labels of its features,
-    response, covariance of one specimen (m, m), repeats; `rows` are those of the data at hand that
-    it shows again (none: a test without soil); `entries` of its table in a lab file."""
+    """A feasible test: its name, cost (h of a technician), labels of its features, response,
+    covariance of one specimen (m, m), repeats, fresh specimens; `rows` of the data at hand that it
+    shows again (none: a test without soil); `entries` of its table in a lab file."""
 
     name: str
     cost: float
     labels: tuple[str, ...]
-    response: Emulator
+    response: Response
     specimen: np.ndarray
     repeats: int
     specimens: int = 0
@@ -139,9 +131,8 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class LaplacePosterior:
-    """What the data at hand say of a fit: covariance (p + q + r, p + q + r) of its shift, its
-    chosen strengths and the emulator's errors along their directions, and what these errors are
-    expected to be (r,)."""
+    """What the data at hand say of a fit: covariance (p + q + r, p + q + r) of its shift, chosen
+    strengths and the emulator's errors along their directions, and these errors' mean (r,)."""
 
     covariance: np.ndarray
     errors: np.ndarray
@@ -174,7 +165,7 @@ def predicted(
     slopes = np.hstack([base, effects[:, list(fit.chosen)], wrong])
     left = unexplained(test, d, fit, measured, of_data)
     spread = slopes @ of_data.covariance @ slopes.T + CHANGES**2 * np.outer(left, left)
-    noise = test.noise + scatter_of(test.response, fit.strengths, len(values))
+    noise = test.noise + test.response.scatter(fit.strengths)
     return Prediction(values + wrong @ of_data.errors + stays * left, noise + spread)
 
 
@@ -189,13 +180,6 @@ def unexplained(
     return np.where(test.rows < 0, 0.0, left[test.rows])
 
 
-def predicted_by_unknown(
-    test: FurtherTest, d: Linearised, base: Refit, measured: np.ndarray
-) -> Prediction:
-    """What a cause of no name predicts; measured (m,): means of the data at hand."""
-    return predicted(test, d, base, measured, stays=1.0)
-
-
 def widened(wrong: np.ndarray, count: int) -> np.ndarray:
     """Directions (m, count) of errors; none (m, 0) of what is no emulator's are zeros."""
     return wrong if wrong.shape[1] else np.zeros((len(wrong), count))
@@ -204,10 +188,9 @@ def widened(wrong: np.ndarray, count: int) -> np.ndarray:
 def stacked(tests: Sequence[FurtherTest]) -> FurtherTest:
     """Several further tests as one, whose outcomes share the soil and the effects."""
     rows = [np.full(len(t.labels), -1) if t.rows is None else t.rows for t in tests]
-    response = _Stacked([t.response for t in tests], [len(t.labels) for t in tests])
     return FurtherTest(
         " and ".join(t.name for t in tests), sum(t.cost for t in tests),
-        tuple(label for t in tests for label in t.labels), response,
+        tuple(label for t in tests for label in t.labels), _Stacked([t.response for t in tests]),
         np.asarray(block_diag(*(t.noise for t in tests))), 1, sum(t.specimens for t in tests),
         np.concatenate(rows),
     )  # fmt: skip
@@ -215,10 +198,9 @@ def stacked(tests: Sequence[FurtherTest]) -> FurtherTest:
 
 @dataclass(frozen=True, eq=False)
 class _Stacked:
-    """Responses one below the other, each of so many features."""
+    """Responses one below the other."""
 
-    parts: Sequence[Emulator]
-    counts: Sequence[int]
+    parts: Sequence[Response]
 
     def __call__(self, delta, strengths):
         found = zip(*(part(delta, strengths) for part in self.parts), strict=True)
@@ -230,5 +212,4 @@ class _Stacked:
         return np.vstack([widened(each, max(w.shape[1] for w in found)) for each in found])
 
     def scatter(self, strengths):
-        each = zip(self.parts, self.counts, strict=True)
-        return np.asarray(block_diag(*(scatter_of(part, strengths, m) for part, m in each)))
+        return np.asarray(block_diag(*(part.scatter(strengths) for part in self.parts)))

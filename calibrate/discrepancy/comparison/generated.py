@@ -1,11 +1,9 @@
 """Data made from the description itself: specimens with or without a known gap.
 
-Each draw shifts the base parameters by their prior, adds errors of mean and slopes, and
-scatters packings as simulated ones scatter, times an amplitude from its prior: a smoothed
-bootstrap (Silverman and Young 1987, Biometrika 74) of these, so that rare specimens that slip
-are drawn as often as they are simulated.
-Used for null distributions and to train rivals; data of the same make as the
-description flatter it, so this is never a test of the diagnosis.
+Each draw shifts the base parameters by their prior, adds errors of mean and slopes, and scatters
+packings as simulated ones scatter, times an amplitude from its prior: a smoothed bootstrap
+(Silverman and Young 1987, Biometrika 74), so that rare specimens that slip are drawn as often as
+they are simulated.  Data of the same make as the description flatter it: this is no test of it.
 """
 
 from dataclasses import dataclass
@@ -17,7 +15,6 @@ from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import PRIOR_SD_LN_AMPLITUDE
 from calibrate.discrepancy.comparison.projection import lengths, project
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors, robust, scatter_of
-from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
 from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
 HEAVY = 5.0  # degrees of freedom of what a description is wrong by, as an emulator's errors are
@@ -25,11 +22,8 @@ HEAVY = 5.0  # degrees of freedom of what a description is wrong by, as an emula
 
 @dataclass(frozen=True, eq=False)
 class SampleGenerator:
-    """Where the description is true.
-
-    plan (s, m): which specimen has which feature; packing (m, m): covariance of simulated
-    specimens, taken as true.
-    """
+    """Where the description is true; plan (s, m): which specimen has which feature; packing (m, m):
+    covariance of simulated specimens, taken as true."""
 
     description: Linearised
     plan: np.ndarray
@@ -50,18 +44,10 @@ class SampleGenerator:
         d = self.description
         return self.packing + d.extra + d.sensor
 
-    def measured(
-        self,
-        rng: np.random.Generator,
-        strengths: np.ndarray | None = None,
-        gap: np.ndarray | None = None,
-    ) -> Measured:
-        """A sample with effects of given strengths (k,) and any other gap (m,)."""
-        return self.sample(self.specimens(rng, strengths, gap))
-
     def sample(self, specimens: np.ndarray) -> Measured:
         """That of specimens (..., s, m): one, or many."""
-        return robust(from_vectors(self.description.features, specimens), self._outlier_scatter)
+        d = self.description
+        return robust(from_vectors(d.features, specimens), scatter_of(d))
 
     def specimens(
         self,
@@ -69,7 +55,8 @@ class SampleGenerator:
         strengths: np.ndarray | None = None,
         gap: np.ndarray | None = None,
     ) -> np.ndarray:
-        """The specimens (s, m) of such a sample, NaN where a feature is not measured."""
+        """Specimens (s, m) with effects of given strengths (k,) and any other gap (m,); NaN where a
+        feature is not measured."""
         d = self.description
         delta = d.prior_sd * rng.standard_normal(len(d.prior_sd))
         given = np.zeros(len(d.effects)) if strengths is None else strengths
@@ -81,14 +68,9 @@ class SampleGenerator:
         values = mean + packings + normal(rng, self.other_root, count)
         return np.where(self.plan, values, np.nan)
 
-    @cached_property
-    def _outlier_scatter(self) -> np.ndarray:
-        """Covariance (m, m) by which outliers are detected."""
-        return scatter_of(self.description)
-
     def _amplitude(self, rng: np.random.Generator) -> np.ndarray:
-        """By how much more than simulated ones packings scatter (m,): one draw of the amplitudes'
-        prior for each test, as laboratories and numbers of spheres differ."""
+        """By how much more than simulated ones packings scatter (m,): a draw from the amplitudes'
+        prior for each test."""
         drawn = [np.exp(PRIOR_SD_LN_AMPLITUDE * rng.standard_normal()) for _ in TESTS]
         return np.array(drawn)[self._test]
 
@@ -103,8 +85,8 @@ class SampleGenerator:
         return samples - samples.mean(axis=0)
 
     def _packings(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Residuals (count, m) of specimens: simulated ones and normal ones, mixed in a share that
-        is the larger, the fewer there are for the number of features."""
+        """Residuals (count, m): simulated ones and normal ones, of which more, the fewer simulated
+        ones there are for the number of features."""
         rows = self._residuals
         normal_share = min(rows.shape[1] / len(rows), 1.0)
         drawn = rows[rng.integers(len(rows), size=count)]
@@ -127,17 +109,6 @@ class SampleGenerator:
         d, none = self.description, np.zeros(len(self.description.mean))
         covariance = self.mean_covariance
         return project(none, d.base_slopes, d.prior_sd, signatures, covariance).effects
-
-    def strength_of(self, effect: int, snr: float) -> float:
-        """Strength of an effect that has this signal-to-noise."""
-        return float(snr / self.snr(self.description.effect_slopes[:, [effect]])[0])
-
-    def smooth_gap(self, rng: np.random.Generator, snr: float) -> np.ndarray:
-        """A smooth gap (m,) of no particular cause, at a signal-to-noise."""
-        every = kernel_factors(self.description.features, self.specimen)
-        factor = every[rng.integers(len(every))]
-        gap = factor @ rng.standard_normal(factor.shape[1])
-        return gap * snr / self.snr(gap[:, None])[0]
 
     @cached_property
     def mean_covariance(self) -> np.ndarray:

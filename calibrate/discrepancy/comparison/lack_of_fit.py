@@ -1,11 +1,9 @@
 """Is there any gap beyond scatter, and is there any left once an effect is in?
 
 Three statistics of a projected residual: its length (any gap), its largest admissible score
-(a gap like a candidate effect), and its largest kernel score (a smooth gap).  The
-smallest of their three p-values counts, judged by simulation, so that asking three
-questions costs no false alarms.  The simulation repeats everything that is estimated: it
-draws specimens, simulated ones too, re-estimates covariance and amplitudes, projects.
-Therefore it holds its rate although the covariance is known from few specimens only.
+(a gap like a candidate effect), and its largest kernel score (a smooth gap).  The smallest of their
+three p-values counts, judged by simulation.  This repeats everything that is estimated, covariance
+and amplitudes too, and so holds its rate although few specimens tell the covariance.
 """
 
 from collections.abc import Sequence
@@ -15,7 +13,7 @@ import numpy as np
 
 from calibrate.discrepancy.comparison.generated import SampleGenerator
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.noise import Shape, best_shape, estimate
+from calibrate.discrepancy.comparison.noise import best_shape, estimate
 from calibrate.discrepancy.comparison.projection import Projected, admissible, lengths, project
 from calibrate.discrepancy.comparison.unspecified_gap import (
     Factors,
@@ -44,9 +42,8 @@ class NullDistribution:
 
 @dataclass(frozen=True, eq=False)
 class NullDistributions:
-    """Simulated statistics without any gap (`before`) and after the best effect where one is
-    true (`after`); inflation: mean square of the scores without any gap (1 for a known
-    covariance)."""
+    """Simulated statistics without any gap (`before`) and after the best effect where one is true
+    (`after`); inflation: mean square of the scores without a gap, 1 for a known covariance."""
 
     before: NullDistribution
     after: NullDistribution
@@ -98,11 +95,14 @@ def simulate(generator: SampleGenerator, seed: int, draws: int = DRAWS) -> NullD
     residuals = d.packing_residuals - d.packing_residuals.mean(axis=0)
     shape, snr = best_shape(residuals), generator.snr(d.effect_slopes)
     plain, changed = [], []
+
+    def drawn(gap: np.ndarray | None) -> Draw:
+        return generator.specimens(rng, gap=gap), shape.of(generator.simulated(rng))
+
     for _ in range(draws):
-        plain.append(_drawn(generator, shape, rng, None))
+        plain.append(drawn(None))
         if d.effects:
-            gap = _gap_of_an_effect(d, snr, rng)
-            changed.append(_drawn(generator, shape, rng, gap))
+            changed.append(drawn(_gap_of_an_effect(d, snr, rng)))
     design, kernel = _analysed(generator, plain)
     before = after = statistics(design.residual, design.effects, d.one_sided, kernel)
     inflation = _mean_square(design)
@@ -115,14 +115,6 @@ def simulate(generator: SampleGenerator, seed: int, draws: int = DRAWS) -> NullD
 
 
 Draw = tuple[np.ndarray, np.ndarray]  #: specimens (s, m), covariance (m, m) of simulated ones
-
-
-def _drawn(
-    generator: SampleGenerator, shape: Shape, rng: np.random.Generator, gap: np.ndarray | None
-) -> Draw:
-    """One draw with a gap (m,), and what simulated specimens of another draw say of scatter."""
-    specimens = generator.specimens(rng, gap=gap)
-    return specimens, shape.of(generator.simulated(rng))
 
 
 def _analysed(generator: SampleGenerator, draws: Sequence[Draw]) -> tuple[Projected, Factors]:

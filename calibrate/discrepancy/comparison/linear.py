@@ -15,12 +15,13 @@ import numpy as np
 
 from calibrate.labtests.diagnosis.base import Feature
 
+FEWEST_SPECIMENS = 8  # simulated, of which a description tells the scatter
+
 
 @dataclass(frozen=True)
 class EffectCandidate:
-    """A candidate: its name, whether its strength can only be positive, the strength that
-    is typical (in `unit`), what it is of (`jdem.effects.base.KINDS`), and how many typical
-    strengths the simulations reach to."""
+    """A candidate: whether its strength can only be positive, the strength that is typical (in
+    `unit`), its kind (`jdem.effects.base.KINDS`), how many typical strengths simulations reach."""
 
     name: str
     one_sided: bool
@@ -32,8 +33,7 @@ class EffectCandidate:
 
 class Emulator(Protocol):
     """Values (m,), slopes (m, p) and effects' slopes (m, k, per typical strength) at a point;
-    `wrong` are directions (m, q) in which these values may be wrong, one standard deviation
-    each."""
+    `wrong`: directions (m, q) in which these values may be wrong, one standard deviation each."""
 
     def __call__(
         self, delta: np.ndarray, strengths: np.ndarray
@@ -46,14 +46,13 @@ class Emulator(Protocol):
 class Linearised:
     """A linear description of the simulator in the space of features.
 
-    mean (m,) over `mean_specimens` packings; base_slopes (m, p) per ln p with prior_sd (p,);
-    effect_slopes (m, k) per typical strength; *_errors are standard errors of slopes of the same
-    shapes; packing_residuals (n, m) are features of n simulated specimens minus their mean;
-    extra (m, m) covariances of a specimen that simulations of packings do not contain
-    (density, moisture); sensor (m, m) that of the instruments; wrong (m, q) directions in
-    which the description itself may be wrong, one standard deviation each.  rows (m,): which of the
-    emulator's features it describes, and on: a mask of which of its effects are candidates, the
-    others being at strength 0; None: all of them.
+    mean (m,) over `mean_specimens` packings; base_slopes (m, p) per ln p with prior_sd (p,) and
+    standard errors base_errors (m, p); effect_slopes (m, k) per typical strength;
+    packing_residuals (n, m): features of n simulated specimens minus their mean; extra (m, m):
+    covariance of a specimen by what packings do not contain (density, moisture), sensor (m, m) by
+    instruments; wrong (m, q): directions in which the description may be wrong, one standard
+    deviation each.  rows (m,): which of the emulator's features it describes; on: a mask of which
+    of its effects are candidates, the others being at strength 0; None: all of them.
     """
 
     features: tuple[Feature, ...]
@@ -76,21 +75,16 @@ class Linearised:
     def __post_init__(self):
         m, p, k = len(self.features), len(self.base_names), len(self.effects)
         shapes = {
-            "mean": (m,),
-            "base_slopes": (m, p),
-            "prior_sd": (p,),
-            "effect_slopes": (m, k),
-            "base_errors": (m, p),
-            "extra": (m, m),
-            "sensor": (m, m),
-        }
+            "mean": (m,), "base_slopes": (m, p), "prior_sd": (p,), "effect_slopes": (m, k),
+            "base_errors": (m, p), "extra": (m, m), "sensor": (m, m),
+            "wrong": (m, *self.wrong.shape[1:2]),
+        }  # fmt: skip
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
-        if self.wrong.shape[:1] != (m,) or self.wrong.ndim != 2:
-            raise ValueError(f"wrong has shape {self.wrong.shape}, not ({m}, q)")
-        if self.packing_residuals.shape[1:] != (m,) or len(self.packing_residuals) < 8:
-            raise ValueError(f"packing_residuals must have at least 8 rows of {m} features")
+        residuals, few = self.packing_residuals.shape, FEWEST_SPECIMENS
+        if residuals[1:] != (m,) or residuals[0] < few:
+            raise ValueError(f"packing_residuals must have at least {few} rows of {m} features")
 
     @property
     def own_error(self) -> np.ndarray:
@@ -160,36 +154,3 @@ class Linearised:
             wrong=self.wrong[index],
             rows=np.asarray(index) if self.rows is None else self.rows[index],
         )
-
-
-def simple(
-    features: Sequence[Feature],
-    mean: np.ndarray,
-    base: dict[str, tuple[np.ndarray, float]],
-    effects: Sequence[tuple[EffectCandidate, np.ndarray]],
-    packing_residuals: np.ndarray,
-    mean_specimens: int | None = None,
-) -> Linearised:
-    """A description without slope errors, extra covariances or emulator.
-
-    base: slope (m,) per ln p and prior deviation by name; effects with slopes (m,) per unit
-    of their strength.  `dataclasses.replace` adds the rest.
-    """
-    m = len(mean)
-    slopes = np.array([slope for slope, _ in base.values()]).reshape(-1, m).T
-    columns = np.array([slope * e.typical for e, slope in effects]).reshape(-1, m).T
-    return Linearised(
-        features=tuple(features),
-        mean=mean,
-        base_names=tuple(base),
-        base_slopes=slopes,
-        prior_sd=np.array([sd for _, sd in base.values()]),
-        effects=tuple(effect for effect, _ in effects),
-        effect_slopes=columns,
-        packing_residuals=packing_residuals,
-        mean_specimens=mean_specimens or len(packing_residuals),
-        base_errors=np.zeros_like(slopes),
-        extra=np.zeros((m, m)),
-        sensor=np.zeros((m, m)),
-        wrong=np.zeros((m, 0)),
-    )

@@ -2,12 +2,11 @@
 
     r = y - f(delta)      Cov r = V Sigma^-1 ... = (I - H) V (I - H)',  V = Sigma + B P B'
 
-H is the operator of the base fit, so that what the fit has swallowed counts as certain.
-Bands are simultaneous over all features (sup-t by simulation): a named segment is not one of many
-tries.  A segment's share of the misfit is its part of the squared length of the residual
-whitened by the symmetric root of V's correlation (ZCA-cor: Kessy, Lewin and Strimmer 2018),
-the whitening that stays closest to the features themselves.  One test predicted from the
-other: the base parameters are fitted to one, with prior, and carried over by B cov(delta) B'.
+H is the operator of the base fit.  Bands are simultaneous over all features (sup-t by simulation).
+A segment's share of the misfit is its part of the squared length of the residual whitened by the
+symmetric root of V's correlation (ZCA-cor: Kessy, Lewin and Strimmer 2018), the whitening that
+stays closest to the features.  One test is predicted from the other by base parameters fitted to
+this one, with prior, and carried over by B cov(delta) B'.
 """
 
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import numpy as np
 from scipy import linalg
 from scipy.special import chdtrc
 
+from calibrate.discrepancy.comparison.generated import normal, root_of
 from calibrate.discrepancy.comparison.linear import Linearised
 from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit
@@ -31,35 +31,31 @@ SIMULATED = 2000
 class SegmentResidual:
     """A segment's mean residual, measured minus simulated, in its unit and over its standard
     error (z); whether it leaves the simultaneous band; its share of the misfit with an
-    interval, and the share it would have by chance."""
+    interval (90 %), and the share it would have by chance."""
 
     test: str
     segment: str
     gap: float
     unit: str
     z: float
-    outside: bool
+    outside_band: bool
     share: float
-    share_low: float
-    share_high: float
+    share_interval: tuple[float, float]
     share_by_chance: float
 
     @property
     def holds(self) -> bool:
         """Whether the interval holds its share: a small one lies below all that chance adds."""
-        return self.share_low <= self.share <= self.share_high
+        low, high = self.share_interval
+        return low <= self.share <= high
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class CrossTest:
-    """One test predicted from the other: difference and its deviation by feature (of that
-    test), p-value of a perfect prediction, and the factor by which the measured values of
-    its commonest unit are larger than predicted, with its standard error."""
+    """One test predicted from the other: p-value of a perfect prediction, and the factor by which
+    the measured values of its commonest unit are larger than predicted, with its standard error."""
 
     predicted: str
-    features: np.ndarray
-    difference: np.ndarray
-    deviation: np.ndarray
     p_value: float
     factor: float
     factor_se: float
@@ -94,7 +90,7 @@ def localise(
         deviation,
         critical * deviation,
         _segments(description, base.working, residual, covariance, marginal, critical, rng),
-        across_tests(description, measured, noise, base),
+        _across(tests_of(description.features), measured, marginal, base),
     )
 
 
@@ -102,27 +98,20 @@ def sup_t(covariance: np.ndarray, freedom: int, rng: np.random.Generator) -> flo
     """Critical value of the largest of |t| over all features, by simulation."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(deviation, deviation)
-    values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = rng.standard_normal((SIMULATED, len(values))) @ root.T
+    draws = normal(rng, root_of(correlation), SIMULATED)
     scale = np.sqrt(freedom / rng.chisquare(freedom, SIMULATED))
     return float(np.quantile(np.abs(draws).max(axis=1) * scale, LEVEL))
 
 
 def freedom_of(measured: Measured, carrying: int = 5) -> int:
-    """Degrees of freedom behind the scale of the noise: those of the repeats times the few
-    modes that carry their scatter; 4 where no repeats are known."""
+    """Degrees of freedom behind the scale of the noise: those of the repeats times the few modes
+    that carry their scatter; 4 without repeats."""
     found = [s.freedom * min(carrying, len(s.products)) for s in measured.scatter.values()]
     return max(min(found), 1) if found else 4
 
 
-def across_tests(
-    description: Linearised, measured: Measured, noise: Noise, base: Refit
-) -> tuple[CrossTest, ...]:
+def _across(tests: np.ndarray, measured: Measured, marginal: np.ndarray, base: Refit):
     """Each test predicted from the other."""
-    tests = tests_of(description.features)
-    prior = np.diag(description.prior_sd**2)
-    marginal = noise.mean + base.base_slopes @ prior @ base.base_slopes.T
     found = []
     for name in dict.fromkeys(tests):
         mine, other = np.flatnonzero(tests == name), np.flatnonzero(tests != name)
@@ -143,9 +132,6 @@ def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> 
     chi2 = float(difference @ np.linalg.solve(covariance, difference))
     return CrossTest(
         predicted=name,
-        features=mine,
-        difference=difference,
-        deviation=np.sqrt(np.diag(covariance)),
         p_value=float(chdtrc(len(mine), chi2)),
         factor=1 + float(weighted @ difference[alike]) / information,
         factor_se=information**-0.5,
@@ -153,8 +139,7 @@ def _predicted(name, mine, other, marginal, base: Refit, measured: Measured) -> 
 
 
 def _of_the_commonest_unit(units: Sequence[str]) -> np.ndarray:
-    """Indices of features of the commonest unit, as force and displacement have no common factor:
-    a machine turns at a force that no soil changes."""
+    """Indices of features of the commonest unit: force and displacement have no common factor."""
     names, counts = np.unique(units, return_counts=True)
     return np.flatnonzero(np.array(units) == names[counts.argmax()])
 
@@ -178,10 +163,9 @@ def _segments(description, working, residual, covariance, marginal, critical, rn
                     gap=gap,
                     unit=unit,
                     z=float(gap / max(error, 1e-300)),
-                    outside=bool((np.abs(residual[rows]) > edge).any()),
+                    outside_band=bool((np.abs(residual[rows]) > edge).any()),
                     share=float(shares[rows].sum()),
-                    share_low=float(low),
-                    share_high=float(high),
+                    share_interval=(float(low), float(high)),
                     share_by_chance=len(rows) / len(residual),
                 )
             )

@@ -1,22 +1,17 @@
 """Whether the likeliest explanation may be named at all.
 
-Probabilities weigh explanations against each other.  What they do not know keeps a cause from being
-named, in this order:
+Probabilities stay as they are; the verdict is "none" for the first of these reasons that holds:
 
     no curves        numbers alone, which calibration meets whatever the model leaves out
-    few specimens    of a test: one or two do not tell by how much specimens scatter, so they cannot
-                     show a gap
+    few specimens    one or two of a test do not tell by how much they scatter, and show no gap
     beyond library   the soil that fits best lies beyond the runs, where what is left may be an
                      error of the library; unless with the explanation it lies among them, the gap
                      is larger than the library's error, and the explanation removes a share of it
                      whose interval holds its value and does not reach zero
-    no shrinkage     the explanation, added to the model, leaves the gap as large as it was: the
-                     share that it removes is not above zero (`Reduction.shrinks`)
+    no shrinkage     the explanation, added to the model, leaves the gap as large as it was
 
-Place by place a gap may be smaller than the library's own error, though its pattern tells what it
-is.  Then by how much it shrinks cannot be told, and nothing is said of it (`Reduction.visible`).
-
-The probabilities stay as they are; the verdict is "none" then, and the reason stands beside it.
+A gap that is smaller than the library's own error place by place may still be told by its pattern;
+by how much it shrinks is not said then (`Reduction.visible`).
 """
 
 from collections.abc import Callable, Mapping
@@ -37,9 +32,8 @@ NO_SHRINKAGE = "no shrinkage"
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a name rests on beside evidences: specimens by test, of those that were made; what
-    lies beyond the library's runs at base coordinates (p,), soil parameters or its stated error;
-    whether there are curves."""
+    """What a name rests on beside evidences: specimens by test that was made; what lies beyond the
+    library's runs at base coordinates (p,); whether there are curves."""
 
     specimens: Mapping[str, int] = field(default_factory=dict)
     beyond: Callable[[np.ndarray], tuple[str, ...]] = lambda delta: ()

@@ -26,10 +26,11 @@ from scipy.special import logsumexp
 from calibrate.discrepancy.comparison.classes import SEPARABLE, TOGETHER, separation
 from calibrate.discrepancy.comparison.compare import Comparison, Prepared, answered_with, label
 from calibrate.discrepancy.comparison.further import (
+    ALL,
+    STAYS,
     FurtherTest,
     Prediction,
     predicted,
-    predicted_by_unknown,
     stacked,
 )
 from calibrate.discrepancy.comparison.linear import Linearised
@@ -60,10 +61,10 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A test with what it costs (h, fresh specimens); its gain (nats), the chance to name the right
-    class now and with it; the separation of the leading explanations now and with it, and the pair
-    it separates least; the outcome (m,) under each leading explanation, or under the only one and
-    none, with deviations (m,); the entries of its table in a lab file."""
+    """A test with its cost (h), fresh specimens and gain (nats); chance to name the right class and
+    separation of the leading explanations, now and with it; the pair it separates least;
+    the outcome (m,) under each leading explanation, or under the only one and none, with deviations
+    (m,); the entries of its table in a lab file."""
 
     name: str
     cost: float
@@ -130,12 +131,9 @@ def predictions(
     test: FurtherTest, d: Linearised, every: Sequence[Explanation], measured: np.ndarray
 ) -> list[Prediction]:
     """What each explanation predicts for a test; measured (m,): means of the data at hand."""
-    return [
-        predicted_by_unknown(test, d, one.fit, measured)
-        if one.name == UNKNOWN
-        else predicted(test, d, one.fit, measured)
-        for one in every
-    ]
+    stays = (ALL if one.name == UNKNOWN else STAYS for one in every)
+    each = zip(every, stays, strict=True)
+    return [predicted(test, d, one.fit, measured, share) for one, share in each]
 
 
 def next_tests(
@@ -157,8 +155,7 @@ def next_tests(
 
 
 def why_stop(comparison: Comparison, proposals: Sequence[Proposal]) -> str:
-    """Why no further test is proposed; "" where one is.  What keeps a cause from being named comes
-    first (`naming`), but for one that more tests may tell from others."""
+    """Why no further test is proposed; "" where one is."""
     if comparison.reason in BEFORE_TESTS:
         return comparison.reason
     if max(comparison.by_class.values()) >= SURE and not comparison.reason:
@@ -171,10 +168,8 @@ def why_stop(comparison: Comparison, proposals: Sequence[Proposal]) -> str:
 def updated(
     prepared: Prepared, comparison: Comparison, measured: np.ndarray, outcomes: Sequence[Outcome]
 ) -> tuple[Comparison, UpdatedBelief]:
-    """The comparison after further tests, and what they changed.
-
-    Where no explanation foresaw them, the answer is "unknown", as surely as the outcome is odd.
-    """
+    """The comparison after further tests, and what they changed; where no explanation foresaw them,
+    "unknown", as surely as the outcome is odd."""
     every = explanations(prepared, comparison)
     test = stacked([outcome.test for outcome in outcomes])
     found = np.concatenate([outcome.found for outcome in outcomes])

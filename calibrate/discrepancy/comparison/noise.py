@@ -11,11 +11,9 @@ principal direction of a test's S by itself, a factor on the variance:
     (PRIOR_FREEDOM + sum of squares of repeats over S)/(PRIOR_FREEDOM + their freedom)
 
 the posterior scale of a variance under its conjugate prior, a scaled inverse chi-square about 1
-(Gelman et al., Bayesian data analysis, section 2.6): some specimens slip where most do not, and
-a mean that one of them has pulled is no gap.
-W are the directions in which the description may be wrong.  How far amplitude and
-factors may go is what predicted the means of cases with nothing hidden best
-(docs/decisions/2026-11-26-scatter-and-misfit.md).
+(Gelman et al., Bayesian data analysis, section 2.6): a mean that one slipping specimen has pulled
+is no gap.  W are the directions in which the description may be wrong.  How far amplitude and
+factors may go: docs/decisions/2026-11-26-scatter-and-misfit.md.
 """
 
 from collections.abc import Sequence
@@ -25,6 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.projection import leading_modes
 from calibrate.discrepancy.comparison.repeats import Measured, Scatter, products
 from calibrate.labtests.diagnosis.curves import tests_of
 
@@ -90,10 +89,8 @@ class Noise:
 
 
 def best_shape(samples: np.ndarray, shapes: Sequence[Shape] = SHAPES) -> Shape:
-    """The shape that predicts held-out specimens best (cross-validated normal likelihood).
-
-    samples: (n, m), centred.  Features that never vary are ignored.
-    """
+    """The shape that predicts held-out specimens, centred (n, m), best (cross-validated normal
+    likelihood); features that never vary are ignored."""
     varying = samples[:, samples.std(axis=0) > 0]
     if varying.shape[1] < 2:
         return Shape(weight=0.0)
@@ -167,16 +164,11 @@ def _amplitudes(scattering: np.ndarray, fixed: np.ndarray, scatter: Scatter | No
 def amplitude_of(
     scattering: np.ndarray, fixed: np.ndarray, scatter: Scatter | None
 ) -> tuple[float, float]:
-    """Amplitude a of S = a^2 C + F from repeats, and the deviation of ln a.
-
-    Posterior mean of ln a on a grid: the restricted likelihood of the scatter of repeats
-    within the leading modes of C (`CARRYING`), times the prior.
-    """
+    """Amplitude a of S = a^2 C + F from repeats, and the deviation of ln a: its posterior mean on a
+    grid, by the restricted likelihood of the scatter of repeats within the leading modes of C."""
     log_posterior = -0.5 * (GRID / PRIOR_SD_LN_AMPLITUDE) ** 2
     if scatter is not None:
-        values, modes = np.linalg.eigh(scattering)
-        explained = np.cumsum(values[::-1]) / max(values.sum(), 1e-300)
-        lead = modes[:, ::-1][:, : int(np.searchsorted(explained, CARRYING)) + 1]
+        lead = leading_modes(scattering, CARRYING)[1]
         common, rest = lead.T @ scattering @ lead, lead.T @ fixed @ lead
         ratio, basis = linalg.eigh(common, rest + 1e-9 * np.trace(common) * np.eye(len(rest)))
         basis = lead @ basis
@@ -194,10 +186,7 @@ def amplitude_of(
 def slope_error(
     description: Linearised, packing: np.ndarray, delta_variance: np.ndarray
 ) -> np.ndarray:
-    """Covariance (m, m) of the simulated mean from errors of slopes.
-
-    Errors of slopes come from packings, so they are correlated as packings are.
-    """
+    """Covariance (m, m) of the simulated mean from errors of slopes, correlated as packings are."""
     deviation = np.sqrt(np.maximum(np.diagonal(packing, axis1=-2, axis2=-1), 1e-300))
     correlation = packing / products(deviation)
     errors = description.base_errors

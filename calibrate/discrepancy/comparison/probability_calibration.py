@@ -6,13 +6,12 @@
     unknown  - t s(b) + a3 + d [p < ALPHA] + g ln(1 + <max ln B>)
 
 Probabilities are their softmax.  p is the p-value of what the best effect and the best pair leave,
-B the evidence of an explanation over that of none (`evidence`), g says that a large gap is oftener
-one outside the library of effects, which only reach so far.  Evidence rests on simulations that are
-wrong in unknown ways: t is the temperature, s damps differences of more than c, the a are prior
-odds, and the class biases h say which effects the evidence favours too much or too little, and how
-often each was there.  All are fitted to withheld cases whose seal has been opened, by a study that
-comes with the source (`studies.sealed.training`); so probabilities have the prior of these cases.
-Temperature and bias scaling: Guo et al. 2017, On Calibration of Modern Neural Networks.
+B the evidence of an explanation over that of none (`evidence`); g: a large gap is oftener one
+outside the library of effects.  Evidence rests on simulations that are wrong in unknown ways: t is
+the temperature, s damps differences of more than c, the a are prior odds, the class biases h say
+which effects the evidence favours too much or too little (Guo et al. 2017, On Calibration of Modern
+Neural Networks).  All are fitted to withheld cases whose seal has been opened
+(`studies.sealed.training`); so probabilities have the prior of these cases.
 
 A set of explanations is every one of at least the probability `smallest`.  By split conformal
 prediction (Vovk et al. 2005; least ambiguous sets, Sadinle et al. 2019) that study chooses it so

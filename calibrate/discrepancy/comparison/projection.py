@@ -74,31 +74,40 @@ def fitted_shift(
 @dataclass(frozen=True, eq=False)
 class Scores:
     """By effect (k,): z, one-step strength and its standard error (in typical strengths),
-    signal-to-noise at typical strength, visibility; confusability (k, k)."""
+    signal-to-noise at typical strength, visibility."""
 
     z: np.ndarray
     strength: np.ndarray
     strength_se: np.ndarray
     typical_snr: np.ndarray
     visibility: np.ndarray
-    confusability: np.ndarray
 
 
 def scores(design: Projected, effect_slopes: np.ndarray, covariance: np.ndarray) -> Scores:
     """Scores of all effects; effect_slopes (m, k) and covariance (m, m) as projected."""
-    length = lengths(design.effects)
-    whitened = np.sqrt(
-        np.einsum("ik,ik->k", effect_slopes, np.linalg.solve(covariance, effect_slopes))
-    )
-    product = design.effects.T @ design.residual
+    length, product = lengths(design.effects), design.effects.T @ design.residual
     return Scores(
         z=product / length,
         strength=product / length**2,
         strength_se=1 / length,
         typical_snr=length,
-        visibility=length / np.maximum(whitened, 1e-300),
-        confusability=confusability(design.effects),
+        visibility=visibility(design.effects, effect_slopes, covariance),
     )
+
+
+def visibility(effects: np.ndarray, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """How much (k,) of effects (m, k) is left of their slopes (m, k) by the projection."""
+    whitened = np.sqrt(np.einsum("ik,ik->k", slopes, np.linalg.solve(covariance, slopes)))
+    return lengths(effects) / np.maximum(whitened, 1e-300)
+
+
+def leading_modes(covariance: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """The largest eigenvalues (r,) of a covariance (m, m) that make up a share of its variance, and
+    their axes (m, r)."""
+    values, axes = np.linalg.eigh(covariance)
+    carried = np.cumsum(values[::-1]) / max(values.sum(), 1e-300)
+    kept = int(np.searchsorted(carried, share)) + 1
+    return values[::-1][:kept], axes[:, ::-1][:, :kept]
 
 
 def lengths(effects: np.ndarray) -> np.ndarray:

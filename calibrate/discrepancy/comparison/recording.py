@@ -1,10 +1,9 @@
 """What recording adds to features: sampling at the laboratory's rate, and instruments' noise.
 
 A simulated curve has thousands of points and no noise; a recorded one misses the very peak and
-scatters.  Both the shift and the scatter of each feature are found by recording one
-typical curve many times, each time beginning at another moment.  Some machines store what
-they read at a moment, others the mean since the last reading, and few say which: half of the
-difference, which all specimens of a laboratory share, is one more thing that is not known.
+scatters.  Shift and scatter are found by recording one typical curve many times, each time from
+another moment on.  Some machines store what they read at a moment, others the mean since the last
+reading, and few say which: half of the difference is one more error that all specimens share.
 """
 
 import abc
@@ -50,8 +49,7 @@ class Channel(AbstractChannel):
         self, displacement: np.ndarray, force: np.ndarray, rng: np.random.Generator,
         averaging: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """A recording that begins anywhere within the first interval; averaging: of the mean
-        force between readings."""
+        """A recording that begins anywhere within the first interval."""
         path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement)))])
         half, end = self.spacing / 2, float(path[-1])
         at = np.arange(rng.uniform(0.0, self.spacing), end, self.spacing)
@@ -94,59 +92,52 @@ def interval_means(
     return (high - low) / np.maximum(end - begin, 1e-12)
 
 
-def recording(
-    features: Sequence[Feature],
-    curves: Curves,
-    channels: Mapping[str, AbstractChannel],
-    rng: np.random.Generator,
-    repeats: int = REPEATS,
-    air: Mapping[str, float] | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shift (m,) of the mean, covariance (m, m) of a specimen, and error (m,) that all share.
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Features (r, m) of recordings of one specimen less those of its curves: of force at moments,
+    and of means since the last reading; NaN where the specimen ends."""
+
+    moments: np.ndarray
+    means: np.ndarray
+
+    @property
+    def shift(self) -> np.ndarray:
+        """Of the mean (m,): between both ways."""
+        return (self.moments.mean(axis=0) + self.means.mean(axis=0)) / 2
+
+    @property
+    def either(self) -> np.ndarray:
+        """How far (m,) each way is from that: an error that all specimens share."""
+        return self.moments.mean(axis=0) - self.shift
+
+    def covariance(self) -> np.ndarray:
+        """Of a specimen (m, m)."""
+        ways = map(np.nan_to_num, (self.moments, self.means))
+        centred = np.concatenate([way - way.mean(axis=0) for way in ways])
+        return best_shape(centred).of(centred)
+
+
+def recordings(
+    features: Sequence[Feature], curves: Curves, channels: Mapping[str, AbstractChannel],
+    rng: np.random.Generator, repeats: int = REPEATS, air: Mapping[str, float] | None = None,
+) -> Recordings:  # fmt: skip
+    """Recordings, read as those of a laboratory are (`recorded_feature_values`).
 
     curves: finely sampled ones of a typical specimen, from contact on; channels: one for each test;
-    air: ways (mm) before contact that are recorded too.  What is recorded is read as that of a
-    laboratory is (`recorded_feature_values`).
+    air: ways (mm) before contact that are recorded too.
     """
-    departures = _departures(features, curves, channels, rng, repeats, air or {})
-    moments, means = map(np.nan_to_num, departures)  # nothing where the typical specimen ends
-    centred = np.concatenate([moments - moments.mean(axis=0), means - means.mean(axis=0)])
-    shift, either = _middle(moments, means)
-    return shift, best_shape(centred).of(centred), either
-
-
-def recording_shift(
-    features: Sequence[Feature],
-    curves: Curves,
-    channels: Mapping[str, AbstractChannel],
-    rng: np.random.Generator,
-    repeats: int = REPEATS,
-    air: Mapping[str, float] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The shift and the shared error alone."""
-    return _middle(*_departures(features, curves, channels, rng, repeats, air or {}))
-
-
-def _departures(features, curves, channels, rng, repeats, air) -> tuple[np.ndarray, np.ndarray]:
-    """Features (r, m) of recordings less those of the curves, by moments and by means."""
-    exact = feature_values(features, curves)
+    exact, air = feature_values(features, curves), air or {}
     whole = {test: through_air(x, force, air.get(test, 0.0)) for test, (x, force) in curves.items()}
 
     def once(averaging: bool) -> np.ndarray:
         read = {test: channels[test].record(*whole[test], rng, averaging) for test in whole}
         return recorded_feature_values(features, read) - exact
 
-    def recorded(averaging: bool) -> np.ndarray:
+    def repeated(averaging: bool) -> np.ndarray:
         found = np.array([once(averaging) for _ in range(repeats)])
         return np.where(np.isfinite(found), found, 0.0 * exact)
 
-    return recorded(False), recorded(True)
-
-
-def _middle(moments: np.ndarray, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Between both ways, and how far each is from it."""
-    middle = (moments.mean(axis=0) + means.mean(axis=0)) / 2
-    return middle, moments.mean(axis=0) - middle
+    return Recordings(repeated(False), repeated(True))
 
 
 def through_air(

@@ -10,12 +10,12 @@ from the sample with what fitting has swallowed given back (Mallows' Cp: |residu
 2 tr H S, where S is the scatter of the sample's mean alone: what the description itself is wrong
 by shows on fresh specimens too), and by leaving specimens out.  Shrinkage = (E0 - E1)/(E0 - 1).
 Where its interval is wide the data cannot show it, and no value is claimed.
-Ceilings are the same number for any change of the contact law (span of base parameters,
-contact effects and a smooth gap), and for any change of the measuring chain (smooth
-distortions of displacement and of force along force, the same in both tests, and the
-measuring effects).
+Ceilings are the same number for any change of the contact law (base parameters, contact effects and
+a smooth gap), and of the measuring chain (its effects, and smooth distortions of displacement and
+of force along force, the same in both tests).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from calibrate.discrepancy.comparison.noise import Noise
 from calibrate.discrepancy.comparison.refit import Refit, refit
 from calibrate.discrepancy.comparison.repeats import Measured
 from calibrate.discrepancy.comparison.unspecified_gap import kernel_factors
+from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import TEST_FEATURES, tests_of
 
 WIDEST = 0.3  # of an interval (90 %), for a shrinkage to be claimed
@@ -33,6 +34,7 @@ SMALLEST_GAP = 0.02  # of E0 - 1; below it a shrinkage says nothing
 BOOTSTRAP = 300
 CENTRES = (0.05, 0.3, 0.6, 0.9)  # of distortions, shares of the largest force
 SPAN_SD = 3.0  # typical strengths, of every direction of a ceiling
+FREE_SD = 1e3  # of ln p, where base parameters are free
 CONTACT_LAW = ("soil", "wall")  # kinds of effects that a change of the contact law spans
 SMOOTH_AMPLITUDE = 2.0  # scatters of a specimen, of the smooth gap in the contact ceiling
 
@@ -66,14 +68,8 @@ class Reduction:
 
     @property
     def holds(self) -> bool:
-        """Whether the interval holds its value: not where the effect is not all that is left
-        out."""
+        """Whether the interval holds its value: not where more than the effect is left out."""
         return self.low <= self.shrinkage <= self.high
-
-    @property
-    def reportable(self) -> bool:
-        """Whether the data can show the shrinkage."""
-        return is_reportable(self.low, self.high)
 
 
 def estimate_reduction(
@@ -87,8 +83,13 @@ def estimate_reduction(
     """The shrinkage by one refit, given the base fit."""
     rng = np.random.default_rng(seed)
     weight = feature_weights(description, noise)
-    before, after = (gap_squared(description, measured, noise, fit, weight) for fit in (base, best))
-    drawn = _drawn(description, measured, noise, (base, best), weight, rng)
+    hats = [hat_of(*_columns(description, fit), fit.covariance) for fit in (base, best)]
+    offsets = [_swallowed(hat, _of_the_mean(measured, noise), weight) for hat in hats]
+    before, after = (
+        float(weight @ (measured.mean - fit.values) ** 2 + offset)
+        for fit, offset in zip((base, best), offsets, strict=True)
+    )
+    drawn = _drawn(noise, best.values - base.values, hats, offsets, weight, rng)
     low, high = np.quantile(drawn, [0.05, 0.95])
     value, own = shrinkage(before, after), description.wrong_at(base.delta, base.strengths)
     ceilings = {
@@ -120,15 +121,6 @@ def feature_weights(description: Linearised, noise: Noise) -> np.ndarray:
     names = list(dict.fromkeys(tests))
     count = np.array([(tests == test).sum() for test in tests])
     return 1 / (np.diag(noise.specimen) * count * len(names))
-
-
-def gap_squared(
-    description: Linearised, measured: Measured, noise: Noise, fit: Refit, weight: np.ndarray
-) -> float:
-    """d^2 of a fit to a sample's mean, corrected for what fitting has swallowed."""
-    hat = hat_of(*_columns(description, fit), fit.covariance)
-    residual = measured.mean - fit.values
-    return float(weight @ residual**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))
 
 
 def shrinkage(before: float, after: float) -> float:
@@ -167,22 +159,16 @@ def _swallowed(hat: np.ndarray, scatter: np.ndarray, weight: np.ndarray) -> floa
     return float(2 * weight @ np.diag(hat @ scatter) - weight @ np.diag(scatter))
 
 
-def _drawn(description, measured, noise, fits, weight, rng) -> np.ndarray:
-    """Shrinkages (n,) of samples drawn about the better fit, analysed linearly."""
-    base, best = fits
+def _drawn(noise: Noise, gap: np.ndarray, hats, offsets, weight, rng) -> np.ndarray:
+    """Shrinkages (n,) of samples drawn about the better fit, analysed linearly; gap (m,): by what
+    this differs from the other; hats (m, m) and offsets of both (`_swallowed`)."""
     root = np.linalg.cholesky(noise.mean)
-    prepared = []
-    for fit in fits:
-        hat = hat_of(*_columns(description, fit), fit.covariance)
-        offset = _swallowed(hat, _of_the_mean(measured, noise), weight)
-        prepared.append((np.eye(len(hat)) - hat, offset))
-    gap = best.values - base.values
+    keep0, keep1 = (np.eye(len(hat)) - hat for hat in hats)
     drawn = []
     for _ in range(BOOTSTRAP):
         scatter = root @ rng.standard_normal(len(root))
-        (keep0, offset0), (keep1, offset1) = prepared
-        before = weight @ (gap + keep0 @ scatter) ** 2 + offset0
-        after = weight @ (keep1 @ scatter) ** 2 + offset1
+        before = weight @ (gap + keep0 @ scatter) ** 2 + offsets[0]
+        after = weight @ (keep1 @ scatter) ** 2 + offsets[1]
         drawn.append(shrinkage(float(before), float(after)))
     return np.array(drawn)
 
@@ -226,7 +212,8 @@ def distortions(description: Linearised, measured: Measured) -> np.ndarray:
     at_forces = np.array([TEST_FEATURES[f.test].read_at_forces for f in features])
     high = max((f.scale for f, on in zip(features, at_forces, strict=True) if on), default=1.0)
     force = np.where(at_forces, [f.abscissa for f in features], mean)
-    slope = _slopes(description, mean)
+    kinds = (kind for test in TEST_FEATURES.values() for kind in test.branches)
+    slope = np.sum([along_branch(features, mean, kind) for kind in kinds], axis=0)
     columns = []
     for centre in CENTRES:
         bump = np.exp(-0.5 * ((force / high - centre) / 0.2) ** 2)
@@ -236,15 +223,14 @@ def distortions(description: Linearised, measured: Measured) -> np.ndarray:
     return np.array(columns).T
 
 
-def _slopes(description: Linearised, mean: np.ndarray) -> np.ndarray:
-    """d value/d abscissa (m,) along each branch; 0 for features that stand alone."""
+def along_branch(features: Sequence[Feature], mean: np.ndarray, kind: str) -> np.ndarray:
+    """d value/d abscissa (m,) along the features of one kind; 0 elsewhere, and for one alone."""
     slope = np.zeros(len(mean))
-    for kind in (kind for test in TEST_FEATURES.values() for kind in test.branches):
-        rows = np.array([i for i, f in enumerate(description.features) if f.kind == kind], int)
-        if len(rows) > 1:
-            at = np.array([description.features[i].abscissa for i in rows])
-            order = np.argsort(at)
-            slope[rows[order]] = np.gradient(mean[rows[order]], at[order])
+    rows = np.array([i for i, feature in enumerate(features) if feature.kind == kind], int)
+    if len(rows) > 1:
+        at = np.array([features[i].abscissa for i in rows])
+        order = np.argsort(at)
+        slope[rows[order]] = np.gradient(mean[rows[order]], at[order])
     return slope
 
 
@@ -252,7 +238,7 @@ def _span_gap(base: Refit, measured, noise, columns, weight) -> float:
     """d^2 when the base parameters and all directions of a span are free (within priors)."""
     every = np.hstack([base.base_slopes, columns])
     prior = np.full(every.shape[1], SPAN_SD)
-    prior[: base.base_slopes.shape[1]] = np.inf
-    hat = hat_of(every, np.where(np.isinf(prior), 1e3, prior), noise.mean)
+    prior[: base.base_slopes.shape[1]] = FREE_SD
+    hat = hat_of(every, prior, noise.mean)
     left = base.working - hat @ base.working
     return float(weight @ left**2 + _swallowed(hat, _of_the_mean(measured, noise), weight))

@@ -5,9 +5,7 @@
 over the base parameters' shift delta and at most two strengths, which stay positive where the
 effect is one-sided.  One step of Gauss and Newton, which ends a linear problem, then L-BFGS-B
 (Byrd, Lu, Nocedal and Zhu 1995, SIAM J. Sci. Comput. 16, 1190) in coordinates in which the
-linearised problem is round: steps of Gauss and Newton alone leave out the curvature
-of f, and creep from one side of a bent valley to the other.  Objectives may have several minima:
-the best of a few starts is taken.
+linearised problem is round, as Gauss and Newton's steps creep along bent valleys.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,6 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.projection import Projected, project
 
 STRENGTH_SD = 3.0  # typical strengths; keeps invisible effects from running away
 ROUNDS = 20  # most, each in coordinates of its own
@@ -35,8 +34,8 @@ ABSURD = 1e30  # objective where the description is not finite
 @dataclass(frozen=True, eq=False)
 class Refit:
     """A fit: delta (p,), strengths (k,), simulated values (m,), slopes there, objective, the
-    residual (m,) that the linearisation there is fitted to, and the covariance (m, m) that
-    weighs it."""
+    residual (m,) that the linearisation there is fitted to, the covariance (m, m) that weighs it,
+    and the prior deviations (p,) of delta."""
 
     chosen: tuple[int, ...]
     delta: np.ndarray
@@ -47,6 +46,14 @@ class Refit:
     objective: float
     working: np.ndarray
     covariance: np.ndarray
+    prior_sd: np.ndarray
+
+    def projected(
+        self, covariance: np.ndarray, effects: slice | Sequence[int] = slice(None)
+    ) -> Projected:
+        """The linearisation here with some effects, projected off the base parameters."""
+        slopes = self.effect_slopes[:, effects]
+        return project(self.working, self.base_slopes, self.prior_sd, slopes, covariance)
 
 
 Start = tuple[np.ndarray, np.ndarray]  #: delta (p,) and strengths (k,)
@@ -158,7 +165,7 @@ class _Problem:
         working = residual + base @ delta + effects[:, on] @ strengths[on]
         return Refit(
             self.chosen, delta, strengths, values, base, effects, float(objective), working,
-            self.covariance,
+            self.covariance, d.prior_sd,
         )  # fmt: skip
 
     def step(self, point: Refit) -> tuple[np.ndarray, np.ndarray]:
@@ -243,9 +250,9 @@ class _Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Coordinates in which a quadratic form is round but for what strengths share, and strengths
-    keep their signs: (delta + A^-1 B e) by the Cholesky factor of A, e by the roots of
-    the Schur complement's diagonal.  A, B: blocks of the form."""
+    """Coordinates in which a quadratic form with blocks A, B is round but for what strengths share,
+    and strengths keep their signs: delta + A^-1 B e by the Cholesky factor of A, e by the roots of
+    the Schur complement's diagonal."""
 
     lower: np.ndarray
     mixed: np.ndarray

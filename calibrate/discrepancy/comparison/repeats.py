@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibrate.discrepancy.comparison.linear import Linearised
+from calibrate.discrepancy.comparison.projection import leading_modes
 from calibrate.labtests.diagnosis.base import BEFORE, TARGET, Curves, Feature
-from calibrate.labtests.diagnosis.curves import TESTS, feature_values, tests_of
+from calibrate.labtests.diagnosis.curves import TESTS, tests_of
 
 FREEDOM = 4.0  # nu
 CARRYING = 0.98  # of the scatter's variance
@@ -41,13 +42,10 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Features of a soil: mean (m,), in how many specimens two features were both
-    measured, shared (m, m), and the scatter of repeats by test (absent if unknown).
-
-    `specimens` (s, m) keeps the single ones, NaN where not measured, and weight (s,) how much
-    each counts; no rows for targets.  With weights, `shared` is of as many specimens as would
-    make a mean as sure.  With further axes before these it holds many samples of one plan.
-    """
+    """Features of a soil: mean (m,), in how many specimens two features were both measured, shared
+    (m, m) (with weights, as many as would make a mean as sure), and the scatter of repeats by test
+    where known; single specimens (s, m), NaN where not measured, and how much each counts, weight
+    (s,); no rows for targets.  With further axes before these it holds many samples of one plan."""
 
     features: tuple[Feature, ...]
     mean: np.ndarray
@@ -76,13 +74,6 @@ class Measured:
         return from_vectors(self.features, rest, weight)
 
 
-def from_curves(features: Sequence[Feature], specimens: Sequence[Curves]) -> Measured:
-    """The sample of specimens with one or both curves each."""
-    return from_vectors(
-        features, np.array([feature_values(features, curves) for curves in specimens])
-    )
-
-
 def products(values: np.ndarray) -> np.ndarray:
     """Products (..., m, m) of values (..., m) with each other."""
     return values[..., :, None] * values[..., None, :]
@@ -97,10 +88,7 @@ def from_vectors(
     features: Sequence[Feature], specimens: np.ndarray, weight: np.ndarray | None = None
 ) -> Measured:
     """The sample of feature vectors (..., s, m); NaN where a specimen lacks a feature; weight
-    (..., s): how much each counts, 1 if not given.  Axes before these: many samples of one plan.
-
-    ValueError if a feature was never measured: use `measured_features` first.
-    """
+    (..., s): how much each counts, 1 if not given.  ValueError if a feature was never measured."""
     observed = plan_of(specimens)
     missing = [f.name for i, f in enumerate(features) if not observed[:, i].any()]
     if missing:
@@ -137,12 +125,9 @@ def from_targets(
 
 
 def measured_features(
-    features: Sequence[Feature], specimens: Sequence[Curves], values: np.ndarray | None = None
+    features: Sequence[Feature], specimens: Sequence[Curves], values: np.ndarray
 ) -> tuple[Feature, ...]:
-    """Those features that every specimen with a curve of their test has; values (s, m) of all, if
-    they are known already."""
-    if values is None:
-        values = np.array([feature_values(features, curves) for curves in specimens])
+    """Those features, of values (s, m), that every specimen with a curve of their test has."""
     has_test = np.array([[f.test in curves for f in features] for curves in specimens])
     complete = np.isfinite(values) | ~has_test
     return tuple(f for i, f in enumerate(features) if complete[:, i].all() and has_test[:, i].any())
@@ -168,8 +153,7 @@ def scatter_of(d: Linearised) -> np.ndarray:
 
 def robust(measured: Measured, scatter: np.ndarray) -> Measured:
     """The sample with a weight for each specimen, the smaller one of its tests, by a covariance
-    (m, m) of one; forces before contact do not speak, as they are taken off, nor do targets, whose
-    single values are not known."""
+    (m, m) of one; forces before contact, which are taken off, and targets do not speak."""
     rows, plan, tests = measured.specimens, measured.plan, tests_of(measured.features)
     found = np.ones(rows.shape[:-1])
     curves = np.array([feature.kind not in (BEFORE, TARGET) for feature in measured.features])
@@ -185,9 +169,7 @@ def robust(measured: Measured, scatter: np.ndarray) -> Measured:
 def weights(rows: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     """Weights (..., n) of one test's specimens (..., n, m), NaN where not measured."""
     deviation = np.sqrt(np.maximum(np.diag(scatter), 1e-300))
-    values, axes = np.linalg.eigh(scatter / np.outer(deviation, deviation))
-    kept = int(np.searchsorted(np.cumsum(values[::-1]), CARRYING * values.sum())) + 1
-    axes, values = axes[:, ::-1][:, :kept], values[::-1][:kept]
+    values, axes = leading_modes(scatter / np.outer(deviation, deviation), CARRYING)
     standard, observed = rows / deviation, plan_of(rows)
     freedom, count = observed.mean(axis=1) * len(values), rows.shape[-2]
     middle = _medians(standard) if observed.all() else np.nanmedian(standard, axis=-2)

@@ -18,6 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from calibrate.discrepancy.comparison.projection import leading_modes
 from calibrate.labtests.diagnosis.base import Feature
 from calibrate.labtests.diagnosis.curves import tests_of
 
@@ -97,7 +98,5 @@ def _factor(features: tuple[Feature, ...], length: float) -> np.ndarray:
     location = np.array([feature.position for feature in features])
     apart = (location[:, None] - location[None, :]) ** 2
     kernel = (tests[:, None] == tests[None, :]) * np.exp(-apart / (2 * length**2))
-    values, vectors = np.linalg.eigh(kernel)
-    share = np.cumsum(values[::-1]) / values.sum()
-    kept = int(np.searchsorted(share, KEPT)) + 1
-    return vectors[:, ::-1][:, :kept] * np.sqrt(np.maximum(values[::-1][:kept], 0))
+    values, axes = leading_modes(kernel, KEPT)
+    return axes * np.sqrt(np.maximum(values, 0))

@@ -15,8 +15,8 @@ from calibrate.discrepancy.comparison.compare import Comparison, Prepared
 from calibrate.discrepancy.comparison.localise import Localisation
 from calibrate.discrepancy.comparison.next_test import Proposal, UpdatedBelief, why_stop
 from calibrate.discrepancy.comparison.probability_calibration import NONE, UNKNOWN
-from calibrate.discrepancy.comparison.projection import admissible, lengths, project
-from calibrate.discrepancy.comparison.reduction import Reduction
+from calibrate.discrepancy.comparison.projection import admissible, lengths
+from calibrate.discrepancy.comparison.reduction import Reduction, is_reportable
 
 BIG = 0.3  # typical strengths; smaller is trivial
 SIGNIFICANT = 1.96  # of |z|; 1.64 for one-sided effects
@@ -41,38 +41,26 @@ def effect_estimates(prepared: Prepared, comparison: Comparison) -> list[EffectE
     of explanations are, where it has one."""
     found, d = comparison.scores, prepared.description
     score = admissible(found.z, d.one_sided)
-    fitted = [_fitted(prepared, comparison, k) for k in range(len(d.effects))]
-    rows = [
-        EffectEstimate(
-            name=effect.name,
-            status=status(
-                float(score[k]),
-                effect.one_sided,
-                fitted[k][0],
-                float(found.typical_snr[k]),
-            ),
-            z=float(found.z[k]),
-            strength=fitted[k][0] * effect.typical,
-            standard_error=fitted[k][1] * effect.typical,
-            unit=effect.unit,
-            visibility=float(found.visibility[k]),
-        )
-        for k, effect in enumerate(d.effects)
-    ]
-    return [rows[k] for k in np.argsort(-score)]
+
+    def estimate(k: int) -> EffectEstimate:
+        effect, (strength, error) = d.effects[k], _fitted(prepared, comparison, k)
+        said = status(float(score[k]), effect.one_sided, strength, float(found.typical_snr[k]))
+        return EffectEstimate(
+            effect.name, said, float(found.z[k]), strength * effect.typical, error * effect.typical,
+            effect.unit, float(found.visibility[k]),
+        )  # fmt: skip
+
+    return [estimate(int(k)) for k in np.argsort(-score)]
 
 
 def _fitted(prepared: Prepared, comparison: Comparison, k: int) -> tuple[float, float]:
     """Strength of an effect and its standard error, in typical strengths: at its own best fit, else
     one step from the fit without it."""
-    fit, found, d = comparison.refits.get((k,)), comparison.scores, prepared.description
+    fit, found = comparison.refits.get((k,)), comparison.scores
     if fit is None or not fit.strengths[k]:
         at_none = 0.0 if fit is not None else float(found.strength[k])
         return at_none, float(found.strength_se[k])
-    covariance = prepared.null.inflation * fit.covariance
-    design = project(
-        fit.working, fit.base_slopes, d.prior_sd, fit.effect_slopes[:, [k]], covariance
-    )
+    design = fit.projected(prepared.null.inflation * fit.covariance, [k])
     return float(fit.strengths[k]), float(1 / lengths(design.effects)[0])
 
 
@@ -94,28 +82,10 @@ def as_json(
     """The keys where, which, how_far, next_test and further_tests."""
     return {
         "where": [
-            {
-                "test": s.test,
-                "segment": s.segment,
-                "gap": s.gap,
-                "unit": s.unit,
-                "z": s.z,
-                "outside_band": s.outside,
-                "share": s.share,
-                "share_interval": [s.share_low, s.share_high] if s.holds else None,
-                "share_by_chance": s.share_by_chance,
-            }
+            {**asdict(s), "share_interval": list(s.share_interval) if s.holds else None}
             for s in localisation.segments
         ],
-        "across_tests": [
-            {
-                "predicted": c.predicted,
-                "p_value": c.p_value,
-                "factor": c.factor,
-                "factor_se": c.factor_se,
-            }
-            for c in localisation.across
-        ],
+        "across_tests": [asdict(c) for c in localisation.across],
         "which": _which(prepared, comparison),
         "how_far": how_far(reduction),
         "next_test": _next(comparison, proposals),
@@ -157,7 +127,7 @@ def how_far(reduction: Reduction | None) -> dict | None:
         "floor": reduction.floor,
         "shrinkage": reduction.shrinkage,
         "interval": [reduction.low, reduction.high] if reduction.holds else None,
-        "shown": reduction.reportable and reduction.holds,
+        "shown": is_reportable(reduction.low, reduction.high) and reduction.holds,
         "shrinkage_left_out": reduction.cross_validated,
         "ceiling": reduction.ceilings,
     }

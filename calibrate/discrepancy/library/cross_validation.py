@@ -6,13 +6,12 @@
     repeats about their mean    sum of squares ~ q n(x) chi2(k - 1)
 
 v is the variance that the process states of itself, n = packing + soil block + rest the scatter
-that it states of specimens.  Part of n is no scatter but what a smooth function misses, the same
-for all specimens of a soil: its misfit u.  Rows have a packing each and cannot tell u from q, the
-scatter proper (lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and
-without them u = 0.  All three by maximum likelihood over rows with at most one effect and repeats,
-w with a weak pull to 1, as a few errors of values hide in much scatter.  Errors have heavy tails
-(Student's t with HEAVY degrees of freedom, Lange, Little and Taylor 1989): a few soils are far off,
-and a variance that they set would be too wide for all others.
+that it states of specimens.  Part of n is what a smooth function misses, the same for all specimens
+of a soil: its misfit u.  Rows have a packing each and cannot tell u from q, the scatter proper
+(lack of fit and pure error; Draper and Smith 1998, section 2.1); repeats can, and without them
+u = 0.  All three by maximum likelihood over rows with at most one effect and repeats, w with a weak
+pull to 1.  Errors have heavy tails, as a few soils are far off (Student's t with HEAVY degrees of
+freedom, Lange, Little and Taylor 1989).
 
 What no component holds is split as a whole, by mean squares over repeats.  Its scatter goes with
 size and soil as that of components does on average; its misfit is taken for the same everywhere.
@@ -36,7 +35,6 @@ from scipy.optimize import fminbound, minimize
 from calibrate.discrepancy.comparison.generated import HEAVY
 from calibrate.discrepancy.library.design import SIZES
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator, leading
-from calibrate.response.process import Kernel
 
 FOLDS, BLOCK = 4, len(SIZES)  # packings are left out in turn, by blocks
 FEWEST_WITHOUT = 2  # rows without an effect over features, for their covariance
@@ -48,18 +46,6 @@ FURTHEST = np.log(10.0)  # of ln w, ln q and ln u
 PULL_SD = 0.5  # of ln w about 0
 LEAST = 1e-3  # of u and q
 SIZES_OF_ERRORS = (np.log(0.05), np.log(400.0))  # of directions at full strength, logarithms
-
-
-@dataclass(frozen=True, eq=False)
-class TrainingPoints:
-    """Scaled points (n, p), (n, k) of a library, their packings (n,), features (n, m), kernels."""
-
-    x: np.ndarray
-    s: np.ndarray
-    packing: np.ndarray
-    values: np.ndarray
-    scale: np.ndarray
-    kernels: Sequence[Kernel]
 
 
 class Split(NamedTuple):
@@ -136,8 +122,7 @@ class Repeats:
     values: Sequence[np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
+class Errors(NamedTuple):
     """Errors (n, c) of components, stated variances (n, c) of values and of specimens; the count
     (n,) of specimens behind each error, and their sum of squares (n, c) about their mean."""
 
@@ -149,42 +134,48 @@ class Errors:
 
 
 def cross_validate(
-    points: TrainingPoints, emulator: FeatureEmulator, repeats: Repeats | None = None
-) -> EmulatorErrors:
-    """Errors of the emulator of all points, with its kernels."""
-    rows, whole, strengths = _of_rows(points)
-    known = rows if repeats is None else _joined(rows, _of_repeats(emulator, repeats, points.scale))
+    emulator: FeatureEmulator, packing: np.ndarray, values: np.ndarray,
+    repeats: Repeats | None = None,
+) -> EmulatorErrors:  # fmt: skip
+    """Errors of an emulator, whose kernels stay, by packings (n,) and features (n, m) of rows."""
+    known, whole, strengths = _of_rows(emulator, packing, values)
+    if repeats is not None:
+        both = zip(known, _of_repeats(emulator, repeats), strict=True)
+        known = Errors(*map(np.concatenate, both))
     of_components = (
         _factors(known, c, repeats is not None) for c in range(len(emulator.components))
     )
     widening, scatter, misfit = np.array(list(of_components)).T
-    dropped = Split() if repeats is None else dropped_split(emulator, repeats, points.scale)
+    dropped = Split() if repeats is None else dropped_split(emulator, repeats)
     directions, effect = by_effects(whole, strengths)
     return EmulatorErrors(widening, scatter, misfit, dropped, directions, effect)
 
 
-def _of_rows(points: TrainingPoints) -> tuple[Errors, np.ndarray, np.ndarray]:
+def _of_rows(
+    emulator: FeatureEmulator, packing: np.ndarray, values: np.ndarray
+) -> tuple[Errors, np.ndarray, np.ndarray]:
     """Errors of held-out rows; those of warped features (n, m), and strengths (n, k)."""
     errors, stated, whole, strengths, at = [], [], [], [], []
-    for emulator, x, s, value in _held_out_rows(points):
-        warped = np.arcsinh(value / points.scale)
-        errors.append(emulator.basis.components(warped) - emulator.of_components(x, s))
-        stated.append(emulator.variances(x, s))
-        whole.append(warped - emulator.warped(x, s))
+    for blind, row in _held_out_rows(emulator, packing, values):
+        x, s, warped = emulator.x[row], emulator.s[row], np.arcsinh(values[row] / emulator.scale)
+        errors.append(blind.basis.components(warped) - blind.of_components(x, s))
+        stated.append(blind.variances(x, s))
+        whole.append(warped - blind.warped(x, s))
         strengths.append(s)
         at.append(x)
-    noise = np.array([k.scatter * k.larger(np.array(at)) ** 2 for k in points.kernels]).T
+    kernels = (component.kernel for component in emulator.components)
+    noise = np.array([k.scatter * k.larger(np.array(at)) ** 2 for k in kernels]).T
     error = np.array(errors)
     found = Errors(error, np.array(stated), noise, np.ones(len(error)), np.zeros_like(error))
     return found, np.array(whole), np.array(strengths)
 
 
-def _of_repeats(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) -> Errors:
+def _of_repeats(emulator: FeatureEmulator, repeats: Repeats) -> Errors:
     """Errors of the means of repeats, which the emulator has not seen."""
     none = np.zeros(emulator.s.shape[1])
     found = []
     for x, values in zip(repeats.x, repeats.values, strict=True):
-        parts = emulator.basis.components(np.arcsinh(values / scale))
+        parts = emulator.basis.components(np.arcsinh(values / emulator.scale))
         mean = parts.mean(axis=0)
         noise = [c.kernel.scatter for c in emulator.components] * emulator.larger(x) ** 2
         found.append((
@@ -194,12 +185,7 @@ def _of_repeats(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) 
     return Errors(*(np.array(part) for part in zip(*found, strict=True)))
 
 
-def _joined(*parts: Errors) -> Errors:
-    fields = zip(*(vars(part).values() for part in parts), strict=True)
-    return Errors(*(np.concatenate(field) for field in fields))
-
-
-def dropped_split(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray) -> Split:
+def dropped_split(emulator: FeatureEmulator, repeats: Repeats) -> Split:
     """Scatter and misfit of what no component holds, over the variance of rows without effects."""
     basis = emulator.basis
 
@@ -209,7 +195,7 @@ def dropped_split(emulator: FeatureEmulator, repeats: Repeats, scale: np.ndarray
 
     within, freedom, between, share = 0.0, 0, [], []
     for x, values in zip(repeats.x, repeats.values, strict=True):
-        left = dropped(np.arcsinh(values / scale) - basis.mean)
+        left = dropped(np.arcsinh(values / emulator.scale) - basis.mean)
         mean, larger = left.mean(axis=0), _larger_on_average(emulator, x) ** 2
         within += ((left - mean) ** 2).sum() / larger
         freedom += len(left) - 1
@@ -251,20 +237,17 @@ def _of_effect(standard: np.ndarray, s: np.ndarray, none: np.ndarray) -> np.ndar
 
 
 def _shortened(standard: np.ndarray) -> np.ndarray:
-    """Errors (n, m) of which none is longer than the median: one soil for which an effect is far
-    off would else turn the directions of all."""
+    """Errors (n, m), none longer than the median, so that one soil does not turn all directions."""
     length = np.linalg.norm(standard, axis=1)
     return standard * np.minimum(1.0, np.median(length) / np.maximum(length, 1e-300))[:, None]
 
 
 def _size(along: np.ndarray, s: np.ndarray) -> float:
-    """How long a direction is at strength 1, beside an error of 1 without an effect, given what
-    errors at strengths (n,) have along it (n,)."""
+    """Length of a direction at strength 1, given errors along it (n,) at strengths (n,), which are
+    1 without an effect."""
 
     def loss(ln_size: float) -> float:
-        variance = 1 + (np.exp(ln_size) * s) ** 2
-        away = (HEAVY + 1) * np.log1p(along**2 / (HEAVY * variance))
-        return float((np.log(variance) + away).sum())
+        return float(_unlikely(along, 1 + (np.exp(ln_size) * s) ** 2).sum())
 
     return float(np.exp(fminbound(loss, *SIZES_OF_ERRORS)))
 
@@ -278,20 +261,17 @@ def _by_chance(none: np.ndarray, count: int) -> float:
 
 
 def _held_out_rows(
-    points: TrainingPoints,
-) -> Iterator[tuple[FeatureEmulator, np.ndarray, np.ndarray, np.ndarray]]:
-    """Each row with at most one effect, with an emulator fitted without its packing; folds
-    are blocks of packings; each block holds all numbers of spheres."""
-    few = (points.s != 0).sum(axis=1) <= 1
-    basis = leading(np.arcsinh(points.values / points.scale), points.x, points.s)
+    emulator: FeatureEmulator, packing: np.ndarray, values: np.ndarray
+) -> Iterator[tuple[FeatureEmulator, int]]:
+    """Each row with at most one effect, with an emulator fitted without its block of packings."""
+    x, s, scale = emulator.x, emulator.s, emulator.scale
+    few, kernels = (s != 0).sum(axis=1) <= 1, [each.kernel for each in emulator.components]
+    basis = leading(np.arcsinh(values / scale), x, s)
     for fold in range(FOLDS):
-        out = fold_of(points.packing) == fold
-        emulator = fit_emulator(
-            points.x[~out], points.s[~out], points.packing[~out], points.values[~out],
-            points.scale, points.kernels, basis,
-        )  # fmt: skip
-        for row in np.flatnonzero(out & few):
-            yield emulator, points.x[row], points.s[row], points.values[row]
+        out = fold_of(packing) == fold
+        known = x[~out], s[~out], packing[~out], values[~out]
+        blind = fit_emulator(*known, scale, kernels, basis)
+        yield from ((blind, int(row)) for row in np.flatnonzero(out & few))
 
 
 def fold_of(packing: np.ndarray) -> np.ndarray:
@@ -312,9 +292,8 @@ def _factors(known: Errors, component: int, repeated: bool) -> tuple[float, floa
         w, q, u = _factors_of(ln_factors, repeated)
         variance = w * stated + (u + q / count) * noise
         within = (count - 1) * np.log(q * noise) + squares / (q * noise)
-        away = (HEAVY + 1) * np.log1p(errors**2 / (HEAVY * variance))
         pull = (ln_factors[0] / PULL_SD) ** 2
-        return float((np.log(variance) + away + within).sum() + pull)
+        return float((_unlikely(errors, variance) + within).sum() + pull)
 
     low = np.log(LEAST)
     bounds = [(0.0, FURTHEST), (low, FURTHEST), (low, FURTHEST)][: 2 + repeated]
@@ -326,12 +305,16 @@ def likeliest_widening(errors: np.ndarray, stated: np.ndarray, scatter: np.ndarr
     """w (c,) alone from errors (n, c), stated variances of values and those of specimens."""
 
     def loss(ln_w: float, c: int) -> float:
-        variance = np.exp(ln_w) * stated[:, c] + scatter[:, c]
-        away = (HEAVY + 1) * np.log1p(errors[:, c] ** 2 / (HEAVY * variance))
-        return float((np.log(variance) + away).sum() + (ln_w / PULL_SD) ** 2)
+        unlikely = _unlikely(errors[:, c], np.exp(ln_w) * stated[:, c] + scatter[:, c])
+        return float(unlikely.sum() + (ln_w / PULL_SD) ** 2)
 
     found = [fminbound(loss, 0.0, FURTHEST, args=(c,)) for c in range(errors.shape[1])]
     return np.exp(np.array(found))
+
+
+def _unlikely(errors: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Minus twice the log density of errors with heavy tails, up to a constant."""
+    return np.log(variance) + (HEAVY + 1) * np.log1p(errors**2 / (HEAVY * variance))
 
 
 def _factors_of(ln_factors: np.ndarray, repeated: bool) -> tuple[float, float, float]:

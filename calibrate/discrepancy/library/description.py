@@ -4,9 +4,8 @@
     e       strengths in typical ones
 
 The description is linear about the best fit of the base coordinates to the measured means, and
-keeps the emulator for what is not linear.  Simulated scatter is carried to the soil at hand as the
-emulator warps features: large forces scatter in proportion.  Features and strengths are in the
-lab's own size (`lab_size`).
+keeps the emulator for what is not linear.  Features and strengths are in the lab's own size
+(`lab_size`).
 """
 
 from collections.abc import Callable
@@ -16,7 +15,7 @@ import jax
 import numpy as np
 
 from calibrate.core.errors import InputError
-from calibrate.discrepancy.comparison.linear import EffectCandidate, Linearised
+from calibrate.discrepancy.comparison.linear import FEWEST_SPECIMENS, EffectCandidate, Linearised
 from calibrate.discrepancy.comparison.refit import refit
 from calibrate.discrepancy.library import other_law
 from calibrate.discrepancy.library.cross_validation import EmulatorErrors
@@ -69,8 +68,7 @@ class EmulatedLibrary:
 
     @property
     def emulator(self) -> FeatureEmulator:
-        """That of its rows, made when it is first asked: a lab that follows other conventions never
-        does."""
+        """That of its rows, made when it is first asked."""
         if not self._emulators:
             self._emulators.append(self.library.emulator(again=True))
         return self._emulators[0]
@@ -115,29 +113,27 @@ class EmulatedLibrary:
         )  # fmt: skip
 
     def joined(self, rows: Rows, own: RunLibrary) -> "EmulatedLibrary":
-        """With further runs behind the rows of `own`, near which the emulator's errors are as wide
-        as cross-validation has estimated: their noise counts by that much less, as errors are
-        widened afterwards (`LocalEmulator.wrong`)."""
+        """With further runs behind the rows of `own`; their noise counts by so much less as errors
+        are widened afterwards (`LocalEmulator.wrong`)."""
         emulator, emulator_errors = self.emulator, self.emulator_errors
         library = self.library.joined(rows)
         known = self.library.machine_shift
         if known is not None:
             behind = library.machine_shifts(emulator)[len(known) :]
             library = replace(library, machine_shift=np.vstack([known, behind]))
-        noise = np.ones((len(library.values), len(emulator.components)))
+        noise = np.ones((len(library.rows.values), len(emulator.components)))
         of_rows = emulator_errors.scatter + emulator_errors.misfit
-        noise[len(own.values) :] = of_rows / emulator_errors.widening
+        noise[len(own.rows.values) :] = of_rows / emulator_errors.widening
         fitted = fit_emulator(
-            *library.scaled(), library.packing, library.of_soils, library.scale(),
+            *library.scaled(), library.rows.packing, library.of_soils, library.scale(),
             library.kernels, emulator.basis, noise, always=library.always,
         )  # fmt: skip
         return replace(self, library=library, _emulators=[fitted])
 
     def specimens(self, x: np.ndarray) -> np.ndarray:
-        """Warped residuals (l, m) of independent specimens, one row without effects of each packing
-        that has one, as they scatter at the soil of a scaled point (p,) with spheres of the
-        design's size."""
-        _, first = np.unique(self.library.packing[self.emulator.plain], return_index=True)
+        """Warped residuals (l, m) of one row without effects of each packing that has one, as they
+        scatter at the soil of a scaled point (p,) with spheres of the design's size."""
+        _, first = np.unique(self.library.rows.packing[self.emulator.plain], return_index=True)
         soil = np.append(x[:-1], 0.0)
         residuals = self.emulator.without_effects[first]
         return self.emulator_errors.specimens(self.emulator, residuals, soil)
@@ -159,13 +155,10 @@ class EmulatedLibrary:
             names = np.array(design.effect_names)
             typical = (np.array(machine.told)[:, None] == names) * design.typical()
         first, last = np.arange(len(design.base_names))[SHAPE_COLUMNS].tolist()
-        known = (
-            None
-            if discrepancy is None
-            else Discrepancy(
-                *jax.device_put((discrepancy.mean, discrepancy.directions, self.emulator.scale))
-            )
-        )
+        known = None
+        if discrepancy is not None:
+            parts = discrepancy.mean, discrepancy.directions, self.emulator.scale
+            known = Discrepancy(*jax.device_put(parts))
         response = Response.plain(
             self.emulator.response, soil_prior.offset, design.spread(),
             design.typical() / limits(design), library.squared, self.units, (first, last), machine,
@@ -179,9 +172,9 @@ class LocalEmulator:
     """`linear.Emulator` about a lab's soil: the response's values (m,) and slopes (m, p) per delta,
     (m, k) per typical strength, and where it may be wrong.
 
-    `emulator_errors` are those that cross-validation adds to what the emulator states; recorded:
-    half of what machines differ by (m,) as they record, between lags; free (m, q): directions in
-    which it may be wrong everywhere; tared (m,): features that do not see strength number `offset`.
+    recorded: half of what machines differ by (m,) as they record, between lags; free (m, q):
+    directions in which it may be wrong everywhere; tared (m,): features that do not see strength
+    number `offset`.
     """
 
     emulator: FeatureEmulator
@@ -271,10 +264,8 @@ def describe(
     density_sd: float = DENSITY_SD,
     discrepancy: ModelDiscrepancy | None = None,
 ) -> Linearised:
-    """The description for measured means (m_chosen,) of the library's features `chosen` (indices).
-
-    Sensor terms are left at zero for the caller to add.
-    """
+    """The description for measured means (m_chosen,) of the library's features `chosen` (indices),
+    without instruments."""
     d = _rough(emulated, soil_prior, discrepancy)
     delta = np.zeros(d.base_slopes.shape[1])
     d = _local(emulated, d, delta, density_sd, soil_prior)
@@ -295,17 +286,14 @@ def _rough(
         extra = discrepancy.directions.shape[1]
         names = (*names, *(f"discrepancy {i + 1}" for i in range(extra)))
         prior = np.concatenate([prior, np.ones(extra)])
-    at = np.zeros(len(prior)), np.zeros(len(library.design.limits))
-    m, centre = len(emulated.units), np.zeros(len(library.design.base_names))
-    values, base, effects = (part[:m] for part in emulator(*at))
+    m, p, k = len(emulated.units), len(prior), len(library.design.limits)
+    nothing, square = np.zeros((m, p)), np.zeros((m, m))
     return Linearised(
-        features=emulated.size.features, mean=values, base_names=names, base_slopes=base,
-        prior_sd=prior,
-        effects=emulated.candidates(), effect_slopes=effects,
-        packing_residuals=emulated.units * emulated.specimens(centre),
-        mean_specimens=CERTAIN,
-        base_errors=np.zeros_like(base), extra=np.zeros((m, m)), sensor=np.zeros((m, m)),
-        wrong=np.zeros((m, 0)), emulator=emulator, rows=np.arange(m),
+        features=emulated.size.features, mean=np.zeros(m), base_names=names, base_slopes=nothing,
+        prior_sd=prior, effects=emulated.candidates(), effect_slopes=np.zeros((m, k)),
+        packing_residuals=np.zeros((FEWEST_SPECIMENS, m)), mean_specimens=CERTAIN,
+        base_errors=nothing, extra=square, sensor=square, wrong=np.zeros((m, 0)),
+        emulator=emulator, rows=np.arange(m),
     )  # fmt: skip
 
 
@@ -319,9 +307,8 @@ def _local(
     """The description linearised at a shift of the base coordinates."""
     none = np.zeros(len(d.effects))
     values, base, effects = d.at(delta, none)
-    scaled = (
-        soil_prior.offset + delta[: len(soil_prior.offset)]
-    ) / emulated.library.design.spread()
+    soil = soil_prior.offset + delta[: len(soil_prior.offset)]
+    scaled = soil / emulated.library.design.spread()
     steep = emulated.units * emulated.emulator.steepness(scaled, none)
     typical = emulated.typical
     return replace(

@@ -12,35 +12,26 @@ A row is a point x of
 
 drawn from a Sobol sequence, so that every beginning of the list is a smaller library.  Rows of one
 packing differ in all else, or in an effect alone: what packings have in common drops out of the
-slopes (common random numbers), and what they differ by is sampled PACKINGS times.
+slopes (common random numbers).
 
-Numbers of spheres take turns, so that what resolution changes is learned with all else: most rows
-are cheap, enough are dear.  The size of spheres is the coordinate, d/D ~ N^(-1/3): walls and the
-ends of a specimen count in proportion to it, and the limit of fine grains lies at -1.
+Numbers of spheres take turns: most rows are cheap, enough are dear.  The size of spheres is the
+coordinate, d/D ~ N^(-1/3): walls and the ends of a specimen count in proportion to it, and the
+limit of fine grains lies at -1.  A simulated press is twenty times as fast as a laboratory's, so
+the rows of some packings are simulated again, slowly: a laboratory lies near the pace 0.
 
-A simulated press is twenty times as fast as a laboratory's, and what dashpots carry goes with
-its speed.  So all rows are fast, and those of some packings are simulated again, slowly: the same
-soils on the same packings say what the pace changes, and a laboratory lies near the pace 0.
+Further packings:
 
-Laboratories differ in height over diameter and in the largest stress.  Further packings, `shaped`,
-have the heights of HEIGHTS in turn, and each of their rows a largest stress within STRESSES; all
-else is as in the rows of the library's own cylinder.
-
-What the emulator misses most is sampled again: on further packings, `refined`, all rows share one
-soil, the first has no effect at work and the others one each, at strengths that leave much of the
-curve to the soil: those of REFINED, from packing AGAIN on those of REFINED_AGAIN.
-
-What other conventions of the contact law change is learned from soils under these (`other_law`),
-without effects, a few on each of further packings, of which every third is slow.
-
-Beside the rows there are repeats: further soils, each on SPECIMENS packings of its own, without
-effects.  Rows alone cannot tell what a packing does from what a smooth function of the soil
-misses, as a row has a soil and nearly a packing of its own; repeats can.
+    shaped   heights of HEIGHTS in turn, and a largest stress within STRESSES for each row
+    refined  what the emulator misses most, again: all rows share one soil, the first has no effect
+             at work, the others one each of REFINED, from packing AGAIN on of REFINED_AGAIN
+    plain    soils without effects, a few on each, under other conventions (`other_law`)
+    repeats  further soils without effects, each on SPECIMENS packings of its own: rows alone cannot
+             tell what a packing does from what a smooth function of the soil misses
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -56,6 +47,7 @@ SIZES = (0.5, 1.0, 0.5, 1.0, 2.5, 0.5, 1.0, 0.5)  # spheres of packings over the
 POROSITIES = (0.0, -0.02, 0.01)  # over the usual one of spheres of their size, in turn
 WEAKEST = 0.3  # of its limit, an effect by itself
 SPEEDS = (0.16, 0.045)  # m/s, of the platen in the mould: fast and slow
+SLOW = SPEEDS[1] / SPEEDS[0]  # the pace of slow rows
 TURN = 16  # packings in a row that are slow too, or are not
 SPECIMENS = 4  # packings of each repeated soil
 FIRST_REPEAT = 500  # number of the first packing of repeats; a library has fewer (`--packings`)
@@ -126,14 +118,24 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class RunPoints:
+    """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres (n,)
+    in the library's cylinder, seeds (n,) of packings, and their numbers (n,) in a library."""
+
+    base: np.ndarray
+    strengths: np.ndarray
+    spheres: Sequence[int]
+    seeds: np.ndarray
+    packing: np.ndarray
+
+
 @dataclass(frozen=True)
 class Design:
-    """The plan of a library; `base` holds the soil's values that are not varied.
-
-    packings x rows_each simulations of specimens of `spheres` spheres, and those of one block of
-    TURN packings in `slow_in` again, slowly (0: of none); repeats of `repeated` further soils;
-    `shaped` packings of other heights; `refined` packings of effects that are sampled again.
-    """
+    """The plan of a library: packings x rows_each simulations of specimens of `spheres` spheres,
+    and those of one block of TURN packings in `slow_in` again, slowly (0: of none); repeats of
+    `repeated` further soils; `shaped` packings of other heights; `refined` packings of effects that
+    are sampled again."""
 
     packings: int = 160
     rows_each: int = 6
@@ -168,92 +170,95 @@ class Design:
         """Typical strengths by which strengths are scaled, SI, shape (k,)."""
         return np.array([max(abs(t) for t in EFFECTS[n].about.typical) for n in self.effect_names])
 
-    def spheres_of(self, packing: int) -> int:
-        """Number of spheres of a packing."""
-        return round(self.spheres * SIZES[packing % len(SIZES)])
-
     def sphere_size(self, spheres: int) -> float:
         """The coordinate of a number of spheres: their size over that of the design's, less 1."""
         return (spheres / self.spheres) ** (-1 / 3) - 1
 
-    @property
-    def of_packing(self) -> np.ndarray:
-        """The packing of each row (n,)."""
-        return self._fast_row()[0] // self.rows_each
-
-    def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Base coordinates (n, p) and strengths in SI (n, k), packing by packing."""
+    def rows(self, first: int = 0) -> RunPoints:
+        """Soils and effects from packing `first` on, packing by packing."""
         (row, slow), (base, strengths) = self._fast_row(), self._fast_rows()
         base = base[row]
-        base[slow, self.base_names.index("pace")] = SPEEDS[1] / SPEEDS[0]
-        return base, strengths[row]
+        base[slow, self.base_names.index("pace")] = SLOW
+        packing = row // self.rows_each
+        later = packing >= first
+        spheres = self._in_turn(SIZES, packing[later])
+        return self._points(base[later], strengths[row[later]], spheres, packing[later])
 
-    def repeats(self) -> tuple[np.ndarray, np.ndarray]:
-        """Base coordinates (n, p) of repeats and the numbers (n,) of their soils, specimen by
-        specimen, each on a packing of its own; of `slow_in` soils one is slow."""
+    def repeats(self) -> RunPoints:
+        """Soils without effects, specimen by specimen, each on a packing of its own; `packing` is
+        the number of the soil.  Of `slow_in` soils one is slow."""
         soil = np.arange(self.repeated)
         unit = _sobol(len(self.soil_names), self.repeated, self.seed + 1)
-        porosity = np.array(POROSITIES)[soil % len(POROSITIES)]
-        size = [self.sphere_size(self.spheres_of(int(j))) for j in soil]
         slow = soil % self.slow_in == self.slow_in - 1 if self.slow_in else soil < 0
-        pace = np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0)
-        least = np.full(self.repeated, SMOOTHING[0])
-        base = self._of_one_shape(self._soil(unit), least, porosity, pace, size)
-        return np.repeat(base, SPECIMENS, axis=0), np.repeat(soil, SPECIMENS)
+        spheres = self._in_turn(SIZES, soil)
+        base = self._base(self._soil(unit), SMOOTHING[0], soil, slow, spheres)
+        base, soil = np.repeat(base, SPECIMENS, axis=0), np.repeat(soil, SPECIMENS)
+        of_bed = FIRST_REPEAT + np.arange(len(soil))
+        return replace(
+            self._points(base, None, np.repeat(spheres, SPECIMENS).tolist(), of_bed), packing=soil
+        )
 
-    def shaped_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of other shapes; of
-        three turns through HEIGHTS and SHAPED_SIZES one is slow."""
+    def shaped_rows(self) -> RunPoints:
+        """Soils and effects on specimens of other shapes; of three turns through HEIGHTS and
+        SHAPED_SIZES one is slow."""
         count, soils = self.shaped * self.rows_each, len(self.soil_names)
         unit = _sobol(soils + 2 + len(self.limits), count, self.seed + 2)
         packing = np.repeat(np.arange(self.shaped), self.rows_each)
         turn = packing // len(HEIGHTS)
-        slow = turn // len(SHAPED_SIZES) % 3 == 2
-        low, high = SMOOTHING
-        sizes = [self.sphere_size(self.shaped_spheres(int(j))) for j in packing]
-        settings = {
-            "smoothing": low + (high - low) * unit[:, soils] ** 2,
-            "porosity": np.array(POROSITIES)[(packing + turn) % len(POROSITIES)],
-            "pace": np.where(slow, SPEEDS[1] / SPEEDS[0], 1.0),
-            "slenderness": np.log(np.array(HEIGHTS)[packing % len(HEIGHTS)]),
-            "stress": _between(math.log(STRESSES[0]), math.log(STRESSES[1]), unit[:, soils + 1]),
-            "sphere_size": np.array(sizes),
-        }
-        base = np.column_stack([self._soil(unit[:, :soils]), *(settings[n] for n in SETTINGS)])
-        return base, self._strengths(unit[:, soils + 2 :]), FIRST_SHAPED + packing
+        spheres, (low, high) = self._in_turn(SHAPED_SIZES, turn), SMOOTHING
+        smoothing = low + (high - low) * unit[:, soils] ** 2
+        slow, (least, most) = turn // len(SHAPED_SIZES) % 3 == 2, map(math.log, STRESSES)
+        shape = np.log(HEIGHTS)[packing % len(HEIGHTS)], _between(least, most, unit[:, soils + 1])
+        base = self._base(
+            self._soil(unit[:, :soils]), smoothing, packing + turn, slow, spheres, shape
+        )
+        strengths = self._strengths(unit[:, soils + 2 :])
+        return self._points(base, strengths, spheres, FIRST_SHAPED + packing)
 
-    def plain_rows(self, packings: int, each: int) -> tuple[np.ndarray, np.ndarray]:
-        """Base coordinates (n, p) and packings (n,) of soils without effects, `each` a packing."""
+    def plain_rows(self, packings: int, each: int) -> RunPoints:
+        """Soils without effects, `each` a packing, of which every third is slow."""
         packing = np.repeat(np.arange(packings), each)
         unit = _sobol(len(self.soil_names), len(packing), self.seed + 4)
-        size = [self.sphere_size(self.plain_spheres(int(j))) for j in packing]
-        pace = np.where(packing % 3 == 2, SPEEDS[1] / SPEEDS[0], 1.0)
-        porosity = np.array(POROSITIES)[packing // 3 % len(POROSITIES)]
-        least = np.full(len(packing), SMOOTHING[0])
-        return self._of_one_shape(self._soil(unit), least, porosity, pace, size), packing
+        spheres, slow = self._in_turn(OTHER_LAW_SIZES, packing), packing % 3 == 2
+        base = self._base(self._soil(unit), SMOOTHING[0], packing // 3, slow, spheres)
+        return self._points(base, None, spheres, packing)
 
-    def plain_spheres(self, packing: int) -> int:
-        """Number of spheres of a packing of soils without effects."""
-        return round(self.spheres * OTHER_LAW_SIZES[packing % len(OTHER_LAW_SIZES)])
-
-    def refined_rows(self, first: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Base coordinates (n, p), strengths in SI (n, k) and packings (n,) of effects that are
-        sampled again, from packing `first` on; every other packing is slow, and those of every
-        other pair, later of every other four, weaken, where an effect can."""
+    def refined_rows(self, first: int = 0) -> RunPoints:
+        """Effects that are sampled again, from packing `first` on; every other packing is slow, and
+        those of every other pair, later of every other four, weaken, where an effect can."""
         number, soils = np.arange(self.refined), len(self.soil_names)
         unit = _sobol(soils + len(REFINED), self.refined, self.seed + 3)
-        size = [self.sphere_size(self.refined_spheres(int(j))) for j in number]
-        pace = np.where(number % 2 == 1, SPEEDS[1] / SPEEDS[0], 1.0)
-        porosity = np.array(POROSITIES)[number % len(POROSITIES)]
-        least = np.full(self.refined, SMOOTHING[0])
-        base = self._of_one_shape(self._soil(unit[:, :soils]), least, porosity, pace, size)
+        spheres, slow = self._in_turn(REFINED_SIZES, number), number % 2 == 1
+        base = self._base(self._soil(unit[:, :soils]), SMOOTHING[0], number, slow, spheres)
         strengths = [self._refined_strengths(int(j), unit[j, soils:]) for j in number[first:]]
         rows = [len(of_packing) for of_packing in strengths]
-        return (
+        return self._points(
             np.repeat(base[first:], rows, axis=0),
             np.concatenate([*strengths, np.zeros((0, len(self.limits)))]),
+            np.repeat(spheres[first:], rows).tolist(),
             FIRST_REFINED + np.repeat(number[first:], rows),
-        )
+        )  # fmt: skip
+
+    def _points(
+        self, base: np.ndarray, strengths: np.ndarray | None, spheres: Sequence[int], packing
+    ) -> RunPoints:
+        """Points on the packings of this design; strengths None: without effects."""
+        strengths = np.zeros((len(base), len(self.limits))) if strengths is None else strengths
+        return RunPoints(base, strengths, spheres, 1000 * self.seed + packing, packing)
+
+    def _in_turn(self, sizes: Sequence[float], turn: np.ndarray) -> list[int]:
+        """Numbers of spheres (n,), whose sizes over the design's take turns."""
+        return [round(self.spheres * sizes[j % len(sizes)]) for j in turn.tolist()]
+
+    def _base(
+        self, soil: np.ndarray, smoothing, turn: np.ndarray, slow: np.ndarray,
+        spheres: Sequence[int], shape=(0.0, 0.0),
+    ) -> np.ndarray:  # fmt: skip
+        """Base coordinates (n, p) of soils (n, q); turn (n,): of POROSITIES."""
+        porosity = np.array(POROSITIES)[turn % len(POROSITIES)]
+        sizes = [self.sphere_size(number) for number in spheres]
+        settings = (smoothing, porosity, np.where(slow, SLOW, 1.0), *shape, sizes)
+        return np.column_stack([soil, *(np.broadcast_to(each, len(soil)) for each in settings)])
 
     def _refined_strengths(self, packing: int, unit: np.ndarray) -> np.ndarray:
         """Strengths (n, k) of the rows of a packing, by numbers between 0 and 1."""
@@ -268,15 +273,6 @@ class Design:
             strengths[1 + row, self.effect_names.index(name)] = largest * share
         return strengths
 
-    def refined_spheres(self, packing: int) -> int:
-        """Number of spheres of a packing of effects that are sampled again."""
-        return round(self.spheres * REFINED_SIZES[packing % len(REFINED_SIZES)])
-
-    def shaped_spheres(self, packing: int) -> int:
-        """Number of spheres, in the library's cylinder, of a packing of another shape."""
-        turn = packing // len(HEIGHTS)
-        return round(self.spheres * SHAPED_SIZES[turn % len(SHAPED_SIZES)])
-
     def _fast_row(self) -> tuple[np.ndarray, np.ndarray]:
         """For each row (n,) the fast one of the same soil and effects, and whether it is slow."""
         row = np.arange(self.packings * self.rows_each)
@@ -287,25 +283,16 @@ class Design:
         return every[order], slow[order]
 
     def _fast_rows(self) -> tuple[np.ndarray, np.ndarray]:
-        count = self.packings * self.rows_each
-        wide = len(self.soil_names) + 1 + len(self.effect_names)
-        unit = _sobol(wide, count, self.seed)
-        of_packing = np.repeat(np.arange(self.packings), self.rows_each)
-        soil = self._soil(unit[:, : len(self.soil_names)])
-        low, high = SMOOTHING
-        smoothing = low + (high - low) * unit[:, len(self.soil_names)] ** 2
-        porosity = np.array(POROSITIES)[of_packing % len(POROSITIES)]
-        size = [self.sphere_size(self.spheres_of(int(j))) for j in of_packing]
-        base = self._of_one_shape(soil, smoothing, porosity, np.ones(count), size)
-        strengths = unit[:, -len(self.limits) :]
-        alone = np.isin(of_packing % OF, ALONE)
-        base[alone] = base[of_packing[alone] * self.rows_each]
+        packing = np.repeat(np.arange(self.packings), self.rows_each)
+        soils, (low, high) = len(self.soil_names), SMOOTHING
+        unit = _sobol(soils + 1 + len(self.effect_names), len(packing), self.seed)
+        smoothing = low + (high - low) * unit[:, soils] ** 2
+        spheres = self._in_turn(SIZES, packing)
+        base = self._base(self._soil(unit[:, :soils]), smoothing, packing, packing < 0, spheres)
+        strengths = unit[:, soils + 1 :]
+        alone = np.isin(packing % OF, ALONE)
+        base[alone] = base[packing[alone] * self.rows_each]
         return base, np.where(alone[:, None], self._single(strengths), self._strengths(strengths))
-
-    def _of_one_shape(self, soil: np.ndarray, smoothing, porosity, pace, size) -> np.ndarray:
-        """Base coordinates (n, p) in the library's own cylinder."""
-        none = np.zeros(len(soil))
-        return np.column_stack([soil, smoothing, porosity, pace, none, none, size])
 
     def _soil(self, unit: np.ndarray) -> np.ndarray:
         log = _normal(unit) * np.array(list(self.soil_sd.values()))

@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from scipy.linalg import solve_triangular
 
 from calibrate.core.errors import CalibrationError
@@ -60,11 +59,9 @@ class Basis:
 def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPONENTS) -> Basis:
     """The components of warped features (n, m) at scaled points that vary most in units of scatter:
     what a quadratic regression on the points leaves, its covariance shrunk towards its diagonal by
-    m/(m + degrees of freedom).
-
-    Components that vary most by themselves are mostly scatter, and leave out what a soil does to
-    features that hardly scatter (as the unloading's beginning): a maximum noise fraction transform
-    (Green, Berman, Switzer and Craig 1988, IEEE Trans. Geosci. Remote Sens. 26, 65)."""
+    m/(m + degrees of freedom).  This maximum noise fraction transform (Green, Berman, Switzer and
+    Craig 1988, IEEE Trans. Geosci. Remote Sens. 26, 65) keeps what a soil does to features that
+    hardly scatter."""
     mean, spread = warped.mean(axis=0), np.maximum(warped.std(axis=0), 1e-12)
     standard = (warped - mean) / spread
     terms = np.hstack([np.ones((len(x), 1)), x, s, x**2])
@@ -82,14 +79,10 @@ def leading(warped: np.ndarray, x: np.ndarray, s: np.ndarray, count: int = COMPO
 
 @dataclass(frozen=True, eq=False)
 class FeatureEmulator:
-    """Features (m,) and slopes at any point of a library.
-
-    x (n, p) and s (n, k) are the simulated points, scaled; scale (m,) in the features' units;
-    residuals (n, m) are what is left of the warped simulated features, as large as at x = 0;
-    factors are those of the rows' covariances, which variances need and means do not.
-    `always` are strengths of the last columns of s, which nobody asks for: s of a point is without
-    them.
-    """
+    """Features (m,) and slopes at any point of a library: simulated points x (n, p), s (n, k),
+    scaled; scale (m,) in the features' units; residuals (n, m) of the warped features, as large as
+    at x = 0; factors of the rows' covariances.  `always` are strengths of the last columns of s,
+    without which a point is asked for."""
 
     x: np.ndarray
     s: np.ndarray
@@ -145,8 +138,7 @@ class FeatureEmulator:
     @cached_property
     def dropped_directions(self) -> np.ndarray:
         """Directions (m, r) of what no component holds of a row without effects, one standard
-        deviation each; largest entries are positive, so that draws along them do not hang on
-        rounding."""
+        deviation each; largest entries are positive, so that draws do not hang on rounding."""
         left = self.without_effects - self.held(self.without_effects)
         _, size, axes = np.linalg.svd(left, full_matrices=False)
         largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
@@ -218,19 +210,11 @@ def _along(soil: SoilResponse, x, s, direction):
     return jax.lax.map(one, (x, s))
 
 
-@kept
-def _of_components(soil: SoilResponse, x, s):
-    return soil.components(x, s)
-
-
-@kept
-def _warped(soil: SoilResponse, x, s):
-    return soil.warped(x, s)
-
-
-@kept
-def _steepness(soil: SoilResponse, x, s):
-    return soil.steepness(x, s)
+_of_components = kept(SoilResponse.components)
+_warped = kept(SoilResponse.warped)
+_steepness = kept(SoilResponse.steepness)
+_covariances_with = kept(Means.covariances)
+_covariances_of_slopes = kept(Means.covariances_of_slopes)
 
 
 def fit_emulator(
@@ -240,9 +224,8 @@ def fit_emulator(
     again: bool = False,
 ) -> FeatureEmulator:  # fmt: skip
     """The emulator of features (n, m), warped by `scale` (m,), at scaled points; kernels and
-    components already known are kept, others estimated from about `most_rows`.  noise (n, c):
-    factors on the variance that rows scatter with in each component; `always` as its own;
-    again: it is made at other starts as well, so that weights and factors are kept."""
+    components that are not known are estimated from about `most_rows`.  noise (n, c): factors on
+    the variance that rows scatter with; again: weights and factors are kept for other starts."""
     warped = np.arcsinh(features / scale)
     basis = basis or leading(warped, x, s)
     scores = basis.components(warped)
@@ -268,8 +251,7 @@ def fit_emulator(
 
 def _as_large_as_stated(kernel: Kernel, residuals: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Residuals (n,) of a component at points (n, p) with the variance that its process gives to
-    packings, soils in them and rest at x = 0: those of a fit are smaller, as some of the scatter is
-    fitted."""
+    scatter at x = 0: those of a fit are smaller, as some of the scatter is fitted."""
     alike = residuals / np.asarray(kernel.larger(x))
     return alike * np.sqrt(kernel.scatter / max(float(alike.var()), 1e-300))
 
@@ -293,13 +275,3 @@ def spread(packing: np.ndarray, most_rows: int) -> np.ndarray:
     share = min(most_rows / len(packing), 1.0)
     kept = every[np.unique((np.arange(len(every)) * share).astype(int), return_index=True)[1]]
     return np.isin(packing, kept)
-
-
-@kept
-def _covariances_with(means: Means, x, s) -> tuple[Array, Array]:
-    return means.covariances(x, s)
-
-
-@kept
-def _covariances_of_slopes(means: Means, x, s) -> tuple[Array, Array]:
-    return means.covariances_of_slopes(x, s)

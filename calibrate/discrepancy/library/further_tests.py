@@ -100,6 +100,9 @@ class Varied:
     def wrong(self, delta: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         return self._moved.wrong_at(delta, strengths)[self.rows]
 
+    def scatter(self, strengths: np.ndarray) -> np.ndarray:
+        return np.zeros((len(self.rows), len(self.rows)))
+
     def of_rows(self, keep: np.ndarray) -> "Varied":
         """The response of some of the features."""
         return Varied(self.description, self.rows[keep], self.condition)
@@ -114,9 +117,6 @@ class Varied:
             rate = d.effect_names.index(RATE)
             forces = [n in ("shear_modulus", "surface_energy") for n in d.base_names]
             faster[forces, rate] = condition.decades * d.effects[rate].typical
-        if d.emulator is None:
-            slopes = d.effect_slopes * factors + d.base_slopes @ faster
-            return replace(d, effect_slopes=slopes)
         if d.on is not None:
             on, few = d.on, (factors, faster)
             factors, faster = np.ones(len(on)), np.zeros((len(faster), len(on)))
@@ -150,8 +150,8 @@ def _entries(test: str, variation: Variation, rate: float) -> dict[str, str | bo
 
 
 def outcomes(lab: Lab, further: Sequence[Lab], cylinder: Cylinder, d: Linearised, noise: Noise):
-    """What the lab's own tests after the first two, and those of further lab files, have shown;
-    and the names of tests that say nothing here."""
+    """What the lab's tests after the first two, and those of further lab files, have shown; and the
+    names of tests that say nothing here."""
     first = {t.type_name: t for t in (lab.pair().compression, lab.pair().crushing)}
     found: list[Outcome] = []
     unused: list[str] = []
@@ -182,14 +182,14 @@ def _outcome(test, curves, file: Lab, first, cylinder: Cylinder, d: Linearised, 
         change = [_change_at_rest(c) for c in curves]
         return Outcome(held, wider * np.mean(change, keepdims=True))
     if test.type_name in first and not test.protocol and _of_shape(file, test, cylinder):
-        condition = TEST_FEATURES[test.type_name].condition(first[test.type_name], test)
-        again = _again(d, noise, test.type_name, condition, test.called, 0.0)
+        name, (longer, wider) = test.type_name, _to_size(file.cylinder_of(test.called), cylinder)
+        condition = TEST_FEATURES[name].condition(first[name], test)
+        features = [d.features[i] for i in _of_test(d, name)]
         records = [(c.displacement_mm, c.force_n) for c in curves]
-        begun = () if begins_before_contact(records) else (test.type_name,)
-        rows = np.array([
-            _of_soil(again, test.type_name, d, c, file, cylinder, begun) for c in curves
-        ])  # fmt: skip
-        return _known(again, rows)
+        begun = () if begins_before_contact(records) else (name,)
+        scaled = ({name: (longer * x, wider * force)} for x, force in records)
+        rows = [recorded_feature_values(features, curve, begun=begun) for curve in scaled]
+        return _known(_again(d, noise, name, condition, test.called, 0.0), np.array(rows))
     return None
 
 
@@ -216,18 +216,6 @@ def _known(test: FurtherTest, rows: np.ndarray) -> Outcome | None:
     return Outcome(some, rows[:, keep].mean(axis=0))
 
 
-def _of_soil(
-    again: FurtherTest, name: str, d: Linearised, curve: Curve, file: Lab, cylinder,
-    begun: Sequence[str],
-):  # fmt: skip
-    """Features (m,) of a curve at the size of the lab's specimens; begun: the test, if its records
-    begin at contact or at a preload."""
-    longer, wider = _to_size(file.cylinder_of(curve.test), cylinder)
-    features = [d.features[i] for i in (again.rows if again.rows is not None else ())]
-    scaled = {name: (curve.displacement_mm * longer, curve.force_n * wider)}
-    return recorded_feature_values(features, scaled, begun=begun)
-
-
 def _to_size(own: LabCylinder, cylinder: Cylinder) -> tuple[float, float]:
     """What takes displacements and forces of a specimen to a cylinder's size."""
     return cylinder.height / own.height, (cylinder.diameter / own.diameter) ** 2
@@ -245,9 +233,9 @@ def _scale(longer: float, wider: float) -> np.ndarray:
 
 
 def _of_machine(test: MachineTest, curve: Curve) -> np.ndarray:
-    """What a bare machine shows: reading at rest, by how much it returns elsewhere, and by how much
-    that of the known weight is off (N), displacements (mm) on loading from the first of its forces
-    on, which count from the reading at rest; NaN: what a curve does not show."""
+    """What a bare machine shows: reading at rest, by how much it returns elsewhere and that of the
+    known weight is off (N), displacements (mm) from the first of its forces on, which count from
+    the reading at rest; NaN: what a curve does not show."""
     force, before = test.force, force_before_contact(curve.force_n)
     at_rest = before if np.isfinite(before) else float(curve.force_n[0])
     after = force_before_contact(curve.force_n[::-1])  # in the air again
@@ -322,13 +310,17 @@ def _again(
     d: Linearised, noise: Noise, test: str, condition: Condition, name: str, cost: float
 ) -> FurtherTest:
     """A test repeated on fresh specimens under another condition."""
-    mine = np.flatnonzero(
-        (tests_of(d.features) == test) & np.array([f.kind not in APART for f in d.features])
-    )
+    mine = _of_test(d, test)
     labels = tuple(d.features[i].name for i in mine)
     covariance = noise.specimen[np.ix_(mine, mine)]
     response = Varied(d, mine, condition)
     return FurtherTest(name, cost, labels, response, covariance, REPEATS, REPEATS, mine)
+
+
+def _of_test(d: Linearised, test: str) -> np.ndarray:
+    """Which features of a description a test shows again."""
+    apart = np.array([feature.kind in APART for feature in d.features])
+    return np.flatnonzero((tests_of(d.features) == test) & ~apart)
 
 
 def answer_file(lab: Lab, proposal: Proposal) -> str:

@@ -1,13 +1,9 @@
 """What instruments add to a description: recording, and the force before contact.
 
-A recording misses what is sharp, and how much it misses depends on the curve: where the force
-reading lags, the turn of a curve is round already,
-and nothing is lost there.  So the shift by recording is found for several lags, and goes smoothly
-between them (monotone cubics; Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238).
-
-How a machine is steered where it turns is its own, and the simulated one is only an example: how
-far it goes beyond the force that it is asked for, and how it slows down, tell nothing of a soil
-(`steering`).
+A recording misses what is sharp; where the force reading lags, the turn of a curve is round already
+and nothing is lost there.  So the shift by recording is found for several lags, with monotone
+cubics between them (Fritsch and Carlson 1980, SIAM J. Numer. Anal. 17, 238; `BetweenLags`).
+How a machine is steered where it turns tells nothing of a soil (`steering`).
 
 Where the force before contact was recorded, it is taken off (`recorded_feature_values`), so that
 an untared load cell moves those features alone in which the machine turned by its reading.  Where
@@ -21,7 +17,8 @@ from typing import cast
 import numpy as np
 
 from calibrate.discrepancy.comparison.linear import Linearised
-from calibrate.discrepancy.comparison.recording import recording, recording_shift
+from calibrate.discrepancy.comparison.recording import REPEATS, Recordings, recordings
+from calibrate.discrepancy.comparison.reduction import along_branch
 from calibrate.discrepancy.comparison.repeats import Measured, from_vectors
 from calibrate.discrepancy.library.description import LocalEmulator
 from calibrate.discrepancy.library.measurements import STRETCHED, Measurements
@@ -56,24 +53,24 @@ def with_instruments(
     reference, air = typical(curves, usual, found), ways_through_air(found)
     lag = d.effect_names.index(LAG) if LAG in d.effect_names else None
     unit = 0.0 if lag is None else d.effects[lag].typical
-    shift, sensor, either = recording(
-        d.features, reference, found.channels, np.random.default_rng(seed), air=air
-    )
-    rows = [
-        recording_shift(
-            d.features, lagged(reference, found, lags * unit), found.channels,
-            np.random.default_rng(seed), ON_A_LAG, air,
-        )
-        for lags in (LAGS if lag is not None else ())
-    ]  # fmt: skip
-    shifts, halves = _from_none(shift, either, rows)
+
+    def read(curves: Curves, repeats: int) -> Recordings:
+        rng = np.random.default_rng(seed)
+        return recordings(d.features, curves, found.channels, rng, repeats, air)
+
+    prompt = read(reference, REPEATS)
+    late = [read(lagged(reference, found, lags * unit), ON_A_LAG)
+            for lags in (LAGS if lag is not None else ())]  # fmt: skip
+    shift, either = np.nan_to_num(prompt.shift), np.nan_to_num(prompt.either)
+    shifts, halves = _from_none(shift, either, [(one.shift, one.either) for one in late])
     turn, slopes = steering(d.features), np.zeros_like(d.effect_slopes)
     if lag is not None:
         slopes[:, lag] = BetweenLags.of(shifts).slope(0.0)
     d = replace(
-        d, mean=d.mean + shift, sensor=d.sensor + sensor, effect_slopes=d.effect_slopes + slopes,
+        d, mean=d.mean + shift, sensor=d.sensor + prompt.covariance(),
+        effect_slopes=d.effect_slopes + slopes,
         wrong=np.column_stack([d.wrong, either, turn]),
-        emulator=None if d.emulator is None else emulator_of(d).recording(
+        emulator=emulator_of(d).recording(
             BetweenLags.of(among_all(d, shifts.T).T), BetweenLags.of(among_all(d, halves.T).T), lag,
             among_all(d, turn),
         ),
@@ -137,7 +134,7 @@ def _tared(d: Linearised, tests: Sequence[str]) -> Linearised:
     slopes[rows, offset] = 0.0
     return replace(
         d, effect_slopes=slopes,
-        emulator=None if d.emulator is None else emulator_of(d).taring(offset, among_all(d, rows)),
+        emulator=emulator_of(d).taring(offset, among_all(d, rows)),
     )  # fmt: skip
 
 
@@ -220,24 +217,21 @@ def _extended(d: Linearised, features: tuple[Feature, ...], more: int, noise: fl
         effect_slopes=taller(d.effect_slopes, rows), base_errors=taller(d.base_errors),
         packing_residuals=np.hstack([d.packing_residuals, empty]),
         extra=wider(d.extra), sensor=wider(d.sensor, variance), wrong=taller(d.wrong),
-        emulator=None if d.emulator is None else emulator_of(d).longer(rows),
-        rows=None if d.rows is None or d.emulator is None else np.append(
-            d.rows, len(emulator_of(d).response.units) + np.arange(more)
-        ),
+        emulator=emulator_of(d).longer(rows),
+        rows=np.append(np.asarray(d.rows), len(emulator_of(d).response.units) + np.arange(more)),
     )  # fmt: skip
 
 
 def left_free(d: Linearised, found: Measurements) -> Linearised:
-    """The description where records of some tests begin at contact or at a preload: of each of
-    these the zeros of force and of travel and a loose seat are free, as directions in which the
-    description may be wrong.  An untared load cell and a loose seat are no candidates where no test
-    shows what comes before."""
+    """The description where records of some tests begin at contact or at a preload: the zeros of
+    force and of travel and a loose seat of each are directions in which it may be wrong.  An
+    untared load cell and a loose seat are no candidates where no test shows what comes before."""
     if not found.begun:
         return d
     columns = np.column_stack([_free(d, test) for test in found.begun])
     d = replace(
         d, wrong=np.hstack([d.wrong, columns]),
-        emulator=None if d.emulator is None else emulator_of(d).freed(among_all(d, columns)),
+        emulator=emulator_of(d).freed(among_all(d, columns)),
     )  # fmt: skip
     if any(f.test not in found.begun and f.kind not in APART for f in d.features):
         return d
@@ -260,12 +254,8 @@ def along_travel(features: Sequence[Feature], mean: np.ndarray) -> list[np.ndarr
     found = []
     for test in TEST_FEATURES.values():
         for kind in () if test.read_at_forces else test.branches:
-            rows = np.array([i for i, f in enumerate(features) if f.kind == kind], int)
-            column = np.zeros(len(mean))
-            if len(rows) > 1:
-                at = np.array([features[i].abscissa for i in rows])
-                order = np.argsort(at)
-                column[rows[order]] = np.gradient(mean[rows[order]], at[order])
+            if sum(f.kind == kind for f in features) > 1:
+                column = along_branch(features, mean, kind)
                 column[[f.test == test.name and f.unit == "mm" for f in features]] = -1.0
                 found.append(column)
     return found

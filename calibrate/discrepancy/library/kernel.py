@@ -1,22 +1,20 @@
 """Hyperparameters of the emulator's processes (`calibrate.response.process`), scatter of rows.
 
-What a packing does to all its rows has a variance of its own, so that
-slopes rest on differences within packings (blocks); so has what it does to all rows of one soil
-(soil blocks within it, whose rows differ in effects and pace alone): the less is left, the better
-an effect is estimated.  Some soils scatter more than others, and coarse beds more than fine ones:
+What a packing does to all its rows has a variance of its own, so that slopes rest on differences
+within packings; so has what it does to all rows of one soil (soil blocks, whose rows differ in
+effects and pace alone).  Some soils scatter more than others, and coarse beds more than fine ones:
 all three deviations go with exp(g.x).
 
-Factors of covariances are made by LAPACK, in threads, when they are first asked for; those of a
-library that serves again are kept beside the compiled programs (`calibrate.core.kept`).
+Factors of covariances are made by LAPACK, in threads; those of a library that serves again are kept
+beside the compiled programs (`calibrate.core.kept`).
 
 Rows that follow other conventions of the contact law (`other_law`) have one column of strengths
-more, 1 for them and 0 for all others: what conventions change is a function of the soil, as what an
-effect changes is.  Its hyperparameters are found with all others held (`Column`).
+more, 1 for them and 0 for all others; its hyperparameters are found with all others held.
 
 Hyperparameters maximise the marginal likelihood (Rasmussen and Williams 2006, chapters 2 and 5).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -106,27 +104,15 @@ class Pairs(NamedTuple):
         return Pairs(row, other, (soil[row] == soil[other]).astype(float))
 
 
-def scatter_of_rows(kernel: Kernel, x, blocks: Blocks):
-    """Covariance (n, n) of what packings, soils in them and rest add."""
-    larger = kernel.larger(x)
-    return larger[:, None] * larger * _scatter(kernel, *blocks, jnp.eye(len(x)))
-
-
+@kept
 def scatter_of_pairs(kernel: Kernel, x, pairs: Pairs):
-    """The same (q,) for pairs of rows."""
+    """Covariance (q,) of pairs of rows by what packings, soils in them and rest add."""
     row, other, one_soil = pairs
     larger = kernel.larger(x)
     return larger[row] * larger[other] * _scatter(kernel, 1.0, one_soil, row == other)
 
 
-@kept
-def _of_pairs(kernel: Kernel, x, pairs: Pairs):
-    return scatter_of_pairs(kernel, x, pairs)
-
-
-@kept
-def _of_block(kernel: Kernel, x, s, x2, s2):
-    return covariance(kernel, x, s, x2, s2)
+_of_block = kept(covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +133,7 @@ class RowCovariance:
         """The part of scatter (q,), for pairs of rows."""
         row, other, _ = self.pairs
         factor = np.sqrt(self.noise[row] * self.noise[other])
-        return np.asarray(_of_pairs(self.kernel, self.x, self.pairs)) * factor
+        return np.asarray(scatter_of_pairs(self.kernel, self.x, self.pairs)) * factor
 
     def left(self, weights: np.ndarray) -> np.ndarray:
         """What a process of these weights (n,) leaves of the rows (n,)."""
@@ -182,8 +168,8 @@ def _blocks(count: int) -> list[slice]:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Cholesky factors (n, n) of the covariances of rows, by component; made in threads, from
-    `begin` on or when one is first asked for."""
+    """Cholesky factors (n, n) of the covariances of rows, by component; made by LAPACK in threads,
+    from `begin` on or when one is first asked for."""
 
     of: Sequence[RowCovariance]
 
@@ -218,7 +204,9 @@ def _scatter(kernel: Kernel, packing, soil_block, alike):
 
 
 def _total(kernel: Kernel, x, s, blocks: Blocks):
-    return covariance(kernel, x, s, x, s) + scatter_of_rows(kernel, x, blocks)
+    larger = kernel.larger(x)
+    scatter = larger[:, None] * larger * _scatter(kernel, *blocks, jnp.eye(len(x)))
+    return covariance(kernel, x, s, x, s) + scatter
 
 
 @jax.jit
@@ -237,25 +225,13 @@ _loss_and_slope = jax.jit(jax.value_and_grad(_loss))
 def fit_kernel(x, s, packing, y) -> Kernel:
     """The kernel with the largest marginal likelihood of standardised values y (n,)."""
     first = start(x.shape[1], s.shape[1])
-    flat, unflatten = ravel_pytree(first)
-    blocks = Blocks.of(x, packing)
-
-    def objective(values):
-        value, slope = _loss_and_slope(unflatten(jnp.asarray(values)), first, x, s, blocks, y)
-        found = float(value)
-        gradient = np.asarray(ravel_pytree(slope)[0], float)
-        return (found, gradient) if np.isfinite(found) else (1e10, np.zeros(len(values)))
-
-    bounds = [(-6.0, 3.0)] * len(flat)
-    options = {"maxiter": ITERATIONS}
-    done = minimize(objective, np.asarray(flat), jac=True, bounds=bounds, options=options)
-    return Kernel(*[np.asarray(part) for part in unflatten(jnp.asarray(done.x))])
+    known, options = (first, x, s, Blocks.of(x, packing), y), {"maxiter": ITERATIONS}
+    return Kernel(*map(np.asarray, _likeliest(_loss_and_slope, first, known, options)))
 
 
 @jax.jit
 def _loss_of_column(values, kernel: Kernel, x, s, blocks: Blocks, y):
-    column, start = Column(*values), Column(*COLUMN)
-    at, about = (one.joined(kernel) for one in (column, start))
+    at, about = (Column(*each).joined(kernel) for each in (values, COLUMN))
     return _loss(at, about, x, s, blocks, y)
 
 
@@ -265,13 +241,20 @@ _column_and_slope = jax.jit(jax.value_and_grad(_loss_of_column))
 def fit_column(kernel: Kernel, x, s, packing, y) -> Column:
     """The column with the largest marginal likelihood of standardised values y (n,), the kernel of
     all others held; s (n, k + 1) with the column behind the others."""
-    blocks = Blocks.of(x, packing)
+    known = kernel, x, s, Blocks.of(x, packing), y
+    return Column(*_likeliest(_column_and_slope, np.array(COLUMN), known, {}).tolist())
+
+
+def _likeliest(loss_and_slope: Callable, first: Kernel | np.ndarray, known: tuple, options: dict):
+    """Hyperparameters in the place of `first` at which a loss of these and of what is known is
+    least."""
+    flat, unflatten = ravel_pytree(first)
 
     def objective(values):
-        value, slope = _column_and_slope(jnp.asarray(values), kernel, x, s, blocks, y)
-        good = np.isfinite(float(value))
-        return (float(value), np.asarray(slope, float)) if good else (1e10, 0.0 * values)
+        value, slope = loss_and_slope(unflatten(jnp.asarray(values)), *known)
+        gradient = np.asarray(ravel_pytree(slope)[0], float)
+        return (float(value), gradient) if np.isfinite(float(value)) else (1e10, 0.0 * values)
 
-    bounds = [(NOTHING, 3.0)] * len(COLUMN)
-    done = minimize(objective, np.array(COLUMN), jac=True, bounds=bounds, method="L-BFGS-B")
-    return Column(*done.x.tolist())
+    bounds = [(NOTHING, 3.0)] * len(flat)
+    done = minimize(objective, np.asarray(flat), jac=True, bounds=bounds, options=options)
+    return unflatten(jnp.asarray(done.x))

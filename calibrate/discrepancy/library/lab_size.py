@@ -1,10 +1,9 @@
 """A lab's own size beside the library's, how one is turned into the other, and a lab's prior.
 
-Quasi-static tests on specimens of one shape depend on strain and stress alone.  So what the library
-knows of its own cylinder holds for a lab's in proportion: displacements as diameters, forces as
-areas, times as displacements over the platens' speeds, and strengths of effects by their units.
-What does not go in proportion, height over diameter and the largest stress, are coordinates of the
-library (`design.SHAPE`).  Everything that a description says is in the lab's own mm, N and s.
+Quasi-static tests on specimens of one shape depend on strain and stress alone, so displacements go
+as diameters, forces as areas, times as displacements over the platens' speeds, and strengths of
+effects by their units.  Height over diameter and the largest stress are coordinates of the library
+(`design.SHAPE`).  Everything that a description says is in the lab's own mm, N and s.
 """
 
 from collections.abc import Mapping, Sequence
@@ -106,7 +105,7 @@ class LabSize:
 
 def _within(shape: np.ndarray, library: RunLibrary, lab: Lab) -> np.ndarray:
     """A shape (2,) brought within those of the runs; refused where it is too far from them."""
-    covered = library.base[:, SHAPE_COLUMNS]
+    covered = library.rows.base[:, SHAPE_COLUMNS]
     low, high = covered.min(axis=0), covered.max(axis=0)
     inside = np.clip(shape, low, high)
     for axis, (what, field) in enumerate(_CALLED):
@@ -150,7 +149,7 @@ def soil_prior_of(
 ) -> SoilPrior:
     """The prior about a soil (SI values by name) that is pressed at a pace, the platen's speed in
     the mould over the library's fast one; soil_sd: deviations of ln p where they differ; shape (2,)
-    of the specimen over the library's, which is the usual one."""
+    of the specimen over the library's."""
     design, given = library.design, soil_sd or {}
     names = design.soil_names
     offset = [np.log(soil[name] / design.centre[name]) for name in names]
@@ -200,7 +199,7 @@ def parameters_beyond(library: RunLibrary, offset: np.ndarray) -> tuple[str, ...
 def reach(library: RunLibrary) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest ln p over the library's centre (q,), each, to which its runs carry."""
     sd = soil_sd(library)
-    runs = np.sort(library.base[:, : len(sd)] / sd, axis=0)
+    runs = np.sort(library.rows.base[:, : len(sd)] / sd, axis=0)
     last = min(CARRYING, len(runs))
     high = np.maximum(runs[-last], FURTHEST) + EDGE
     return sd * (np.minimum(runs[last - 1], -FURTHEST) - EDGE), sd * high

@@ -42,10 +42,10 @@ STRETCHED = (0.2, 5.0)  # of curves like the lab's, at least and at most
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What a lab measured: which of the library's features it has, of each specimen and their
-    means; `before` are means before contact (s, 2), NaN where there are none; channels and speeds
-    (mm/s) by test; curves of the specimens that have any; `begun`: by test the force (N) at which
-    its records begin, of tests whose records hold no reading before contact."""
+    """What a lab measured: features and which of the library's they are (`chosen`); means before
+    contact (s, 2), NaN where there are none; channels and speeds (mm/s) by test; curves of the
+    specimens that have any; `begun`: by test the force (N) at which records begin that hold no
+    reading before contact."""
 
     measured: Measured
     chosen: np.ndarray
@@ -57,8 +57,7 @@ class Measurements:
 
     @property
     def repeats(self) -> dict[str, int]:
-        """How many specimens each test was made on, of tests that were made; a record that is given
-        twice counts once."""
+        """How many specimens each test was made on; a record that is given twice counts once."""
         found: dict[str, int] = {}
         for test in TESTS:
             curves = {np.array(c[test]).tobytes() for c in self.specimens if test in c}
@@ -137,8 +136,8 @@ def _beside_curves(lab: Lab, specimens: Sequence[Curves]) -> list[str]:
 
 
 def _like(target: Target) -> np.ndarray:
-    """As many values (n, 1) as there were repeats, with their mean and their scatter: normal order
-    statistics, as single values are not kept."""
+    """As many values (n, 1) as there were repeats, with their mean and scatter: normal order
+    statistics."""
     count = max(target.repeats, 1)
     score = ndtri((np.arange(count) + 0.5) / count)
     spread = score.std(ddof=1) if count > 1 else 1.0
@@ -193,9 +192,8 @@ def way_between(
     like: tuple[np.ndarray, np.ndarray], curve: tuple[np.ndarray, np.ndarray], low: float,
     high: float,
 ) -> float:  # fmt: skip
-    """The way (mm) from one force (N) to another on a curve, told by another one `like` it: this is
-    stretched in force so that both have one peak, and in displacement so that both rise alike
-    between a fifth and three fifths of it."""
+    """The way (mm) from one force (N) to another on a curve, told by another one `like` it,
+    stretched so that both have one peak and rise alike between a fifth and three fifths of it."""
     (x, force), (own_x, own) = like, curve
     wider = own.max() / force.max()
     shares = np.array([0.2, 0.6])
@@ -213,8 +211,7 @@ def _rise_at(displacement: np.ndarray, force: np.ndarray, levels: np.ndarray) ->
 
 def _before(specimens: Sequence[Curves], begun: Collection[str] = ()) -> np.ndarray:
     """Forces before contact (s, 2) in the order of TESTS; a curve that does not show its own is
-    given the mean of the others, NaN where none shows it, where records begin at contact, or where
-    there is no curve."""
+    given the mean of the others; NaN where none shows it, or there is no curve."""
     found = np.array([
         [
             force_before_contact(curves[test][1]) if test in curves and test not in begun

@@ -1,12 +1,11 @@
 """What another code's conventions change in the features that a library of runs predicts.
 
-Beside the rows of a library, which follow its own conventions, lie rows of soils that follow others
+Beside the rows of a library lie rows of soils that follow other conventions
 (`calibrate.io.conventions`).  Their coordinates are taken about a centre of their own, as a
 parameter may mean another thing there; what the conventions hold is held at that centre.  A column
-of strengths tells the emulator which rows are which (`kernel.Column`), so that all that is known of
-the library's soils helps: what conventions change is smoother than what soils do (Kennedy and
-O'Hagan 2000, Biometrika 87, 1).  Effects are taken to change warped features as they do in the
-library's conventions.
+of strengths tells the emulator which rows are which (`kernel.Column`): what conventions change is
+smoother than what soils do (Kennedy and O'Hagan 2000, Biometrika 87, 1).  Effects are taken to
+change warped features as they do in the library's conventions.
 """
 
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from calibrate.discrepancy.library.design import Design
 from calibrate.discrepancy.library.emulator import MOST_ROWS, FeatureEmulator, leading, spread
 from calibrate.discrepancy.library.kernel import fit_column, fit_kernel
 from calibrate.discrepancy.library.run_library import Cylinder, OtherLaw, Rows, RunLibrary
-from calibrate.discrepancy.library.simulate import RunPoints, Simulator, run_points
+from calibrate.discrepancy.library.simulate import Simulator, run_points
 from calibrate.io.conventions import HELD, held_by
 from calibrate.io.lab import Lab
 from calibrate.simulation import HERE, AbstractPlace
@@ -61,15 +60,13 @@ def simulate(
 ) -> Rows:  # fmt: skip
     """Rows under other conventions in the cylinder and with the sizes of a library's design."""
     under = replace(design, centre=centre_of(conventions, design))
-    base, packing = under.plain_rows(packings, EACH)
+    points = under.plain_rows(packings, EACH)
+    points = replace(points, seeds=points.seeds + FIRST)
     held = [i for i, name in enumerate(under.soil_names) if name in HELD.get(conventions, {})]
-    base[:, held] = 0.0
-    spheres = [under.plain_spheres(int(j)) for j in packing]
-    none = np.zeros((len(base), len(under.limits)))
-    points = RunPoints(base, none, spheres, 1000 * under.seed + FIRST + packing)
+    points.base[:, held] = 0.0
     simulator = Simulator(lab.following(conventions), folder, place=place)
     runs = run_points(under, points, simulator, progress)
-    return Rows.of(Cylinder.of(lab), base, none, packing, runs)
+    return Rows.of(Cylinder.of(lab), points, runs)
 
 
 def fitted(rows: Rows, library: RunLibrary) -> OtherLaw:
@@ -80,13 +77,13 @@ def fitted(rows: Rows, library: RunLibrary) -> OtherLaw:
     basis, joined = own.basis.longer(axes, deviation), _joined(rows, library)
     x, s = joined.scaled()
     scores = basis.components(np.arcsinh(joined.of_soils / own.scale))
-    known, few = joined.law == 0, spread(library.packing, MOST_ROWS)
+    known, few = joined.law == 0, spread(library.rows.packing, MOST_ROWS)
     further = scores[known, len(own.components) :][few].T
-    at = (x[known][few], s[known, :-1][few], library.packing[few])
+    at = (x[known][few], s[known, :-1][few], library.rows.packing[few])
     kernels = tuple(fit_kernel(*at, y) for y in further)
     plain = (s[:, :-1] == 0).all(axis=1)
     columns = tuple(
-        fit_column(kernel, x[plain], s[plain], joined.packing[plain], y)
+        fit_column(kernel, x[plain], s[plain], joined.rows.packing[plain], y)
         for kernel, y in zip((*library.kernels, *kernels), scores[plain].T, strict=True)
     )
     found = OtherLaw(rows, axes, deviation, kernels, columns, np.ones(len(columns)))
@@ -133,7 +130,7 @@ def _with(other: OtherLaw, library: RunLibrary) -> RunLibrary:
 
 def _joined(rows: Rows, library: RunLibrary) -> RunLibrary:
     """The library with these rows, whose machines have no errors, behind its own."""
-    marked = replace(library, law=np.zeros(len(library.base)))
+    marked = replace(library, law=np.zeros(len(library.rows.base)))
     shift = library.machine_shift
     none = np.zeros_like(rows.values)
     return replace(

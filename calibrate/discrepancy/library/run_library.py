@@ -1,7 +1,7 @@
 """The library of runs: points, the features of their curves, fitted kernels, one reference curve.
 
-A row is one simulated specimen.  What the errors of its machine add to it is kept apart, so that
-the emulator interpolates features without them (`machine`).
+A row is one simulated specimen.  What the errors of its machine add to it is kept apart from what
+the emulator interpolates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +12,9 @@ import numpy as np
 from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
     Repeats,
-    TrainingPoints,
     cross_validate,
 )
-from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS, Design
+from calibrate.discrepancy.library.design import SHAPE, SHAPE_COLUMNS, Design, RunPoints
 from calibrate.discrepancy.library.emulator import (
     MOST_ROWS,
     Basis,
@@ -88,28 +87,30 @@ class Rows:
     values: np.ndarray
 
     @staticmethod
-    def of(
-        cylinder: Cylinder, base: np.ndarray, strengths: np.ndarray, packing: np.ndarray,
-        runs: Sequence[Run | None],
-    ) -> "Rows":  # fmt: skip
+    def of(cylinder: Cylinder, points: RunPoints, runs: Sequence[Run | None]) -> "Rows":
         """The rows of runs (None: not simulated) on specimens shaped as their base coordinates say,
         without failed and incomplete ones."""
-        values = features_of(cylinder, base[:, SHAPE_COLUMNS], runs)
+        values = features_of(cylinder, points.base[:, SHAPE_COLUMNS], runs)
         good = np.asarray(np.isfinite(values).all(axis=1))
-        return Rows(base, strengths, packing, values).some(good)
+        return Rows(points.base, points.strengths, points.packing, values).some(good)
 
     def some(self, kept: np.ndarray) -> "Rows":
         """Those of a mask (n,)."""
-        parts = (self.base, self.strengths, self.packing, self.values)
-        return Rows(*(part[kept] for part in parts))
+        return Rows(*(part[kept] for part in vars(self).values()))
+
+    def joined(self, more: "Rows", first: int) -> "Rows":
+        """With more behind these, their packings numbered from `first` on."""
+        more = replace(more, packing=first + more.packing)
+        parts = zip(vars(self).values(), vars(more).values(), strict=True)
+        return Rows(*map(np.concatenate, parts))
 
 
 @dataclass(frozen=True, eq=False)
 class OtherLaw:
-    """Rows without effects that follow other conventions than a library of runs, and how they
-    differ: along axes (e, m) that none of the library's components holds, with deviations (e,) and
-    kernels of their own, and by a column of the kernel for each component, these last.  widening:
-    factors (c + e,) on the variances of values that the emulator states under the conventions."""
+    """Rows without effects that follow other conventions than a library, and how they differ: along
+    axes (e, m) that none of its components holds, with deviations (e,) and kernels, and by a column
+    of the kernel for each component, these last.  widening: factors (c + e,) on the variances of
+    values that the emulator states under the conventions."""
 
     rows: Rows
     axes: np.ndarray
@@ -121,21 +122,16 @@ class OtherLaw:
 
 @dataclass(frozen=True, eq=False)
 class RunLibrary:
-    """Simulated rows: base coordinates (n, p), strengths in SI (n, k), packing (n,), values of
-    all features (n, m), a reference specimen's curves, the platen's speeds (mm/s) in both tests,
-    and repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
-    errors, and what the machine adds to the rows, machine_shift (n, m), by its errors that are told
-    in closed form.  Rows of other shapes are on specimens of the cylinder's diameter.  Beside the
-    rows lie, by name, those of other conventions; once they are joined, `law` (n,) is 1 for these
-    and 0 for the library's own, and `basis` holds the components of both."""
+    """Simulated rows, a reference specimen's curves, the platen's speeds (mm/s) in both tests, and
+    repeats, where a soil's number stands for the packing.  Once fitted: kernels, the emulator's
+    errors, and machine_shift (n, m): what the errors of the machine that are told in closed form
+    add to the rows.  Beside the rows lie, by name, those of other conventions; once joined, `law`
+    (n,) is 1 for these and 0 for the library's own, and `basis` holds the components of both."""
 
     design: Design
     cylinder: Cylinder
     physics: int
-    base: np.ndarray
-    strengths: np.ndarray
-    packing: np.ndarray
-    values: np.ndarray
+    rows: Rows
     reference: Curves
     kernels: tuple[Kernel, ...] = ()
     emulator_errors: EmulatorErrors | None = None
@@ -161,16 +157,15 @@ class RunLibrary:
 
     def scaled(self) -> tuple[np.ndarray, np.ndarray]:
         """Points as the emulator takes them: over their spread, over limits, some of these
-        `squared`; with the conventions that rows follow behind their strengths, where they
-        differ."""
-        x, s = self.base / self.design.spread(), self.strengths / limits(self.design)
+        `squared`; with the conventions of rows behind their strengths, where they differ."""
+        x, s = self.rows.base / self.design.spread(), self.rows.strengths / limits(self.design)
         s = np.where(self.squared, s * np.abs(s), s)
         return x, s if self.law is None else np.column_stack([s, self.law])
 
     @property
     def squared(self) -> np.ndarray:
         """The strengths (k,) whose squares the emulator takes, their sign kept: equations tell what
-        goes with the strength itself (`machine.MACHINE`)."""
+        goes with the strength itself."""
         told = self.told if self.machine_shift is not None else ()
         return np.isin(self.design.effect_names, [name for name in told if name in MACHINE])
 
@@ -182,7 +177,8 @@ class RunLibrary:
     @property
     def of_soils(self) -> np.ndarray:
         """Values (n, m) less what the machine adds."""
-        return self.values if self.machine_shift is None else self.values - self.machine_shift
+        values, shift = self.rows.values, self.machine_shift
+        return values if shift is None else values - shift
 
     def machine(self, force: float = 1.0) -> Machine:
         """What its errors do to the features; those that no row has are not told.  force: by what a
@@ -199,66 +195,48 @@ class RunLibrary:
         return np.array([self.design.effect_names.index(n) for n in self.machine().told], int)
 
     def emulator(self, most_rows: int = MOST_ROWS, again: bool = False) -> FeatureEmulator:
-        """The emulator of all features as a machine without errors reads them; kernels that are not
-        known are estimated from about `most_rows`; again: as `fit_emulator`."""
+        """That of all features as a machine without errors reads them (`fit_emulator`)."""
         points, kernels = self.scaled(), self.kernels or None
         return fit_emulator(
-            *points, self.packing, self.of_soils, self.scale(), kernels, self.basis,
+            *points, self.rows.packing, self.of_soils, self.scale(), kernels, self.basis,
             most_rows=most_rows, always=self.always, again=again,
         )  # fmt: skip
 
     def grown(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
         """The library with the runs of a larger design's further packings; not fitted."""
-        first = self.design.packings
-        packing = design.of_packing
-        later = packing >= first
-        base, strengths = (part[later] for part in design.rows())
-        rows = Rows.of(self.cylinder, base, strengths, packing[later] - first, runs)
         as_large = replace(design, shaped=self.design.shaped, refined=self.design.refined)
-        return replace(self.joined(rows, first), design=as_large, kernels=(), emulator_errors=None)
+        return self._with(as_large, design.rows(self.design.packings), runs)
 
     def with_shapes(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
-        """The library with the runs of a design's rows of other shapes, where it has none; not
-        fitted."""
+        """The library with the runs of a design's rows of other shapes; not fitted."""
         as_shaped = replace(design, refined=self.design.refined)
         return self._with(as_shaped, design.shaped_rows(), runs)
 
     def refined(self, design: Design, runs: Sequence[Run | None]) -> "RunLibrary":
-        """The library with the runs of a design's effects that are sampled again, behind those that
-        it has; not fitted."""
+        """The library with the runs of more effects that are sampled again; not fitted."""
         return self._with(design, design.refined_rows(self.design.refined), runs)
 
-    def _with(
-        self, design: Design, points: tuple[np.ndarray, np.ndarray, np.ndarray],
-        runs: Sequence[Run | None],
-    ) -> "RunLibrary":  # fmt: skip
-        rows = Rows.of(self.cylinder, *points, runs)
+    def _with(self, design: Design, points: RunPoints, runs: Sequence[Run | None]) -> "RunLibrary":
+        rows = Rows.of(self.cylinder, points, runs)
         return replace(self.joined(rows, 0), design=design, kernels=(), emulator_errors=None)
 
     def joined(self, rows: "Rows", first: int | None = None) -> "RunLibrary":
         """The library with further runs behind its own, their packings numbered from `first` (after
         its own) on; kernels stay, what the machine adds has to be estimated again."""
-        packing = (self.packing.max() + 1 if first is None else first) + rows.packing
-        return replace(
-            self,
-            machine_shift=None,
-            law=None if self.law is None else np.append(self.law, np.ones(len(rows.base))),
-            base=np.vstack([self.base, rows.base]),
-            strengths=np.vstack([self.strengths, rows.strengths]),
-            packing=np.concatenate([self.packing, packing]),
-            values=np.vstack([self.values, rows.values]),
-        )
+        first = int(self.rows.packing.max()) + 1 if first is None else first
+        law = None if self.law is None else np.append(self.law, np.ones(len(rows.base)))
+        return replace(self, rows=self.rows.joined(rows, first), law=law, machine_shift=None)
 
     def machine_shifts(self, emulator: FeatureEmulator) -> np.ndarray:
         """What the machine adds to the rows (n, m), by an emulator of features without that."""
         (x, s), of_machine = self.scaled(), self._of_machine
-        strengths = self.strengths[:, of_machine]
+        strengths = self.rows.strengths[:, of_machine]
         s = s.copy()
         s[:, of_machine] = 0.0
         on = np.flatnonzero(strengths.any(axis=1))
-        added = np.zeros_like(self.values)
+        added = np.zeros_like(self.rows.values)
         if len(on):
-            s, shape = s[on, : self.strengths.shape[1]], self.base[on][:, SHAPE_COLUMNS]
+            s, shape = s[on, : self.rows.strengths.shape[1]], self.rows.base[on][:, SHAPE_COLUMNS]
             over = overloads(self.machine(), strengths[on], shape)
             pressed, each = x[on].copy(), self.design.spread()[STRESS]
             pressed[:, STRESS] += over / each
@@ -270,9 +248,8 @@ class RunLibrary:
 
     def _with_good_machines(self) -> "RunLibrary":
         """The rows whose machine has no errors that are told in closed form."""
-        on = ~self.strengths[:, self._of_machine].any(axis=1)
-        parts = {name: getattr(self, name)[on] for name in ("base", "strengths", "packing")}
-        return replace(self, **parts, values=self.values[on], machine_shift=None, kernels=())
+        on = np.asarray(~self.rows.strengths[:, self._of_machine].any(axis=1))
+        return replace(self, rows=self.rows.some(on), machine_shift=None, kernels=())
 
     def scale(self) -> np.ndarray:
         """By what the emulator warps features, shape (m,)."""
@@ -283,17 +260,15 @@ class RunLibrary:
         library = self._with_machine_shift()
         emulator = library.emulator()
         kernels = tuple(c.kernel for c in emulator.components)
-        points = TrainingPoints(
-            *library.scaled(), library.packing, library.of_soils, library.scale(), kernels
-        )
-        errors = cross_validate(points, emulator, library._soils_repeated())
+        rows = library.rows.packing, library.of_soils
+        errors = cross_validate(emulator, *rows, library._soils_repeated())
         return replace(library, kernels=kernels, emulator_errors=errors)
 
     def _with_machine_shift(self) -> "RunLibrary":
-        """The rows with what their machines add, not fitted: first by an emulator of the rows
-        with good machines, then by one of all rows."""
+        """The rows with what their machines add: first by an emulator of those with good machines,
+        then by one of all."""
         plain = replace(self, machine_shift=None, kernels=(), told=TOLD, filling=None)
-        if not self.strengths[:, plain._of_machine].any():
+        if not self.rows.strengths[:, plain._of_machine].any():
             return plain
         emulator = plain._with_good_machines().emulator(ROWS_FOR_MACHINES)
         plain = replace(plain, filling=plain._filling(emulator))
@@ -306,12 +281,12 @@ class RunLibrary:
         """What fuller moulds do, by the rows with nothing else at work."""
         if DENSITY not in self.design.effect_names:
             return None
-        growth = self.strengths[:, self.design.effect_names.index(DENSITY)]
-        on = (growth > 0) & ((self.strengths != 0).sum(axis=1) == 1)
-        slender, none = np.exp(self.base[on, SLENDERNESS]), np.zeros(len(self.design.limits))
+        growth = self.rows.strengths[:, self.design.effect_names.index(DENSITY)]
+        on = (growth > 0) & ((self.rows.strengths != 0).sum(axis=1) == 1)
+        slender, none = np.exp(self.rows.base[on, SLENDERNESS]), np.zeros(len(self.design.limits))
         x = self.scaled()[0][on]
         before = emulator.along(x, np.tile(none, (len(x), 1)), STRESS)[0]
-        known = self.values[on], growth[on], 1e3 * self.cylinder.height * slender
+        known = self.rows.values[on], growth[on], 1e3 * self.cylinder.height * slender
         return Filling.of(self.features, before, *known)
 
     def _soils_repeated(self) -> Repeats | None:
@@ -348,8 +323,8 @@ def curves_of(run: Run) -> Curves:
 
 
 def features_of(cylinder: Cylinder, shapes: np.ndarray, runs: Sequence[Run | None]) -> np.ndarray:
-    """Values (n, m) of the features of runs on specimens whose shapes (n, 2) over a cylinder are
-    given; NaN where one is missing, or the run."""
+    """Values (n, m) of the features of runs on specimens of shapes (n, 2) over a cylinder; NaN for
+    what is missing."""
     values = np.full((len(runs), len(cylinder.features())), np.nan)
     for row, (shape, run) in enumerate(zip(shapes, runs, strict=True)):
         if run is not None and not run.failure:
@@ -358,20 +333,11 @@ def features_of(cylinder: Cylinder, shapes: np.ndarray, runs: Sequence[Run | Non
     return values
 
 
-def repeats_of(design: Design, lab: Lab, runs: Sequence[Run | None]) -> Rows:
-    """A design's repeats by soil, without failed and incomplete ones."""
-    base, soil = design.repeats()
-    none = np.zeros((len(base), len(design.limits)))
-    return Rows.of(Cylinder.of(lab), base, none, soil, runs)
-
-
 def collect(design: Design, lab: Lab, runs: Sequence[Run | None], reference: Run) -> RunLibrary:
     """The library of a design's runs (None: not simulated), without failed and incomplete ones and
     without repeats."""
     cylinder = Cylinder.of(lab)
-    rows = Rows.of(cylinder, *design.rows(), design.of_packing, runs)
     return RunLibrary(
-        design, cylinder, PHYSICS,
-        rows.base, rows.strengths, rows.packing, rows.values, curves_of(reference),
+        design, cylinder, PHYSICS, Rows.of(cylinder, design.rows(), runs), curves_of(reference),
         speed=1e3 * lab.pair().compression.rate, crushing_speed=1e3 * lab.pair().crushing.rate,
     )  # fmt: skip

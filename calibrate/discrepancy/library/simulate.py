@@ -15,14 +15,7 @@ import numpy as np
 
 from calibrate.core.errors import CalibrationError, InputError
 from calibrate.core.progress import AbstractProgress, Silent
-from calibrate.discrepancy.library.design import (
-    FIRST_REFINED,
-    FIRST_REPEAT,
-    FIRST_SHAPED,
-    SMOOTHING,
-    SPEEDS,
-    Design,
-)
+from calibrate.discrepancy.library.design import SLOW, SMOOTHING, SPEEDS, Design, RunPoints
 from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
 from calibrate.io.lab import Lab
 from calibrate.io.soil import base_soil, with_values
@@ -54,17 +47,14 @@ COSTLY = (CapillaryTension, Cementation)  # longer lists of neighbours, memories
 
 @dataclass(eq=False)
 class Simulator:
-    """Runs single specimens of a lab's tests with effects and settings of any strength.
-
-    One compiled program serves all that have the same number of spheres, height and class of
-    porosity, a second one those without costly effects: strength 0 changes no bit.
-    """
+    """Runs single specimens of a lab's tests with effects and settings of any strength; one
+    compiled program serves all of one number of spheres, height and class of porosity, a second one
+    those without costly effects: strength 0 changes no bit."""
 
     lab: Lab
     folder: Path
     effects: tuple[AbstractEffect, ...] = ()
     costly: tuple[type[AbstractEffect], ...] = COSTLY
-    dtype: str = "float32"
     place: AbstractPlace = HERE
     _campaigns: dict[tuple, Campaign] = field(default_factory=dict)
 
@@ -95,12 +85,6 @@ class Simulator:
         except CalibrationError as error:  # this packing does not stand
             return not_simulated(lab, str(error))
 
-    def porosity(self, spheres: int) -> float:
-        """The usual one of a bed of this many spheres."""
-        usual = specimen(self.lab, replace(PRESET, spheres=spheres)).porosity
-        assert usual is not None  # PRESET grows its beds
-        return usual
-
     @property
     def slots(self) -> int:
         """How many specimens may be handed in at once."""
@@ -114,11 +98,11 @@ class Simulator:
         if key not in self._campaigns:
             own = shaped(self.lab, slenderness, stress)
             speed = round(pace * PRESET.rate_in_mould, 6)
-            count = in_all(spheres, slenderness)
+            count = round(spheres * math.exp(slenderness))
             preset = replace(PRESET, spheres=count, rate_in_mould=speed)
             cylinder = loosened(specimen(own, preset), loose)
             room = loosened(specimen(own, preset), densest(loose))
-            numerics = numerics_for(room, dtype=self.dtype)
+            numerics = numerics_for(room, dtype="float32")
             kept = tuple(e for e in self.effects if not (lean and isinstance(e, self.costly)))
             tests = virtual_lab(own, preset, numerics).tests
             lab = VirtualLab.of(room, tests, numerics, kept)
@@ -134,15 +118,9 @@ def switched_off(
     return tuple(effect(0.0) for effect in effects.values())
 
 
-def in_all(spheres: int, slenderness: float) -> int:
-    """Number of spheres of a specimen whose height is exp(slenderness) times the library's, for
-    this many in that."""
-    return round(spheres * math.exp(slenderness))
-
-
 def shaped(lab: Lab, slenderness: float, stress: float = 0.0) -> Lab:
-    """A lab whose height and largest stress are exp(slenderness) and exp(stress) times as large;
-    the test in the mould reads its depth between as many times the forces."""
+    """A lab whose height is exp(slenderness) times as large, and whose forces of the depth are
+    exp(stress) times."""
     if not (slenderness or stress):
         return lab
     own, high = lab.specimen, lab.pair().compression.force_high
@@ -162,8 +140,8 @@ def resized(lab: Lab, diameter: float, height: float, force_high: float) -> Lab:
 
 
 def densest(loose: float) -> float:
-    """The least porosity, over the usual one, of the class of specimens for which one program is
-    compiled: that of their lists of neighbours and samples, made for the largest spheres."""
+    """The least porosity, over the usual one, of a class of specimens: lists of neighbours and
+    samples of its one program are made for the largest spheres."""
     return round(math.floor(loose / POROSITY_CLASS) * POROSITY_CLASS, 6)
 
 
@@ -171,68 +149,6 @@ def loosened(cylinder: Specimen, loose: float) -> Specimen:
     """A specimen of a porosity that is larger by `loose`."""
     assert cylinder.porosity is not None  # PRESET grows its beds
     return replace(cylinder, porosity=round(cylinder.porosity + loose, 4)) if loose else cylinder
-
-
-def run_design(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None,
-    first: int = 0,
-) -> list[Run]:  # fmt: skip
-    """Runs of a design from the packing `first` on, in the order of its rows; failed ones keep
-    their place."""
-    base, strengths = design.rows()
-    packing = design.of_packing
-    spheres = [design.spheres_of(int(j)) for j in packing]
-    later = packing >= first
-    points = RunPoints(
-        base[later], strengths[later], np.array(spheres)[later].tolist(),
-        1000 * design.seed + packing[later],
-    )  # fmt: skip
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_repeats(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """Runs of a design's repeats, in their order; failed ones keep their place."""
-    base, soils = design.repeats()
-    none = np.zeros((len(base), len(design.limits)))
-    spheres = [design.spheres_of(int(soil)) for soil in soils]
-    packing = FIRST_REPEAT + np.arange(len(base))
-    points = RunPoints(base, none, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_shaped(
-    design: Design, simulator: Simulator, progress: AbstractProgress, workers: int | None = None
-) -> list[Run]:
-    """Runs of a design's rows of other shapes, in their order; failed ones keep their place."""
-    base, strengths, packing = design.shaped_rows()
-    spheres = [design.shaped_spheres(int(j) - FIRST_SHAPED) for j in packing]
-    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-def run_refined(
-    design: Design, simulator: Simulator, progress: AbstractProgress, first: int = 0,
-    workers: int | None = None,
-) -> list[Run]:  # fmt: skip
-    """Runs of a design's effects that are sampled again, from packing `first` on, in the order of
-    their rows; failed ones keep their place."""
-    base, strengths, packing = design.refined_rows(first)
-    spheres = [design.refined_spheres(int(j) - FIRST_REFINED) for j in packing]
-    points = RunPoints(base, strengths, spheres, 1000 * design.seed + packing)
-    return run_points(design, points, simulator, progress, workers)
-
-
-@dataclass(frozen=True, eq=False)
-class RunPoints:
-    """What is simulated: base coordinates (n, p), strengths in SI (n, k), numbers of spheres
-    (n,), seeds of packings (n,)."""
-
-    base: np.ndarray
-    strengths: np.ndarray
-    spheres: Sequence[int]
-    seeds: np.ndarray
 
 
 def run_points(
@@ -251,7 +167,7 @@ def run_points(
         }
         return simulator.run(
             with_values(centre, values), points.base[row, wide : wide + 5],
-            points.strengths[row], points.spheres[row], int(points.seeds[row]),
+            points.strengths[row], int(points.spheres[row]), int(points.seeds[row]),
         )  # fmt: skip
 
     order = _two_packings_in_turn(points.seeds)
@@ -270,7 +186,7 @@ def reference_run(design: Design, simulator: Simulator) -> Run:
     """The centre's soil on the first packing, slowly, without effects."""
     soil = with_values(base_soil(simulator.lab), dict(design.centre))
     none = [0.0] * len(simulator.effects)
-    setting = (SMOOTHING[0], 0.0, SPEEDS[1] / SPEEDS[0])
+    setting = (SMOOTHING[0], 0.0, SLOW)
     return simulator.run(soil, setting, none, design.spheres, 1000 * design.seed + 1)
 
 
@@ -298,7 +214,7 @@ def check_extends(design: Design, lab: Lab, smaller: RunLibrary, file: str) -> N
 
 
 def check_cylinder(library: RunLibrary, lab: Lab, file: str) -> None:
-    """Refuses to lay runs of another cylinder beside a library."""
+    """Refuses runs of another cylinder beside a library."""
     if Cylinder.of(lab) != library.cylinder:
         problem = "this library was made for another cylinder, or for other forces, than this lab's"
         raise InputError(file, "cylinder", problem, "give the lab file that it was made for")

@@ -43,8 +43,7 @@ POROUS = 0.005  # of porosity beyond its beds, up to which they still carry
 
 def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None, base: SoilParameters) -> str:
     """Why the library cannot stand for a lab's simulations when these parameters are free (None:
-    those of the lab file, or the program chooses) and the others as in `base`, as far as this is
-    known before it is read; "" where it can."""
+    those of the lab file) and the others as in `base`, before it is read; "" where it can."""
     if not preset.grown:
         return f"the preset {preset.name} has coarse beds that fall, and the library's grow"
     stated = [name for name, choice in lab.parameters.items() if choice.free]
@@ -73,9 +72,8 @@ def _held(base: SoilParameters) -> dict[str, tuple[float, float]]:
 def stands_in(
     lab: Lab, preset: Preset, emulated: EmulatedLibrary, work: AbstractCampaign
 ) -> OnResponse:
-    """The library in the place of a lab's beds at a preset.  `InputError` where the lab has other
-    tests on soil or a shape too far from the library's, or none of its runs follow the lab's
-    conventions."""
+    """The library in the place of a lab's beds at a preset; `InputError` where it has not the lab's
+    tests on soil, a shape near its own, or runs that follow its conventions."""
     emulated = emulated.for_lab(lab)
     library, design = emulated.library, emulated.library.design
     emulated.emulator.factors.begin()

@@ -1,6 +1,5 @@
 """The file of a library of runs: one NetCDF of about a megabyte, read in seconds.
 
-It says which physics made the runs, for which cylinder and forces, and how far its points reach.
 Variables keep the names of the first files: `late` is what the machine adds to the rows, `twin`
 the variance of soil blocks, `widening`, `scatter`, `misfit`, `dropped` and `missed_*` the
 emulator's errors.
@@ -31,6 +30,8 @@ from jdem.materials.conventions import CONVENTIONS
 from jdem.physics import PHYSICS
 
 EARLIER = 0  # the physics of files that were made before it had a version
+ROWS = ("base", "packing", "values")  # of the file, of each kind of rows
+REPEATS = ("repeats_base", "repeats_soil", "repeats_values")
 STORED = {"soil_block": "twin"}  # names of kernels' fields in the file, where they differ
 MOST_LENGTH = 3.0  # logarithm of a length over which nothing changes
 TURN = "by what it shows"  # how the machine of a file presses; earlier files do not say
@@ -39,12 +40,8 @@ ONLY_LAG = json.dumps([LAG])  # what earlier files tell of a machine in closed f
 
 def save(library: RunLibrary, path: Path) -> None:
     """Writes the library whole or not at all."""
-    data = {
-        "base": (("row", "coordinate"), library.base.astype(np.float32)),
-        "strengths": (("row", "effect"), library.strengths.astype(np.float32)),
-        "packing": (("row",), library.packing.astype(np.int32)),
-        "values": (("row", "feature"), library.values.astype(np.float32)),
-    }
+    data = _row_variables(library.rows)
+    data["strengths"] = (("row", "effect"), library.rows.strengths.astype(np.float32))
     for test, curve in library.reference.items():
         data[f"reference_{test}"] = ((f"{test}_point", "column"), np.array(curve).T)
     data.update(_kernel_variables(library.kernels, "component"))
@@ -58,10 +55,7 @@ def save(library: RunLibrary, path: Path) -> None:
         data["missed_directions"] = (("feature", "missed"), library.emulator_errors.directions)
         data["missed_effect"] = (("missed",), library.emulator_errors.effect)
     if library.repeats is not None:
-        data["repeats_base"] = (("repeat", "coordinate"), library.repeats.base.astype(np.float32))
-        data["repeats_soil"] = (("repeat",), library.repeats.packing.astype(np.int32))
-        values = library.repeats.values.astype(np.float32)
-        data["repeats_values"] = (("repeat", "feature"), values)
+        data |= _row_variables(library.repeats, "repeat", REPEATS)
     names = {
         "coordinate": list(library.design.base_names),
         "effect": list(library.design.effect_names),
@@ -78,6 +72,16 @@ def save(library: RunLibrary, path: Path) -> None:
         **{k: json.dumps(v) for k, v in about.items()},
     }
     _write(path, data, names, attributes)
+
+
+def _row_variables(rows: Rows, of: str = "row", names: Sequence[str] = ROWS) -> dict:
+    """The variables of a file that hold base coordinates, packings and values of rows."""
+    base, packing, values = names
+    return {
+        base: ((of, "coordinate"), rows.base.astype(np.float32)),
+        packing: ((of,), rows.packing.astype(np.int32)),
+        values: ((of, "feature"), rows.values.astype(np.float32)),
+    }
 
 
 def _write(path: Path, data: dict, names: dict, attributes: dict) -> None:
@@ -107,9 +111,7 @@ def of_law(library: Path, conventions: str) -> Path:
 def save_law(other: OtherLaw, library: RunLibrary, path: Path) -> None:
     """Writes rows that follow other conventions than a library, whole or not at all."""
     data = {
-        "base": (("row", "coordinate"), other.rows.base.astype(np.float32)),
-        "packing": (("row",), other.rows.packing.astype(np.int32)),
-        "values": (("row", "feature"), other.rows.values.astype(np.float32)),
+        **_row_variables(other.rows),
         "axes": (("axis", "feature"), other.axes),
         "deviation": (("axis",), other.deviation),
         "columns": (("component", "hyperparameter"), np.array(other.columns)),
@@ -123,7 +125,7 @@ def save_law(other: OtherLaw, library: RunLibrary, path: Path) -> None:
 
 def _fingerprint(library: RunLibrary) -> str:
     """Of rows and kernels, on which columns rest."""
-    parts = [library.values, *(part for kernel in library.kernels for part in kernel)]
+    parts = [library.rows.values, *(part for kernel in library.kernels for part in kernel)]
     digest = hashlib.sha256()
     for part in parts:
         digest.update(np.asarray(part, np.float32).tobytes())
@@ -201,8 +203,8 @@ def load(path: Path) -> RunLibrary:
 
 
 def _with_shape(stored: Stored) -> Stored:
-    """A file with the coordinates of shape.  Earlier ones hold specimens of one shape: theirs are
-    0, and kernels do not look at them."""
+    """A file with the coordinates of shape; in earlier ones, whose specimens have one shape, these
+    are 0, and kernels do not look at them."""
     known = stored.names("coordinate")
     if set(SHAPE) <= set(known):
         return stored
@@ -231,10 +233,7 @@ def _read(stored: Stored) -> RunLibrary:
         design=design,
         cylinder=Cylinder(**json.loads(attrs["cylinder"])),
         physics=int(attrs.get("physics", EARLIER)),
-        base=stored.columns("base", design.base_names),
-        strengths=known["strengths"].astype(float),
-        packing=known["packing"],
-        values=known["values"].astype(float),
+        rows=replace(_rows(stored, design, ROWS), strengths=known["strengths"].astype(float)),
         reference={test: tuple(known[f"reference_{test}"].T) for test in TESTS},
         kernels=_kernels(known),
         emulator_errors=_emulator_errors(known),
@@ -243,23 +242,19 @@ def _read(stored: Stored) -> RunLibrary:
         filling=None if filling is None else Filling(*json.loads(filling)),
         speed=float(attrs.get("speed", RunLibrary.speed)),
         crushing_speed=float(attrs.get("crushing_speed", RunLibrary.crushing_speed)),
-        repeats=_repeats(stored, design),
+        repeats=_rows(stored, design, REPEATS) if REPEATS[0] in known else None,  # else earlier
     )
 
 
-def _repeats(stored: Stored, design: Design) -> Rows | None:
-    """Repeats of a file; None in earlier ones."""
-    known = stored.arrays
-    if "repeats_base" not in known:
-        return None
-    base = stored.columns("repeats_base", design.base_names)
+def _rows(stored: Stored, design: Design, names: Sequence[str]) -> Rows:
+    """Rows of a file, without effects."""
+    base, (_, packing, values) = stored.columns(names[0], design.base_names), names
     none = np.zeros((len(base), len(design.limits)))
-    return Rows(base, none, known["repeats_soil"], known["repeats_values"].astype(float))
+    return Rows(base, none, stored.arrays[packing], stored.arrays[values].astype(float))
 
 
 def _emulator_errors(known: dict[str, np.ndarray]) -> EmulatorErrors | None:
-    """The emulator's errors of a file; None if it was not cross-validated.  Earlier files have no
-    misfit, or no directions by effect."""
+    """The emulator's errors of a file, if any; earlier ones have no misfit, or no directions."""
     if "widening" not in known:
         return None
     widening, scatter = known["widening"], known["scatter"]

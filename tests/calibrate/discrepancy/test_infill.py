@@ -11,7 +11,8 @@ import pytest
 from calibrate.core.errors import InputError
 from calibrate.discrepancy import infill as nearby
 from calibrate.discrepancy.comparison.compare import compare
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
+from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
 from calibrate.discrepancy.infill import (
     FIRST_SEED,
     SIZES,
@@ -90,7 +91,7 @@ def test_what_conventions_hold_does_not_scatter():
 
 def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
     _, d, measured = described(lab, emulated, 0)
-    which = compare(prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 60), measured)
+    which = compare(prepared_diagnosis(d, measured, 0, ProbabilityCalibration(), 60), measured)
     fits = leading_fits(which)
     assert fits[0].chosen == () and {(1,)} <= {fit.chosen for fit in fits}
     strong = replace(fits[1], strengths=np.array([0.0, 1e3, 0.0]))
@@ -107,8 +108,9 @@ def test_a_strength_beyond_the_library_is_brought_back(emulated, lab):
 def test_infill_runs_lessen_the_emulator_s_error(emulated, lab, formulas, tmp_path):
     """At the hidden strength: nearer to the formula's mean over many packings, and surer."""
     better = with_infill_runs(lab, emulated, 0, InfillPlan(32, tmp_path))
-    assert len(better.library.values) > len(LIBRARY.values) + 32
-    assert np.array_equal(better.library.values[: len(LIBRARY.values)], LIBRARY.values)
+    assert len(better.library.rows.values) > len(LIBRARY.rows.values) + 32
+    known = LIBRARY.rows.values
+    assert np.array_equal(better.library.rows.values[: len(known)], known)
     point = soil_prior_for(lab, LIBRARY)
     strengths = np.array([0.0, OFFSET, 0.0]) / DESIGN.typical()
     stated = [

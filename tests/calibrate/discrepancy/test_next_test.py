@@ -17,7 +17,8 @@ from calibrate.discrepancy.comparison import next_test
 from calibrate.discrepancy.comparison.compare import compare
 from calibrate.discrepancy.comparison.further import LinearResponse, predicted
 from calibrate.discrepancy.comparison.next_test import UNFORESEEN, Proposal, next_tests
-from calibrate.discrepancy.diagnosis import InferenceSetup, described, prepared_diagnosis
+from calibrate.discrepancy.comparison.probability_calibration import ProbabilityCalibration
+from calibrate.discrepancy.diagnosis import described, prepared_diagnosis
 from calibrate.discrepancy.library.description import EmulatedLibrary
 from calibrate.discrepancy.library.further_tests import (
     ANSWER,
@@ -41,6 +42,7 @@ from jdem.laboratory.virtual_lab import TestSequence
 from studies.sealed.further import Asking, FurtherLaboratory, under
 from studies.sealed.laboratory import SpecimenRecords
 from studies.sealed.plan import Hidden, WithheldCase
+from studies.sealed.trial import InferenceSetup
 from tests.support import toy_library
 from tests.support.toy_library import call
 
@@ -68,7 +70,7 @@ def prepared(lab):
     """Description, measured sample and null distributions of the toy laboratory."""
     emulated = EmulatedLibrary.of(toy_library.library())
     _, d, measured = described(lab, emulated, 0)
-    return d, measured, prepared_diagnosis(d, measured, 0, InferenceSetup.uncalibrated(), 100)
+    return d, measured, prepared_diagnosis(d, measured, 0, ProbabilityCalibration(), 100)
 
 
 @pytest.fixture(scope="module")
@@ -409,7 +411,7 @@ def test_the_loop_asks_takes_in_and_stops(place, lab, monkeypatch):
         return load_lab(folder / "block.toml")
 
     emulated = EmulatedLibrary.of(toy_library.library())
-    loop = Asking.of(lab, emulated, InferenceSetup.uncalibrated(), answer)
+    loop = Asking.of(lab, emulated, InferenceSetup(ProbabilityCalibration()), answer)
     said = loop.by_proposals()
     assert asked and len(said) <= 2 and said[0]["verdict"] == loop.first.verdict
     cheap = loop.all_cheap()

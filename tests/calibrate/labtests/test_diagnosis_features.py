@@ -8,12 +8,10 @@ import pytest
 from calibrate.core.errors import InputError
 from calibrate.discrepancy.comparison.recording import (
     Channel,
-    recording,
-    recording_shift,
+    recordings,
     through_air,
 )
 from calibrate.discrepancy.comparison.repeats import (
-    from_curves,
     from_targets,
     from_vectors,
     measured_features,
@@ -122,9 +120,11 @@ def test_what_a_curve_does_not_reach_is_missing_and_can_be_dropped():
     kinds = np.array([feature.kind for feature in FEATURES])
     assert np.isfinite(values[kinds == "loading"]).all()
     assert np.isnan(values[kinds == "unloading"][1:]).all()
-    kept = measured_features(FEATURES, [short, short])
+    kept = measured_features(FEATURES, [short, short], np.array([values, values]))
     assert {f.kind for f in kept} <= {"loading", "largest force", "travel at the top", "unloading"}
-    assert from_curves(kept, [short, short]).counts.tolist() == [2.0] * len(kept)
+    assert from_vectors(kept, np.array([feature_values(kept, short)] * 2)).counts.tolist() == [
+        2.0
+    ] * len(kept)
 
 
 def test_a_curve_of_seven_points_can_be_read():
@@ -134,7 +134,9 @@ def test_a_curve_of_seven_points_can_be_read():
 
 def test_specimens_of_one_test_share_nothing_with_those_of_the_other():
     both_tests, one = both(300), {CONFINED: confined(300)}
-    sample = from_curves(FEATURES, [both_tests, one, one])
+    sample = from_vectors(
+        FEATURES, np.array([feature_values(FEATURES, c) for c in (both_tests, one, one)])
+    )
     assert sample.counts.tolist() == [3.0 if f.test == CONFINED else 1.0 for f in FEATURES]
     assert sample.shared[0, -1] == 1.0
     assert CONFINED in sample.scatter and UNCONFINED not in sample.scatter
@@ -171,14 +173,16 @@ def test_recording_adds_nothing_where_the_typical_specimen_ends():
     short = {**whole, UNCONFINED: (displacement[ends], force[ends])}
     missing = np.isnan(feature_values(FEATURES, short))
     assert missing.any() and not np.isnan(feature_values(FEATURES, whole)).any()
-    shift, covariance, either = recording(FEATURES, short, channels, np.random.default_rng(0))
+    found = recordings(FEATURES, short, channels, np.random.default_rng(0))
+    shift, covariance, either = map(np.nan_to_num, (found.shift, found.covariance(), found.either))
     assert not shift[missing].any() and not either[missing].any()
     assert np.isfinite(covariance).all() and np.diag(covariance)[~missing].all()
 
 
 def test_recording_misses_the_peak_and_scatters():
     channels = {CONFINED: Channel(0.3, 0.5, 0.002), UNCONFINED: Channel(0.3, 0.5, 0.002)}
-    shift, covariance, either = recording(FEATURES, both(), channels, np.random.default_rng(0))
+    found = recordings(FEATURES, both(), channels, np.random.default_rng(0))
+    shift, covariance, either = found.shift, found.covariance(), found.either
     top = [f.kind for f in FEATURES].index("largest force")
     assert shift[top] < -1
     assert either[top] > 0.5  # a machine that averages misses more of it than one that samples
@@ -248,7 +252,7 @@ def test_a_way_through_the_air_is_cut_off_again():
     channels = {CONFINED: Channel(0.1, 0.2, 0.002), UNCONFINED: Channel(0.1, 0.2, 0.002)}
     rows = np.array([f.kind != "loading" or f.abscissa >= 10 for f in FEATURES])
     found = [
-        recording_shift(FEATURES, both(), channels, np.random.default_rng(0), 60, air)[0]
+        recordings(FEATURES, both(), channels, np.random.default_rng(0), 60, air).shift
         for air in ({}, {CONFINED: 0.6, UNCONFINED: 0.6})
     ]
     spread = np.where([f.unit == "mm" for f in FEATURES], 0.03, 0.8)

@@ -33,6 +33,7 @@ from calibrate.reports import diagnosis as report
 from calibrate.reports.diagnosis_words import caution, shrinkage, verdict
 from calibrate.reports.effects import PLAIN, plain, strength, title
 from jdem.effects.composite import EFFECTS
+from studies.sealed.baselines import strength_of
 from tests.support import diagnosis_world, toy_library
 from tests.support.toy_library import call
 
@@ -197,7 +198,7 @@ def test_infill_runs_join_the_library(place, monkeypatch):
     lab = place / "lab" / "lab.toml"
     assert call("diagnose", lab, "--library", library, "--simulate", 4, "--out", out) == 0
     settings = result(out)["settings"]
-    assert settings["simulations"] == len(toy_library.library().values)
+    assert settings["simulations"] == len(toy_library.library().rows.values)
     assert settings["simulated_about_this_lab"] >= 4 * 3  # none, an effect, a pair
 
 
@@ -297,7 +298,7 @@ def strongly():
     """A made-up laboratory in which the second effect is strong: sample and comparison."""
     known = diagnosis_world.description()
     prepared = prepare(known, diagnosis_world.PLAN, seed=1, draws=60)
-    strength = prepared.generator.strength_of(1, 12.0)
+    strength = strength_of(prepared.generator, 1, 12.0)
     measured = diagnosis_world.case(0, strength * known.effect_slopes[:, 1])
     found = compare(prepared, measured)
     assert "e1" in found.verdict.split(" / ")
@@ -496,8 +497,9 @@ def test_a_library_reaches_as_far_as_its_runs_and_those_that_were_added():
         delta = np.zeros(len(prior))
         delta[0] = away * sd[0] - prior[0]
         assert (beyond_library(lab, emulated, delta) == ("shear_modulus",)) == beyond
-    rows = emulated.library.base.copy()
-    rows[:4, 0] = 3.9 * sd[0]
-    more = EmulatedLibrary.of(replace(emulated.library, base=rows))
+    base = emulated.library.rows.base.copy()
+    base[:4, 0] = 3.9 * sd[0]
+    rows = replace(emulated.library.rows, base=base)
+    more = EmulatedLibrary.of(replace(emulated.library, rows=rows))
     delta[0] = 4.0 * sd[0] - prior[0]
     assert beyond_library(lab, more, delta) == ()

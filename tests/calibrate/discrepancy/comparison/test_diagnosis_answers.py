@@ -16,18 +16,26 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from calibrate.discrepancy.comparison import fits, next_test
-from calibrate.discrepancy.comparison.compare import Comparison, Prepared, compare, label, prepare
+from calibrate.discrepancy.comparison.compare import (
+    Comparison,
+    Prepared,
+    compare,
+    design_classes,
+    label,
+    prepare,
+)
 from calibrate.discrepancy.comparison.fits import HOPELESS, covariance_at, fitted_base
 from calibrate.discrepancy.comparison.further import (
+    ALL,
+    STAYS,
     FurtherTest,
     LinearResponse,
     Prediction,
     predicted,
-    predicted_by_unknown,
     stacked,
 )
 from calibrate.discrepancy.comparison.generated import plan_of
-from calibrate.discrepancy.comparison.linear import EffectCandidate, simple
+from calibrate.discrepancy.comparison.linear import EffectCandidate
 from calibrate.discrepancy.comparison.localise import localise
 from calibrate.discrepancy.comparison.next_test import Explanation, Outcome, next_tests, updated
 from calibrate.discrepancy.comparison.noise import Noise
@@ -44,7 +52,9 @@ from calibrate.discrepancy.comparison.verdict import as_json, effect_estimates, 
 from calibrate.labtests.diagnosis.confined import NAME as CONFINED
 from calibrate.labtests.diagnosis.curves import declare_targets
 from calibrate.labtests.diagnosis.unconfined import NAME as UNCONFINED
+from studies.sealed.baselines import strength_of
 from tests.support import diagnosis_world as generator
+from tests.support.diagnosis_world import simple
 
 KNOWN = generator.description()
 NULLS, STRONG = 60, 24
@@ -57,7 +67,7 @@ def with_nulls() -> Prepared:
 
 def gap_of(effect: int, snr: float) -> np.ndarray:
     """What one effect does at a signal-to-noise."""
-    return with_nulls().generator.strength_of(effect, snr) * KNOWN.effect_slopes[:, effect]
+    return strength_of(with_nulls().generator, effect, snr) * KNOWN.effect_slopes[:, effect]
 
 
 def base_of(prepared: Prepared, sample):
@@ -107,7 +117,8 @@ def test_probabilities_are_whole_and_the_set_holds_the_verdict():
 
 
 def test_an_effect_that_is_no_candidate_is_not_named():
-    fewer = with_nulls().without(["e2"])
+    plan = replace(with_nulls().generator, description=KNOWN.without_effects(["e2"]))
+    fewer = replace(with_nulls(), generator=plan, classes=design_classes(plan))
     assert "e2" not in fewer.description.effect_names
     found = compare(fewer, generator.case(3, gap_of(2, 20.0)))
     assert "e2" not in found.probability
@@ -315,10 +326,10 @@ def test_the_segment_that_differs_is_flagged_and_holds_the_share():
     noise, base = base_of(with_nulls(), sample)
     found = localise(KNOWN, sample, noise, base, seed=0)
     rows = {(s.test, s.segment): s for s in found.segments}
-    assert rows[UNCONFINED, "toe"].outside
+    assert rows[UNCONFINED, "toe"].outside_band
     assert rows[UNCONFINED, "toe"].share > 3 * rows[UNCONFINED, "toe"].share_by_chance
     assert sum(s.share for s in found.segments) == pytest.approx(1.0)
-    assert all(s.share_low <= s.share_high for s in found.segments)
+    assert all(low <= high for low, high in (s.share_interval for s in found.segments))
 
 
 def test_bands_hold_everything_at_once():
@@ -511,7 +522,7 @@ def test_what_a_fit_leaves_may_come_again_and_hardly_speaks_against_it():
     plain = replace(KNOWN, wrong=np.zeros((len(values), 0)))
     for left in (30.0, 3e3):
         data = values + left * np.eye(len(values))[0]
-        every = [p(again, plain, found.base, data) for p in (predicted, predicted_by_unknown)]
+        every = [predicted(again, plain, found.base, data, stays) for stays in (STAYS, ALL)]
         named, unknown = ([float(p.log_density(y)) for y in (data[:1], values[:1])] for p in every)
         assert 0.3 < unknown[0] - named[0] < np.log(2)
         assert unknown[1] - named[1] < -1.0
@@ -529,6 +540,9 @@ class Erring:
 
     def wrong(self, delta, strengths):
         return self.directions
+
+    def scatter(self, strengths):
+        return self.inner.scatter(strengths)
 
 
 # ------------------------------------------------------------------ report and baselines

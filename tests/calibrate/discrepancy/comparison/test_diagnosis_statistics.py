@@ -334,7 +334,8 @@ def test_much_evidence_counts_less_than_in_proportion():
 def test_the_generated_world_has_the_covariance_that_the_noise_states():
     generated = SampleGenerator(KNOWN, generator.PLAN, packing_covariance(KNOWN))
     rng = np.random.default_rng(8)
-    drawn = np.array([generated.measured(rng).mean for _ in range(400)]) - KNOWN.mean
+    every = np.array([generated.specimens(rng) for _ in range(400)])
+    drawn = generated.sample(every).mean - KNOWN.mean
     prior = np.diag(KNOWN.prior_sd**2)
     expected = np.diag(generated.mean_covariance + KNOWN.base_slopes @ prior @ KNOWN.base_slopes.T)
     ratio = drawn.var(axis=0) / expected

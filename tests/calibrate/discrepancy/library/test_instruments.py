@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibrate.discrepancy.comparison.recording import Channel, LoadSteps, recording
+from calibrate.discrepancy.comparison.recording import Channel, LoadSteps, recordings
 from calibrate.discrepancy.library.description import LocalEmulator
 from calibrate.discrepancy.library.instruments import lagged, steering
 from calibrate.discrepancy.library.measurements import Measurements, read_measurements
@@ -57,7 +57,9 @@ def test_a_lagged_recording_loses_less_at_the_turn():
     channels = {"confined": Channel(0.1, 0.1, 1e-3)}
     curves = {"confined": tuple(ramp(2000))}
     lost = [
-        recording(features, lagged(curves, FOUND, lag), channels, np.random.default_rng(0), 40)[0]
+        recordings(
+            features, lagged(curves, FOUND, lag), channels, np.random.default_rng(0), 40
+        ).shift
         for lag in (0.0, 0.1)
     ]
     assert abs(lost[1][at]) < 0.6 * abs(lost[0][at])
@@ -199,7 +201,7 @@ def test_load_steps_are_read_straight_between_loads():
     assert read.tolist() == loads[:-1].tolist()
     assert x == pytest.approx(np.sqrt(loads[:-1]), abs=1e-6)
     features = of_loading(400.0)
-    shift = recording(features, curves, {"confined": steps}, np.random.default_rng(0))[0]
+    shift = recordings(features, curves, {"confined": steps}, np.random.default_rng(0)).shift
     for feature, found in zip(features, shift, strict=True):
         if feature.abscissa >= loads[0]:
             chord = np.interp(feature.abscissa, loads, np.sqrt(loads))

@@ -26,7 +26,7 @@ from calibrate.discrepancy.library.design import (
 )
 from calibrate.discrepancy.library.lab_size import LabSize, soil_prior_for
 from calibrate.discrepancy.library.run_library import Cylinder, features_of
-from calibrate.discrepancy.library.simulate import run_shaped, shaped
+from calibrate.discrepancy.library.simulate import shaped
 from calibrate.io.lab import Lab, bundled_lab, load_lab
 from studies.sealed.plan import SpecimenSize
 from tests.support import toy_library
@@ -131,10 +131,10 @@ def test_strengths_are_converted_by_their_units():
 def test_a_lab_s_shape_is_known_to_its_fit(emulated):
     """130 mm by 50 mm at 300 kPa, by a library that reaches so far."""
     library = emulated.library
-    base = library.base.copy()
+    base = library.rows.base.copy()
     base[:2, SHAPE_COLUMNS] = np.log([[0.5, 0.25], [1.5, 2.5]])
     lab = SpecimenSize(0.05, 0.13, 300e3 * np.pi / 4 * 0.05**2).lab()
-    prior = soil_prior_for(lab, replace(library, base=base))
+    prior = soil_prior_for(lab, replace(library, rows=replace(library.rows, base=base)))
     stress = 300e3 / (400.0 / (np.pi / 4 * 0.05**2))
     assert prior.offset[SHAPE_COLUMNS] == pytest.approx(np.log([1.3, stress]))
     assert (prior.prior_sd[SHAPE_COLUMNS] < 0.02).all()
@@ -154,7 +154,8 @@ def test_a_shape_that_no_run_has_is_refused_in_one_sentence(emulated, size, fiel
 
 def test_further_packings_have_every_height_and_many_stresses():
     design = Design(shaped=72)
-    base, strengths, packing = design.shaped_rows()
+    points = design.shaped_rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     assert len(base) == len(strengths) == len(packing) == 72 * design.rows_each
     assert sorted(set(packing)) == list(range(FIRST_SHAPED, FIRST_SHAPED + 72))
     columns = dict(zip(SETTINGS, base[:, -len(SETTINGS) :].T, strict=True))
@@ -164,7 +165,7 @@ def test_further_packings_have_every_height_and_many_stresses():
     assert np.mean(columns["pace"] < 1) == pytest.approx(1 / 3)
     met = {tuple(row) for row in np.column_stack([columns[n] for n in ("slenderness", "porosity")])}
     assert len(met) == len(HEIGHTS) * 3
-    fewer, _, _ = replace(design, shaped=24).shaped_rows()
+    fewer = replace(design, shaped=24).shaped_rows().base
     assert np.array_equal(fewer, base[: len(fewer)])
 
 
@@ -178,20 +179,19 @@ def test_a_shaped_lab_keeps_its_diameter():
     )
 
 
-def test_rows_of_other_shapes_join_a_library(monkeypatch):
+def test_rows_of_other_shapes_join_a_library():
     """Features are read at the displacements and forces of each row's own shape."""
     library = toy_library.library()
     design = replace(library.design, shaped=2)
-    base, _, packing = design.shaped_rows()
-    monkeypatch.setattr("calibrate.discrepancy.library.simulate.run_points", toy_library.run_points)
-    runs = run_shaped(design, None, None)  # type: ignore[arg-type]
+    points = design.shaped_rows()
+    runs = toy_library.run_points(design, points)
     grown = library.with_shapes(design, runs)
-    new = len(grown.values) - len(library.values)
-    values = features_of(library.cylinder, base[:, SHAPE_COLUMNS], runs)
+    new = len(grown.rows.values) - len(library.rows.values)
+    values = features_of(library.cylinder, points.base[:, SHAPE_COLUMNS], runs)
     whole = np.isfinite(values).all(axis=1)
     assert 0 < new == whole.sum() and grown.design.shaped == 2
-    assert np.array_equal(grown.values[-new:], values[whole])
-    assert np.array_equal(grown.packing[-new:], packing[whole])
+    assert np.array_equal(grown.rows.values[-new:], values[whole])
+    assert np.array_equal(grown.rows.packing[-new:], points.packing[whole])
 
 
 def test_a_file_of_one_shape_is_read_as_such(tmp_path: Path):
@@ -200,16 +200,16 @@ def test_a_file_of_one_shape_is_read_as_such(tmp_path: Path):
     store.save(library, path)
     with xr.open_dataset(path, engine="h5netcdf") as stored:
         older = stored.load().drop_sel(coordinate=list(SHAPE))
-    keep = [i for i in range(library.base.shape[1]) if i - library.base.shape[1] not in
+    keep = [i for i in range(library.rows.base.shape[1]) if i - library.rows.base.shape[1] not in
             SHAPE_COLUMNS]  # fmt: skip
     for name in ("kernel_linear", "kernel_length", "kernel_scattering"):
         older[name] = (("component", f"{name}_older"), older[name].values[:, keep])
     older.to_netcdf(path, engine="h5netcdf")
     again = store.load(path)
     assert again.design.base_names == library.design.base_names
-    assert not again.base[:, SHAPE_COLUMNS].any()
+    assert not again.rows.base[:, SHAPE_COLUMNS].any()
     emulator = EmulatedLibrary.of(again).emulator
-    here, there = np.zeros((2, again.base.shape[1]))
+    here, there = np.zeros((2, again.rows.base.shape[1]))
     there[SHAPE_COLUMNS] = 0.5
     none = np.zeros(3)
     assert emulator(there, none)[0] == pytest.approx(emulator(here, none)[0], rel=0.01)

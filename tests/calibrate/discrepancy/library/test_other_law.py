@@ -12,9 +12,9 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import other_law, store
 from calibrate.discrepancy.library.description import EmulatedLibrary
-from calibrate.discrepancy.library.design import Design
+from calibrate.discrepancy.library.design import SHAPE_COLUMNS, Design
 from calibrate.discrepancy.library.lab_size import HELD_SD, soil_prior_for
-from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
+from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary, features_of
 from calibrate.io.lab import bundled_lab, load_lab
 from studies.sealed.labels import EffectChange
 from tests.support import toy_library
@@ -35,10 +35,10 @@ def under_law(rows: Rows, library: RunLibrary) -> Rows:
 def library() -> RunLibrary:
     """The toy library with rows of another law beside its own."""
     own = toy_library.library()
-    base, packing = own.design.plain_rows(PACKINGS, other_law.EACH)
-    none = np.zeros((len(base), 3))
-    runs = [toy_library.run(x[:2], none[0], 300 + j) for x, j in zip(base, packing, strict=True)]
-    rows = under_law(Rows.of(own.cylinder, base, none, packing, runs), own)
+    points = own.design.plain_rows(PACKINGS, other_law.EACH)
+    each = zip(points.base, points.packing, strict=True)
+    runs = [toy_library.run(x[:2], np.zeros(3), 300 + j) for x, j in each]
+    rows = under_law(Rows.of(own.cylinder, points, runs), own)
     return replace(own, other_laws={LAW: other_law.fitted(rows, own)})
 
 
@@ -53,7 +53,8 @@ def expected(soil: np.ndarray, library: RunLibrary, law: bool, gain: float = 0.0
     runs = [toy_library.run(soil, strengths, 800 + j) for j in range(40)]
     base = np.zeros((len(runs), len(library.design.base_names)))
     base[:, :2] = soil
-    every = Rows.of(library.cylinder, base, np.tile(strengths, (len(runs), 1)), base[:, 0], runs)
+    values = features_of(library.cylinder, base[:, SHAPE_COLUMNS], runs)
+    every = Rows(base, np.tile(strengths, (len(runs), 1)), base[:, 0], values)
     return (under_law(every, library) if law else every).values.mean(axis=0)
 
 
@@ -120,7 +121,8 @@ def test_rows_beside_a_library_survive_its_file(library, tmp_path: Path):
     np.testing.assert_allclose(again.rows.values, own.rows.values, rtol=1e-6)
     np.testing.assert_allclose(again.columns, own.columns)
     np.testing.assert_allclose(again.widening, own.widening)
-    grown = replace(toy_library.library(), values=1.01 * toy_library.library().values)
+    rows = toy_library.library().rows
+    grown = replace(toy_library.library(), rows=replace(rows, values=1.01 * rows.values))
     store.save(grown, tmp_path / "toy.nc")
     with pytest.raises(InputError, match="beside another library, or an earlier state"):
         store.load(tmp_path / "toy.nc")
@@ -150,8 +152,8 @@ def bare_library(design: Design) -> RunLibrary:
     """One row of a full design, of which only points are read."""
     lab, wide = load_lab(bundled_lab()), len(design.base_names)
     none = np.zeros((1, len(design.limits)))
-    rows = np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53))
-    return RunLibrary(design, Cylinder.of(lab), 1, *rows, reference={})
+    rows = Rows(np.zeros((1, wide)), none, np.zeros(1, int), np.zeros((1, 53)))
+    return RunLibrary(design, Cylinder.of(lab), 1, rows, reference={})
 
 
 def test_rows_are_simulated_under_the_conventions(monkeypatch, tmp_path: Path):

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 from calibrate.core.errors import CalibrationError, InputError
-from calibrate.core.progress import Silent
 from calibrate.discrepancy.library import run_library, simulate, store
 from calibrate.discrepancy.library.cross_validation import (
     BLOCK,
@@ -19,7 +18,6 @@ from calibrate.discrepancy.library.cross_validation import (
     EmulatorErrors,
     Repeats,
     Split,
-    TrainingPoints,
     by_effects,
     cross_validate,
     dropped_split,
@@ -53,8 +51,8 @@ from calibrate.discrepancy.library.emulator import (
 )
 from calibrate.discrepancy.library.kernel import PACE, Blocks
 from calibrate.discrepancy.library.lab_size import soil_prior_for
-from calibrate.discrepancy.library.run_library import Cylinder, RunLibrary
-from calibrate.discrepancy.library.simulate import lacks_refined, run_refined
+from calibrate.discrepancy.library.run_library import Cylinder, Rows, RunLibrary
+from calibrate.discrepancy.library.simulate import lacks_refined
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.response.process import covariance
 from jdem.physics import PHYSICS
@@ -103,15 +101,15 @@ def test_an_emulator_that_was_used_goes_to_another_process(emulator):
 
 def test_design_is_within_its_limits_and_a_beginning_is_a_smaller_design():
     small, large = Design(packings=8), Design(packings=16)
-    base, strengths = large.rows()
-    beginning = len(small.of_packing)
-    assert np.array_equal(small.rows()[0], base[:beginning])
-    assert np.array_equal(small.rows()[1], strengths[:beginning])
-    assert np.array_equal(small.of_packing, large.of_packing[:beginning])
+    fewer, every = small.rows(), large.rows()
+    beginning = len(fewer.base)
+    for name, part in vars(fewer).items():
+        assert np.array_equal(part, getattr(every, name)[:beginning])
+        assert np.array_equal(getattr(large.rows(8), name), getattr(every, name)[beginning:])
     low, high = np.array(list(LIMITS.values())).T
-    assert (strengths >= low).all() and (strengths <= high).all()
+    assert (every.strengths >= low).all() and (every.strengths <= high).all()
     wide = len(large.soil_names)
-    assert np.abs(base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
+    assert np.abs(every.base[:, :wide] / large.spread()[:wide]).max() <= FURTHEST + 1e-9
 
 
 def alone(design: Design) -> np.ndarray:
@@ -121,7 +119,10 @@ def alone(design: Design) -> np.ndarray:
 
 def test_effects_are_at_work_together_where_rows_differ_in_everything():
     design = Design(packings=200, slow_in=0)
-    base, strengths = (part.reshape(200, design.rows_each, -1) for part in design.rows())
+    points = design.rows()
+    base, strengths = (
+        part.reshape(200, design.rows_each, -1) for part in (points.base, points.strengths)
+    )
     mixed = ~alone(design)
     assert (strengths[mixed] != 0).mean() == pytest.approx(ACTIVE, abs=0.02)
     assert not (base[mixed] == base[mixed, :1]).all(axis=(1, 2)).any()
@@ -129,9 +130,10 @@ def test_effects_are_at_work_together_where_rows_differ_in_everything():
 
 def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing():
     design = Design(packings=2 * TURN, slow_in=2)
-    base, strengths = design.rows()
+    points = design.rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     pace = base[:, design.base_names.index("pace")]
-    slow, packing = pace < 1, design.of_packing
+    slow = pace < 1
     assert set(pace) == {1.0, SPEEDS[1] / SPEEDS[0]}
     assert set(packing[slow]) == set(range(TURN)) and len(set(packing)) == 2 * TURN
     rest = np.delete(base, design.base_names.index("pace"), axis=1)
@@ -142,19 +144,22 @@ def test_slow_rows_repeat_the_soils_and_effects_of_fast_ones_on_the_same_packing
 
 def test_every_size_of_spheres_meets_every_porosity():
     design = Design(packings=48, slow_in=0)
-    base, _ = design.rows()
-    settings = dict(zip(SETTINGS, base[:: design.rows_each, -len(SETTINGS) :].T, strict=True))
+    points = design.rows()
+    of_packing, spheres = points.base[:: design.rows_each], points.spheres[:: design.rows_each]
+    settings = dict(zip(SETTINGS, of_packing[:, -len(SETTINGS) :].T, strict=True))
     porosity, size = settings["porosity"], settings["sphere_size"]
-    pairs = {(design.spheres_of(j), porosity[j]) for j in range(48)}
+    pairs = set(zip(spheres, porosity.tolist(), strict=True))
     assert pairs == {(n, p) for n in (500, 1000, 2500) for p in POROSITIES}
-    assert (1 + size) ** -3 * 1000 == pytest.approx([design.spheres_of(j) for j in range(48)])
+    assert (1 + size) ** -3 * 1000 == pytest.approx(spheres)
     assert np.median(settings["smoothing"]) < -0.5 and settings["smoothing"].max() > 0
 
 
 def test_some_packings_show_each_effect_by_itself_on_one_soil():
     design = Design(packings=65, slow_in=0)
+    points = design.rows()
     base, strengths = (
-        part.reshape(design.packings, design.rows_each, -1)[alone(design)] for part in design.rows()
+        part.reshape(design.packings, design.rows_each, -1)[alone(design)]
+        for part in (points.base, points.strengths)
     )
     assert (base == base[:, :1]).all()
     assert not strengths[:, 0].any()
@@ -327,23 +332,26 @@ def test_components_hold_what_hardly_scatters():
     assert np.std(warped[:, 9] - back[:, 9]) < 0.02
 
 
-def points(emulator: FeatureEmulator, **changes) -> TrainingPoints:
+def validated(emulator: FeatureEmulator, **changes) -> EmulatorErrors:
+    """On other specimens of the same soils; with other hyperparameters."""
     scatter = np.exp(PACKING_SD * np.random.default_rng(5).normal(size=(ROWS // EACH, 1)))[PACKING]
-    kernels = [component.kernel._replace(**changes) for component in emulator.components]
-    return TrainingPoints(X, S, PACKING, formula(X, S) * scatter, SCALE, kernels)
+    components = tuple(
+        replace(each, kernel=each.kernel._replace(**changes)) for each in emulator.components
+    )
+    changed = replace(emulator, components=components)
+    return cross_validate(changed, PACKING, formula(X, S) * scatter)
 
 
 def test_cross_validation_shows_scatter_that_an_emulator_lacks(emulator):
-    honest = cross_validate(points(emulator), emulator)
-    alike = points(emulator, packing=np.log(0.01))  # forgets that packings differ
-    sure = cross_validate(alike, emulator)
+    honest = validated(emulator)
+    sure = validated(emulator, packing=np.log(0.01))  # forgets that packings differ
     most = int(np.argmax([component.kernel.packing for component in emulator.components]))
     assert 1 / 3 < honest.scatter[most] < 3.0  # 22 packings in one sample and 22 in the other
     assert sure.scatter[most] > 3 * honest.scatter[most]
 
 
 def test_errors_that_an_emulator_states_are_never_narrowed(emulator):
-    assert (cross_validate(points(emulator), emulator).widening >= 1.0).all()
+    assert (validated(emulator).widening >= 1.0).all()
 
 
 MISSED, SCATTERED = 0.10, 0.05  # of ln force: by soils beside a smooth function, by specimens
@@ -370,11 +378,8 @@ def split_errors() -> tuple[FeatureEmulator, EmulatorErrors, EmulatorErrors]:
     again = rng.normal(size=(soils, P))
     soil = (forces(again) + scattered(MISSED, soils))[:, None]
     repeats = Repeats(again, list(np.exp(soil + scattered(SCATTERED, soils, specimens))))
-    kernels = [component.kernel for component in emulator.components]
-    known = TrainingPoints(x, s, packing, values, scale, kernels)
-    return (
-        emulator, cross_validate(known, emulator, repeats), cross_validate(known, emulator)
-    )  # fmt: skip
+    known = emulator, packing, values
+    return emulator, cross_validate(*known, repeats), cross_validate(*known)
 
 
 def test_repeats_tell_scatter_of_specimens_from_what_is_missed(split_errors):
@@ -416,7 +421,7 @@ def test_what_no_component_holds_is_split_too():
     basis = leading(np.arcsinh(values / scale), x, s, count=1)
     emulator = fit_emulator(x, s, np.arange(n), values, scale, basis=basis)
     again = rng.normal(size=(soils, P))
-    split = dropped_split(emulator, Repeats(again, list(features(again, 4))), scale)
+    split = dropped_split(emulator, Repeats(again, list(features(again, 4))))
     whole = MISSED**2 + SCATTERED**2
     assert split.scatter == pytest.approx(SCATTERED**2 / whole, rel=0.25)
     assert split.misfit == pytest.approx(MISSED**2 / whole, rel=0.25)
@@ -424,7 +429,8 @@ def test_what_no_component_holds_is_split_too():
 
 def test_effects_are_sampled_again_on_packings_of_one_soil():
     design = Design(refined=24)
-    base, strengths, packing = design.refined_rows()
+    points = design.refined_rows()
+    base, strengths, packing = points.base, points.strengths, points.packing
     each = 1 + len(REFINED)
     assert np.array_equal(packing, np.repeat(np.arange(24), each) + FIRST_REFINED)
     of_packing = base.reshape(24, each, -1)
@@ -440,40 +446,39 @@ def test_effects_are_sampled_again_on_packings_of_one_soil():
     density = strengths[:, design.effect_names.index("specimen_density")]
     assert density.min() < 0 < density.max()
     assert len(set(base[:, list(design.base_names).index("pace")])) == 2
-    fewer = replace(design, refined=8).refined_rows()[0]
+    fewer = replace(design, refined=8).refined_rows().base
     assert np.array_equal(fewer, base[: len(fewer)])
 
 
 def test_later_packings_sample_other_effects_again():
     design = Design(refined=AGAIN + 16)
     every, later = design.refined_rows(), design.refined_rows(AGAIN)
-    for whole, part in zip(every, later, strict=True):
-        assert np.array_equal(part, whole[-len(part) :])
-    strengths, each = later[1], 1 + len(REFINED_AGAIN)
+    for name, part in vars(later).items():
+        assert np.array_equal(part, getattr(every, name)[-len(part) :])
+    strengths, each = later.strengths, 1 + len(REFINED_AGAIN)
     at_work = strengths.reshape(16, each, -1) != 0
     names = [[design.effect_names[k] for k in np.flatnonzero(row)] for row in at_work[0]]
     assert names == [[], *([name] for name in REFINED_AGAIN)]
     assert (at_work == at_work[0]).all()
     density = strengths[:, design.effect_names.index("specimen_density")].reshape(16, each).sum(1)
-    sizes = np.array([design.refined_spheres(j) for j in range(AGAIN, AGAIN + 16)])
+    sizes = np.array(later.spheres)[::each]
     for size in set(sizes):  # of one size some are denser and some looser
         assert len(set(np.sign(density[sizes == size]))) == 2
 
 
-def test_effects_that_are_sampled_again_join_a_library(monkeypatch):
+def test_effects_that_are_sampled_again_join_a_library():
     library = toy_library.library()
     design = replace(library.design, refined=2)
-    monkeypatch.setattr("calibrate.discrepancy.library.simulate.run_points", toy_library.run_points)
-    runs = run_refined(design, None, None)  # type: ignore[arg-type]
+    runs = toy_library.run_points(design, design.refined_rows())
     assert lacks_refined(design, library)
     grown = library.refined(design, runs)
-    assert 0 < len(grown.values) - len(library.values) <= len(runs)
+    assert 0 < len(grown.rows.values) - len(library.rows.values) <= len(runs)
     assert grown.design.refined == 2 and not lacks_refined(design, grown)
-    assert grown.packing.max() == FIRST_REFINED + 1
+    assert grown.rows.packing.max() == FIRST_REFINED + 1
     more = replace(design, refined=3)
-    larger = grown.refined(more, run_refined(more, None, None, first=2))  # type: ignore[arg-type]
-    assert np.array_equal(larger.base[: len(grown.base)], grown.base)
-    assert set(larger.packing[len(grown.base) :]) == {FIRST_REFINED + 2}
+    larger = grown.refined(more, toy_library.run_points(more, more.refined_rows(2)))
+    assert np.array_equal(larger.rows.base[: len(grown.rows.base)], grown.rows.base)
+    assert set(larger.rows.packing[len(grown.rows.base) :]) == {FIRST_REFINED + 2}
 
 
 def test_errors_that_an_effect_makes_along_one_direction_are_found():
@@ -537,10 +542,11 @@ def test_emulator_errors_survive_their_file(tmp_path):
 
 def toy_repeats() -> run_library.Rows:
     """Repeats of the toy library's design, by formula; the first run of the second soil failed."""
-    design = toy_library.DESIGN
-    base, _ = design.repeats()
-    runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(base[:, :2])]
-    return run_library.repeats_of(design, LAB, [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]])
+    points = toy_library.DESIGN.repeats()
+    soils = points.base[:, :2]
+    runs = [toy_library.run(soil, np.zeros(3), 500 + i) for i, soil in enumerate(soils)]
+    runs = [*runs[:SPECIMENS], None, *runs[SPECIMENS + 1 :]]
+    return Rows.of(Cylinder.of(LAB), points, runs)
 
 
 def test_repeats_survive_their_file_and_growth(tmp_path):
@@ -603,25 +609,22 @@ def test_specimens_of_one_class_of_porosity_share_a_program(tmp_path):
         assert grid.cell >= 2 * each.specimen.max_radius() + grid.skin + grid.reach
 
 
-def test_repeats_are_simulated_on_their_packings(monkeypatch):
-    seen = []
-    monkeypatch.setattr(simulate, "run_points", lambda design, points, *_: seen.append(points))
+def test_repeats_are_simulated_on_their_packings():
     design = Design()
-    simulate.run_repeats(design, None, Silent())  # pyright: ignore[reportArgumentType]
-    (points,), (base, _) = seen, design.repeats()
-    assert (points.base == base).all() and not points.strengths.any()
-    assert len(set(points.seeds)) == len(base)
-    assert points.seeds.min() > 1000 * design.seed + design.of_packing.max()
+    points = design.repeats()
+    assert not points.strengths.any()
+    assert len(set(points.seeds)) == len(points.base)
+    assert points.seeds.min() > 1000 * design.seed + design.rows().packing.max()
     sizes = [design.sphere_size(spheres) for spheres in points.spheres]
-    assert sizes == base[:, design.base_names.index("sphere_size")].tolist()
+    assert sizes == points.base[:, design.base_names.index("sphere_size")].tolist()
 
 
 def test_repeats_are_soils_of_several_specimens():
     design = Design()
-    base, soil = design.repeats()
-    of_soil = base.reshape(design.repeated, SPECIMENS, -1)
+    points = design.repeats()
+    of_soil = points.base.reshape(design.repeated, SPECIMENS, -1)
     assert (of_soil == of_soil[:, :1]).all()
-    assert np.bincount(soil).tolist() == [SPECIMENS] * design.repeated
+    assert np.bincount(points.packing).tolist() == [SPECIMENS] * design.repeated
     assert len(np.unique(of_soil[:, 0, 0])) == design.repeated
     pace = of_soil[:, 0, design.base_names.index("pace")]
     assert np.mean(pace < 1) == pytest.approx(1 / design.slow_in)
@@ -643,13 +646,13 @@ def test_specimens_have_components_of_the_size_that_is_known(emulator):
 def small_library() -> RunLibrary:
     """Rows of a design with made-up features."""
     design = replace(Design(), packings=8)
-    base, strengths = design.rows()
+    points = design.rows()
     features = Cylinder(0.05, 0.1, 200.0, 400.0).features()
-    values = RNG.uniform(1, 2, size=(len(base), len(features)))
+    values = RNG.uniform(1, 2, size=(len(points.base), len(features)))
     curve = (np.linspace(0, 1, 5), np.linspace(0, 400, 5))
     return RunLibrary(
-        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS, base, strengths,
-        design.of_packing, values,
+        design, Cylinder(0.05, 0.1, 200.0, 400.0), PHYSICS,
+        Rows(points.base, points.strengths, points.packing, values),
         {"confined": curve, "unconfined": curve},
     )  # fmt: skip
 
@@ -680,7 +683,7 @@ def test_a_library_survives_its_file(tmp_path: Path):
     store.save(library, path)
     again = store.load(path)
     assert again.design == library.design and again.cylinder == library.cylinder
-    assert np.allclose(again.values, library.values, rtol=1e-6)
+    assert np.allclose(again.rows.values, library.rows.values, rtol=1e-6)
     assert np.allclose(again.reference["confined"], library.reference["confined"])
 
 
@@ -692,10 +695,11 @@ def test_a_library_grows_to_the_one_that_a_larger_design_gives():
     later = [None, *runs[toy_library.PACKINGS * toy_library.ROWS + 1 :]]
     grown = toy_library.library().grown(larger, later)
     first = toy_library.PACKINGS * toy_library.ROWS
-    keep = np.delete(np.arange(len(whole.values)), first)
-    assert len(whole.values) == len(runs) and not grown.kernels and grown.emulator_errors is None
+    keep = np.delete(np.arange(len(whole.rows.values)), first)
+    assert len(whole.rows.values) == len(runs)
+    assert not grown.kernels and grown.emulator_errors is None
     for part in ("base", "strengths", "packing", "values"):
-        np.testing.assert_array_equal(getattr(grown, part), getattr(whole, part)[keep])
+        np.testing.assert_array_equal(getattr(grown.rows, part), getattr(whole.rows, part)[keep])
 
 
 def test_a_library_grows_only_by_more_of_the_same():
