@@ -147,9 +147,11 @@ class Archive:
 
     def keep(self, content: Mapping[str, bytes]) -> None:
         """Writes these packings and no other; equal content is an equal file."""
-        with whole(self.path) as part, zipfile.ZipFile(part, "w") as every:
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w") as every:
             for name, data in sorted(content.items()):
                 every.writestr(zipfile.ZipInfo(name), data)
+        write_bytes(self.path, packed.getvalue())
 
 
 SHIPPED = Archive(Path(str(resources.files("calibrate.simulation"))) / "beds.zip")
