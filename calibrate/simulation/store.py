@@ -148,9 +148,9 @@ class Archive:
     def keep(self, content: Mapping[str, bytes]) -> None:
         """Writes these packings and no other; equal content is an equal file."""
         packed = io.BytesIO()
-        with zipfile.ZipFile(packed, "w") as every:
+        with zipfile.ZipFile(packed, "w") as file:
             for name, data in sorted(content.items()):
-                every.writestr(zipfile.ZipInfo(name), data)
+                file.writestr(zipfile.ZipInfo(name), data)
         write_bytes(self.path, packed.getvalue())
 
 
