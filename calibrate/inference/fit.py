@@ -210,6 +210,26 @@ class TargetsMet:
 
 
 @dataclass(frozen=True)
+class AsGoodAsChance:
+    """Curves are met as well as their scatter allows, where a response explored: half the squared
+    norm of the data residual of the best point is what chance leaves of it (Morozov's discrepancy
+    principle; Engl, Hanke and Neubauer 1996, Regularization of Inverse Problems, section 4.3).
+
+    Beyond it a fit follows the luck of its few packings, away from what others show."""
+
+    def __call__(self, descent: Descent) -> str:
+        at, calibration = descent.at, descent.calibration
+        explored = calibration.coarse is not None and calibration.coarse.near
+        if not explored or at is None or at is not descent.best or at.failures:
+            return ""
+        if all(feature.is_target for feature in calibration.problem.features):
+            return ""
+        data = at.residual[: len(calibration.problem.measured)]
+        reached = data @ data <= len(data)
+        return "curves are met as well as their scatter allows" if reached else ""
+
+
+@dataclass(frozen=True)
 class NothingToGain:
     """The slopes promise less than one residual of the size of the tolerance is worth.
 
@@ -263,6 +283,7 @@ def rules(settings: Settings) -> tuple[Rule, ...]:
     """The user's own rules, or the usual ones with the numbers of the settings."""
     return settings.stopping or (
         TargetsMet(settings.tolerance),
+        AsGoodAsChance(),
         NothingToGain(settings.tolerance),
         NoBetterPoint(settings.patience),
         SmallStep(),

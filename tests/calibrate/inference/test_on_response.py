@@ -7,6 +7,8 @@ differ from it by a ratio.
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +22,7 @@ from calibrate.inference.calibration import calibrate as calibrated
 from calibrate.inference.calibration import explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.evaluation import Calibration
+from calibrate.inference.fit import AsGoodAsChance
 from calibrate.inference.on_response import (
     BEYOND,
     FeaturesOfBeds,
@@ -39,10 +42,19 @@ from calibrate.labtests.features import (
     ForceAtDisplacement,
     ScalarTarget,
 )
+from calibrate.labtests.measured import Curve
 from calibrate.labtests.reading import Zero
 from calibrate.response.beds import Beds
 from calibrate.simulation.resolution import PRESETS
-from tests.support.formulas import BASE, LAB, NAMES, FormulaBeds, Formulas, on_response
+from tests.support.formulas import (
+    BASE,
+    LAB,
+    NAMES,
+    FormulaBeds,
+    Formulas,
+    on_response,
+    specimen,
+)
 from tests.support.formulas import response_campaign as campaign
 from tests.support.toy_library import library
 
@@ -190,6 +202,36 @@ def test_a_fit_takes_no_run_for_slopes_and_few_to_meet_its_targets():
     assert ratio["depression_depth_mm"]["end"] == pytest.approx(1.03, rel=0.05)
     assert ratio["crushing_force_n"]["end"] == pytest.approx(0.94, rel=0.08)
     assert content["history"][0]["parameters"]["shear_modulus"] == float(BASE.shear_modulus)
+
+
+def test_curves_are_met_as_well_as_chance_allows_and_no_better():
+    """Records of three other packings: what is left of them is luck, which no evaluation chases."""
+    soil = with_values(BASE, {"shear_modulus": 8e6})
+    records = [specimen(soil, seed).curves["confined"].T for seed in (77, 78, 79)]
+    curves = tuple(Curve("confined", *record, "a record.csv") for record in records)
+    lab = replace(LAB, targets={}, curves=curves)
+    done = calibrated(lab, PRESETS["standard"], NAMES, BASE, 0, Formulas(), on_response())
+    decided = [row for row in done.result.history if row["status"] != "explored"]
+    assert "as well as their scatter allows" in done.result.stopped and len(decided) <= 2
+    residual = done.result.best.residual[: len(done.setup.problem.measured)]
+    assert residual @ residual <= len(residual)
+
+
+@pytest.mark.parametrize(
+    ("size", "explored", "targets", "ends"),
+    [(0.9, True, False, True), (1.1, True, False, False), (0.9, False, False, False),
+     (0.9, True, True, False)],
+)  # fmt: skip
+def test_only_curves_that_a_response_explored_end_there(size, explored, targets, ends):
+    features = [SimpleNamespace(is_target=targets)] * 4
+    problem = SimpleNamespace(measured=np.zeros(4), features=features)
+    coarse = SimpleNamespace(near=True) if explored else None
+    best = SimpleNamespace(residual=np.full(6, size), failures=())
+    seen: Any = SimpleNamespace(
+        at=best, best=best, calibration=SimpleNamespace(problem=problem, coarse=coarse)
+    )
+    assert bool(AsGoodAsChance()(seen)) == ends
+    assert AsGoodAsChance()(SimpleNamespace(**{**vars(seen), "best": None})) == ""
 
 
 def test_it_chooses_what_to_free_without_a_run():
