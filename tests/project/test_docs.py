@@ -450,7 +450,7 @@ def test_the_rule_stops_at_its_cost(examples):
     assert [rule(state(1.5)) for rule in examples["settings"].stopping[:1]] == [
         "the cost is below 2"
     ]
-    assert len(examples["settings"].stopping) == 6
+    assert len(examples["settings"].stopping) == 7
 
 
 def test_the_density_of_a_straight_response_is_highest_where_it_meets_data_and_prior(examples):
