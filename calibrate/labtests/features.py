@@ -255,7 +255,8 @@ def turning_rows(force: np.ndarray) -> list[int]:
 def cyclic_course(displacement: np.ndarray, force: np.ndarray) -> tuple[float, ...]:
     """Forces (N) between which a record goes up and down again, beginning with the end of its
     first loading; empty where it is loaded only once.  Where the force falls while the platen goes
-    on, a specimen breaks and nothing is unloaded."""
+    on, a specimen breaks and nothing is unloaded; where a loading does not end above zero,
+    nothing is pressed."""
     rows = turning_rows(force)
     kept = [rows[1]] if len(rows) > 1 and force[rows[1]] > force[rows[0]] else []
     for begin, end in pairwise(rows[1:] if kept else ()):
@@ -263,7 +264,8 @@ def cyclic_course(displacement: np.ndarray, force: np.ndarray) -> tuple[float, .
         if falls and displacement[end] >= displacement[begin]:
             return ()
         kept.append(end)
-    return tuple(float(force[row]) for row in kept) if len(kept) > 2 else ()
+    pressed = all(force[row] > 0 for row in kept[::2])
+    return tuple(float(force[row]) for row in kept) if len(kept) > 2 and pressed else ()
 
 
 def _steps(force: np.ndarray) -> list[Waypoint]:

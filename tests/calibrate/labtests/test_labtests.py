@@ -475,6 +475,11 @@ def test_one_loading_has_no_cycles(curve):
     assert cyclic_course(*curve) == ()
 
 
+def test_cycles_below_zero_press_nothing():
+    way, force = cycles(COURSES[next(iter(COURSES))], noise=0.0)
+    assert cyclic_course(way, force) and cyclic_course(way, force - 2 * force.max()) == ()
+
+
 def test_a_cyclic_curve_is_refused_with_the_protocol_that_it_followed(folder):
     """The line of the refusal, put into the lab file, makes it readable by a fit."""
     way, force = cycles((400, 20, 400, 0))
