@@ -5,6 +5,7 @@ refused with one line.
 """
 
 import io
+import re
 import zipfile
 
 import numpy as np
@@ -82,12 +83,23 @@ def small_exports(folder):
     for row in zip(*columns(points=60).values(), strict=True):
         page.append([float(v) for v in row])
     book.save(folder / "good.xlsx")
+    workbook = timeless((folder / "good.xlsx").read_bytes())
     german = text_of(columns("unconfined"), NAMES["German"], ";", ",", before=["Probe: 1"])
     chinese = text_of(columns(), NAMES["Chinese"], "\t", before=["试样直径\t50\tmm"])
     blanks = text_of(columns(), HEADING, "  ")
     two = text_of(columns(), HEADING) + "\nSpecimen: two\n" + text_of(columns(), HEADING)
     texts = (german.encode("cp1252"), chinese.encode("utf-16"), blanks.encode(), two.encode())
-    return [*texts, (folder / "good.xlsx").read_bytes()]
+    return [*texts, workbook]
+
+
+def timeless(workbook):
+    """A workbook without the times at which it was made, so that every run harms the same bytes."""
+    again = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(workbook)) as made, zipfile.ZipFile(again, "w") as archive:
+        for name in made.namelist():
+            content = re.sub(rb"20\d\d-\d\d-\d\dT[\d:]+Z", b"2026-01-01T00:00:00Z", made.read(name))
+            archive.writestr(zipfile.ZipInfo(name), content)
+    return again.getvalue()
 
 
 WORDS = [
@@ -153,7 +165,7 @@ def malformed_sheet(good, rng):
     again = io.BytesIO()
     with zipfile.ZipFile(again, "w") as archive:
         for part, content in parts.items():
-            archive.writestr(part, content)
+            archive.writestr(zipfile.ZipInfo(part), content)
     return again.getvalue()
 
 
