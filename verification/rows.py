@@ -117,7 +117,7 @@ def _diagnosis(question: str, part: int = 0, column: str = "found") -> Cell:
 
 
 def _slope(of: str, parameter: str | re.Pattern, how=_largest) -> Cell:
-    sets = {"under": "As fits take them", "after": re.compile("Packings of seed")}
+    sets = {"under": re.compile(".*[Aa]s fits take them"), "after": re.compile("Packings of seed")}
     return Cell("audit", "differs by", {**sets, "of": of, "parameter": parameter}, how=how)
 
 

@@ -17,6 +17,7 @@ from calibrate.inference.evaluation import (
     Calibration,
     Evaluation,
     Settings,
+    compared,
     packing_scatter,
 )
 from calibrate.inference.fit import Descent, Fit, descend, finished, fit, joined
@@ -27,7 +28,7 @@ from calibrate.inference.parameters import FACTORS, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
 from calibrate.inference.slopes import SlopesOfSmallerBeds
-from calibrate.inference.widening import Round, Screened, advised, chosen, compared, widened
+from calibrate.inference.widening import Round, Screened, advised, chosen, widened
 from calibrate.io.lab import Lab
 from calibrate.io.soil import with_values
 from calibrate.simulation import Run

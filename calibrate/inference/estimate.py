@@ -10,11 +10,11 @@ import numpy as np
 
 from calibrate.core.errors import CalibrationError
 from calibrate.inference.calibration import Explored
-from calibrate.inference.evaluation import Calibration, Evaluation
+from calibrate.inference.evaluation import Calibration, Evaluation, compared
 from calibrate.inference.identifiability import Identifiability, assess
 from calibrate.inference.misfit import misses
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.widening import chosen, compared
+from calibrate.inference.widening import chosen
 from calibrate.simulation.run import Run
 from calibrate.simulation.specimens import curves_json, measured_json, soil_json
 

@@ -246,3 +246,25 @@ def packing_scatter(problem: Problem, runs: Sequence[Run]) -> np.ndarray:
     """Covariance (m, m) of one packing's features over their mean, from runs on several."""
     features = finished_features(problem, runs)
     return shrunk_covariance(features / features.mean(axis=0))
+
+
+def compared(problem: Problem, covariance: np.ndarray, best: Evaluation) -> dict[str, dict]:
+    """Each feature as result.json holds it: measured, simulated, deviation of their difference,
+    its test, and whether it is a target."""
+    rows = zip(
+        problem.features,
+        problem.measured,
+        best.features.mean(axis=0),
+        np.sqrt(np.diag(covariance)),
+        strict=True,
+    )
+    return {
+        f.name: {
+            "measured": float(m),
+            "simulated": float(s),
+            "sd": float(sd),
+            "test": f.test,
+            "target": f.is_target,
+        }
+        for f, m, s, sd in rows
+    }

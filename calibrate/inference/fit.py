@@ -22,8 +22,9 @@ import optimistix as optx
 from jax import Array
 
 from calibrate.core.errors import CalibrationError
-from calibrate.inference.evaluation import Calibration, Evaluation, Settings
+from calibrate.inference.evaluation import Calibration, Evaluation, Settings, compared
 from calibrate.inference.identifiability import Identifiability, assess, by_profiles
+from calibrate.inference.misfit import misses
 from calibrate.inference.parameters import to_digits
 from calibrate.inference.slopes import AbstractSlopes, LastStep, MeasuredSlopes
 
@@ -213,7 +214,8 @@ class TargetsMet:
 class AsGoodAsChance:
     """Curves are met as well as their scatter allows, where a response explored: half the squared
     norm of the data residual of the best point is what chance leaves of it (Morozov's discrepancy
-    principle; Engl, Hanke and Neubauer 1996, Regularization of Inverse Problems, section 4.3).
+    principle; Engl, Hanke and Neubauer 1996, Regularization of Inverse Problems, section 4.3), and
+    no number is missed.
 
     Beyond it a fit follows the luck of its few packings, away from what others show."""
 
@@ -222,10 +224,13 @@ class AsGoodAsChance:
         explored = calibration.coarse is not None and calibration.coarse.near
         if not explored or at is None or at is not descent.best or at.failures:
             return ""
-        if all(feature.is_target for feature in calibration.problem.features):
+        problem = calibration.problem
+        if all(feature.is_target for feature in problem.features):
             return ""
-        data = at.residual[: len(calibration.problem.measured)]
-        reached = data @ data <= len(data)
+        data = at.residual[: len(problem.measured)]
+        reached = data @ data <= len(data) and not misses(
+            compared(problem, calibration.covariance, at)
+        )
         return "curves are met as well as their scatter allows" if reached else ""
 
 

@@ -84,8 +84,9 @@ class FeaturesOfBeds(eqx.Module):
     def of_beds(self, values: Array) -> Array:
         """Features of the beds (l,)."""
         soil, strengths = self.soil(values), values[len(self.names) :]
-        if self.under is None or not len(strengths):
+        if not len(strengths):
             return self.beds.values(soil)
+        assert self.under is not None, "strengths, and nothing that knows effects"
         return self.under(self.beds, soil, strengths)
 
     def soil(self, values: Array) -> SoilParameters:

@@ -19,12 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from calibrate.inference.evaluation import Calibration, Evaluation
+from calibrate.inference.evaluation import Calibration, Evaluation, compared
 from calibrate.inference.fit import Descent, Fit
 from calibrate.inference.misfit import misses
 from calibrate.inference.on_response import Solved
 from calibrate.inference.parameters import Space, to_digits
-from calibrate.inference.problem import Problem
 from calibrate.io.lab import Lab
 
 ROUNDS = 3  # after the first
@@ -137,28 +136,6 @@ class Outlook:
             names.append(best)
         kept = [self.space.names.index(name) for name in names]
         return Advice(tuple(names), values[kept], alone, cost)
-
-
-def compared(problem: Problem, covariance: np.ndarray, best: Evaluation) -> dict[str, dict]:
-    """Each feature as result.json holds it: measured, simulated, deviation of their difference,
-    its test, and whether it is a target."""
-    rows = zip(
-        problem.features,
-        problem.measured,
-        best.features.mean(axis=0),
-        np.sqrt(np.diag(covariance)),
-        strict=True,
-    )
-    return {
-        f.name: {
-            "measured": float(m),
-            "simulated": float(s),
-            "sd": float(sd),
-            "test": f.test,
-            "target": f.is_target,
-        }
-        for f, m, s, sd in rows
-    }
 
 
 @dataclass(frozen=True, eq=False)

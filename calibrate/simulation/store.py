@@ -70,8 +70,10 @@ class Store:
 
     def packing(self, name: str) -> Packing | None:
         """The packing of this name; None where there is none or its file is damaged."""
-        path = self.packing_path(name)
-        return _packing_of(path.read_bytes()) if path.exists() else None
+        try:
+            return _packing_of(self.packing_path(name).read_bytes())
+        except OSError:
+            return None
 
     def run(self, key: str) -> Run | None:
         """The run of this key; None where there is none or its file is damaged."""
@@ -129,8 +131,7 @@ class Archive:
     path: Path
 
     def names(self) -> list[str]:
-        with zipfile.ZipFile(self.path) as every:
-            return every.namelist()
+        return list(self.content())
 
     def packing(self, name: str) -> Packing | None:
         """The packing of this name; None where there is none or it is damaged."""

@@ -218,18 +218,29 @@ def test_curves_are_met_as_well_as_chance_allows_and_no_better():
 
 
 @pytest.mark.parametrize(
-    ("size", "explored", "targets", "ends"),
-    [(0.9, True, False, True), (1.1, True, False, False), (0.9, False, False, False),
-     (0.9, True, True, False)],
+    ("change", "ends"),
+    [({}, True), ({"size": 1.1}, False), ({"explored": False}, False), ({"targets": 4}, False),
+     ({"targets": 1}, True), ({"off": 9.0}, False), ({"off": 9.0, "targets": 1}, False)],
 )  # fmt: skip
-def test_only_curves_that_a_response_explored_end_there(size, explored, targets, ends):
-    features = [SimpleNamespace(is_target=targets)] * 4
-    problem = SimpleNamespace(measured=np.zeros(4), features=features)
-    coarse = SimpleNamespace(near=True) if explored else None
-    best = SimpleNamespace(residual=np.full(6, size), failures=())
-    seen: Any = SimpleNamespace(
-        at=best, best=best, calibration=SimpleNamespace(problem=problem, coarse=coarse)
+def test_only_curves_that_a_response_explored_end_there(change, ends):
+    """Whitened residuals of one size; the first number may be off by so many deviations."""
+    size, explored, targets, off = (
+        {"size": 0.9, "explored": True, "targets": 0, "off": 0.0, **change}.values()
+    )  # fmt: skip
+    features = [
+        SimpleNamespace(name=f"force at {k} mm", test="unconfined", is_target=k < targets)
+        for k in range(4)
+    ]
+    problem = SimpleNamespace(measured=np.full(4, 20.0), features=features)
+    best = SimpleNamespace(
+        residual=np.full(6, size), failures=(), features=np.array([[20.0 + off, 20, 20, 20]])
     )
+    calibration = SimpleNamespace(
+        problem=problem,
+        covariance=np.eye(4),
+        coarse=SimpleNamespace(near=True) if explored else None,
+    )
+    seen: Any = SimpleNamespace(at=best, best=best, calibration=calibration)
     assert bool(AsGoodAsChance()(seen)) == ends
     assert AsGoodAsChance()(SimpleNamespace(**{**vars(seen), "best": None})) == ""
 
