@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.apparatus.tool import PLACE, Channel, Tool
 from jdem.core.quantity import Real, quantity
 from jdem.engine.segment import Segment
 from jdem.observables import AbstractGauge, Curve
@@ -48,21 +49,23 @@ class Movement(eqx.Module):
 
 
 class Readings(eqx.Module):
-    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N); `window`
-    as in `Curve`."""
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N), and the
+    test's further channels by name (SI); `window` as in `Curve`."""
 
     travel: Array
     force: Array
     window: float = eqx.field(static=True, default=0.0)
+    channels: dict[str, Array] = eqx.field(default_factory=dict)
 
 
 class Reading(eqx.Module):
-    """What one test gives: its curve, its observables by name (SI), and whether the machine came
-    as far as it was to."""
+    """What one test gives: its curve, its observables by name (SI), whether the machine came as far
+    as it was to, and further channels beside the curve, by name (SI), at its rows."""
 
     curve: Curve
     observables: dict[str, Array]
     complete: Array
+    channels: dict[str, Array] = eqx.field(default_factory=dict)
 
 
 class AbstractApparatus(eqx.Module):
@@ -90,6 +93,27 @@ class AbstractApparatus(eqx.Module):
     @abc.abstractmethod
     def observables(self) -> tuple[str, ...]:
         """Names of the observables that `read` gives."""
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        """Boundaries that the test brings along beside the cell's; `movements` has their rates
+        after the cell's."""
+        return ()
+
+    @property
+    def travel(self) -> Channel:
+        """The channel that is the curve's displacement."""
+        return Channel("travel", PLACE)
+
+    @property
+    def force(self) -> Channel | None:
+        """The channel that is the curve's force; None: what the servo's load cell reads."""
+        return None
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Further channels that are recorded."""
+        return ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -141,6 +165,22 @@ class Gauged(AbstractApparatus):
     @property
     def observables(self) -> tuple[str, ...]:
         return (*self.test.observables, *(gauge.name for gauge in self.gauges))
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        return self.test.tools
+
+    @property
+    def travel(self) -> Channel:
+        return self.test.travel
+
+    @property
+    def force(self) -> Channel | None:
+        return self.test.force
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        return self.test.channels
 
     @property
     def required_force(self) -> Real | None:

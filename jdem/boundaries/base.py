@@ -96,6 +96,11 @@ class AbstractBoundary(eqx.Module):
         """The same at other rates."""
         return eqx.tree_at(lambda b: b.rates, self, rates)
 
+    def home(self) -> Vector | None:
+        """Where its reference point was as it was made (m); None: a kind that is not brought back
+        there."""
+        return None
+
     def near(self, position: Vector, radius: Array, gap: float) -> Array:
         """Whether spheres come within `gap` (m) of it, shape (N,).
 

@@ -12,6 +12,7 @@ from jax import Array
 from jdem.boundaries.base import DOWN, UP, AbstractBoundary, Rates, Surface, along, point
 from jdem.boundaries.cylinder import Cylinder
 from jdem.boundaries.plane import Plane
+from jdem.boundaries.revolved import Revolved
 from jdem.boundaries.sphere import Sphere
 from jdem.core.quantity import Real
 from jdem.core.vector import Vector
@@ -20,6 +21,7 @@ KINDS: dict[str, type[AbstractBoundary]] = {
     "plane": Plane,
     "cylinder": Cylinder,
     "sphere": Sphere,
+    "revolved": Revolved,
 }
 
 Boundaries = tuple[AbstractBoundary, ...]

@@ -195,4 +195,4 @@ def recorded(
     for effect in effects:
         travel = travel + effect.travel_error(force)
         shown = shown + effect.force_error(readings.force, time)
-    return Readings(travel, shown, readings.window)
+    return Readings(travel, shown, readings.window, readings.channels)

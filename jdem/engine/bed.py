@@ -21,6 +21,7 @@ from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters, particle_law, wall_law
 
 MOST_SPHERES = 46_000
+ON_TOOLS = 2.0  # contacts with a tool on an area of d^2 that are listed at most
 PAIRS_GROW = 4  # power of the listing distance with which the number of listed pairs grows
 
 
@@ -124,11 +125,12 @@ def plan_grid(
     extent: tuple[float, float],
     numerics: Numerics,
     reach: float = 0.0,
+    touched: float = 0.0,
 ) -> Grid:
     """The neighbour search for spheres of these sizes (m).
 
     `extent` is the width and height (m) that the search grid covers before it wraps; `reach`
-    (m) is the gap across which forces act.
+    (m) is the gap across which forces act; `touched` (m2) is what tools add to the cell's walls.
     """
     if count > MOST_SPHERES:
         raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
@@ -138,12 +140,13 @@ def plan_grid(
     room = usual_pairs(2 * mean_radius / extent[0]) if room is None else room
     pairs_per_sphere = room * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
     layer = numerics.wall_layer * 2 * mean_radius / extent[0]
+    on_tools = ON_TOOLS * touched / (2 * mean_radius) ** 2
     across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
     return Grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,
         pairs=in_blocks(int(np.ceil(pairs_per_sphere * count))),
-        wall_contacts=in_blocks(int(np.ceil(layer * count)) + 16),
+        wall_contacts=in_blocks(int(np.ceil(layer * count + on_tools)) + 16),
         cell=cell,
         skin=skin,
         reach=reach,

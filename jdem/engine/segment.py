@@ -6,18 +6,22 @@
 A programme is numbers, not code, so one compiled loop serves every apparatus.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jdem.boundaries.base import AbstractBoundary
 from jdem.boundaries.composite import FORCE, MOULD, PLATEN, Boundaries, resistances
 from jdem.core.kernel import together
 from jdem.core.quantity import Real, as_quantity, quantity
+from jdem.core.vector import Vector
 from jdem.engine.state import BedState, Command
 
-KEEP, REMOVE, LOWER = 0, 1, 2
+KEEP, REMOVE, LOWER, HOME, FOLLOW = 0, 1, 2, 3, 4
 CELL = 3  # boundaries of the testing cell
 
 
@@ -42,8 +46,9 @@ class Segment(eqx.Module):
     `duration` or when
     |F - force_target| < tolerance.  F is what the load cell reads: it follows the resistance
     with the time constant `lag`; with a lag the segment also ends when F passes the target.
-    `placed` says what happens to each boundary first: KEEP, REMOVE, or LOWER it onto the nearest
-    sphere.  Lengths are those of the testing cell unless given.
+    `placed` says what happens to each boundary first: KEEP, REMOVE, LOWER it onto the nearest
+    sphere, bring it HOME to where it was made, or let it FOLLOW the boundary before it, as far from
+    its home as that one is.  Lengths are those of the testing cell unless given.
     """
 
     speed: Array = eqx.field(default_factory=_still, converter=as_quantity)
@@ -147,13 +152,27 @@ def _read(boundaries: Boundaries, loads: Array, before: Array, segment: Segment,
 
 def placed(boundaries: Boundaries, segment: Segment, position, radius) -> Boundaries:
     """Boundaries taken away or lowered as the segment begins, and at rest."""
-    changed = []
+    changed: list[AbstractBoundary] = []
     for boundary, wanted in zip(boundaries, segment.placed, strict=True):
-        there, away = boundary.touching(position, radius), boundary.removed()
-        now = jax.tree.map(lambda a, b, w=wanted: jnp.where(w == LOWER, a, b), there, boundary)
-        now = jax.tree.map(lambda a, b, w=wanted: jnp.where(w == REMOVE, a, b), away, now)
+        places = {LOWER: boundary.touching(position, radius), REMOVE: boundary.removed()}
+        if (home := boundary.home()) is not None:
+            places |= {HOME: _at(boundary, home), FOLLOW: _at(boundary, home + _way(changed[-1]))}
+        now = boundary
+        for placing, there in places.items():
+            chosen = partial(jnp.where, wanted == placing)
+            now = jax.tree.map(chosen, there, now)
         changed.append(now.driven(jax.tree.map(jnp.zeros_like, now.rates)))
     return tuple(changed)
+
+
+def _at(boundary: AbstractBoundary, place: Vector) -> AbstractBoundary:
+    return eqx.tree_at(lambda b: b.reference, boundary, place)
+
+
+def _way(boundary: AbstractBoundary) -> Vector:
+    """How far a boundary is from its home (m); no way for one without."""
+    home = boundary.home()
+    return boundary.reference - (boundary.reference if home is None else home)
 
 
 def ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]) -> Array:

@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus, Movement, Readings
+from jdem.apparatus.base import AbstractApparatus, Movement, Reading, Readings
+from jdem.apparatus.tool import Tool, around, numbered
+from jdem.boundaries.composite import CELL_SURFACES, Boundaries, cell
 from jdem.core.quantity import cast, check_precision
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
-from jdem.engine.loop import AbstractDerivative, Record, Sample, run, start
+from jdem.engine.loop import AbstractDerivative, Record, Sample, begun, run
 from jdem.engine.neighbors import Grid
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.segment import Segment, stack
@@ -44,8 +46,27 @@ class TestSequence(eqx.Module):
         return self.apparatus[[test.name for test in self.apparatus].index(name)]
 
     def movements(self) -> list[Movement]:
-        """All movements in the order of their numbers."""
-        return [movement for test in self.apparatus for movement in test.movements()]
+        """All movements in the order of their numbers; segments have the tools of all tests."""
+        made = []
+        for number, test in enumerate(self.apparatus):
+            others = self.around(number)
+            for each in test.movements():
+                made.append(replace(each, segment=numbered(each.segment, *others)))
+        return made
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        """Those of all tests, in the order of their numbers behind the cell's boundaries."""
+        return tuple(tool for test in self.apparatus for tool in test.tools)
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Whose friction the cell's boundaries and the tools have."""
+        return (*CELL_SURFACES, *(tool.surface for tool in self.tools))
+
+    def around(self, number: int) -> tuple[int, int]:
+        """How many tools stand ahead of test `number`'s own and behind them."""
+        return around([len(test.tools) for test in self.apparatus], number)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,7 +103,8 @@ class TestSequence(eqx.Module):
 
 
 class Outcome(eqx.Module):
-    """Results of one specimen: observables in SI units and curves by test, and the full record.
+    """Results of one specimen: observables in SI units, curves, and further channels at their rows
+    by name, all by test, and the full record.
 
     Curves and observables are what the laboratory would have recorded, instruments' errors
     included; the record has the truth.
@@ -90,6 +112,7 @@ class Outcome(eqx.Module):
 
     observables: dict[str, dict[str, Array]]
     curves: dict[str, Curve]
+    channels: dict[str, dict[str, Array]]
     record: Record
     nominal_time: Array  #: s, (samples,); since the load cell was tared, as in the laboratory
     failed: Array  #: True where a list overflowed, a number is not finite, or a test fell short
@@ -117,7 +140,8 @@ class VirtualLab(eqx.Module):
         effects: Sequence[AbstractEffect] = (),
     ) -> "VirtualLab":
         reach = max((e.reach(2 * specimen.max_radius()) for e in effects), default=0.0)
-        grid = specimen.grid(numerics, reach=reach)
+        touched = sum(tool.area for tool in tests.tools)
+        grid = specimen.grid(numerics, reach=reach, touched=touched)
         capacity = sample_capacity(tests.programme(), numerics)
         return VirtualLab(tests, numerics, grid, capacity, tuple(effects))
 
@@ -151,7 +175,7 @@ class VirtualLab(eqx.Module):
         around = self._surroundings(packing, soil)
         bed = around.bed(bed, jnp.asarray(0), around.begin(dtype))
         position = cast(packing.position, dtype)
-        state = start(bed, position, packing.height, packing.mould_radius)
+        state = begun(bed, position, self._boundaries(packing, position.x.dtype))
         programme = cast(self._programme(), dtype)
         record = run(bed, state, programme, steps, self.capacity, around, self.derivative)
         window = 0.0 if self.derivative is None else self.derivative.window
@@ -162,6 +186,12 @@ class VirtualLab(eqx.Module):
         for effect in self.effects:
             packing = effect.packing(packing)
         return packing
+
+    def _boundaries(self, packing: Packing, dtype) -> Boundaries:
+        """The testing cell around the packing, and all tools, which are away."""
+        tools = cast([tool.boundary for tool in self.tests.tools], dtype)
+        around = cell(packing.height, packing.mould_radius, dtype)
+        return (*around, *(boundary.removed() for boundary in tools))
 
     def _programme(self) -> Segment:
         programme, time_scale = self.tests.programme(), self.tests.timetable().time_scale
@@ -185,7 +215,8 @@ class VirtualLab(eqx.Module):
         around = self._surroundings(packing, soil)
         if time_step is None and isinstance(around, Altered):
             time_step = around.time_step(packing.spheres, self.numerics.safety)
-        return build_bed(packing.spheres, soil, self.grid, self.numerics, time_step)
+        surfaces = self.tests.surfaces
+        return build_bed(packing.spheres, soil, self.grid, self.numerics, time_step, surfaces)
 
 
 _run = eqx.filter_jit(VirtualLab.run)
@@ -225,12 +256,9 @@ def outcome(
 ) -> Outcome:
     """Observables and curves of a finished record, as the instruments show them; `window` as in
     `jdem.observables.Curve`."""
-    samples = record.samples
-    time = nominal_time(tests, samples)
-    readings = Readings(-samples.platen_height, samples.reading, window)
-    readings = recorded(effects, readings, samples.platen_force, time)
+    time = nominal_time(tests, record.samples)
     found = {
-        test.name: test.read(readings, samples.segment - tests.first_movement(number))
+        test.name: _read(tests, number, record.samples, effects, time, window)
         for number, test in enumerate(tests.apparatus)
     }
     observables = {name: reading.observables for name, reading in found.items()}
@@ -240,10 +268,29 @@ def outcome(
     return Outcome(
         observables=observables,
         curves={name: reading.curve for name, reading in found.items()},
+        channels={name: reading.channels for name, reading in found.items()},
         record=record,
         nominal_time=time,
         failed=record.overflow_of(bed.grid) | ~record.finished | ~sound,
     )
+
+
+def _read(
+    tests: TestSequence,
+    number: int,
+    samples: Sample,
+    effects: Sequence[AbstractEffect],
+    time: Array,
+    window: float,
+) -> Reading:
+    """What test `number` gives, as the instruments show it."""
+    test, ahead = tests.apparatus[number], tests.around(number)[0]
+    felt = samples.platen_force if test.force is None else test.force.read(samples, ahead)
+    shown = samples.reading if test.force is None else felt
+    further = {channel.name: channel.read(samples, ahead) for channel in test.channels}
+    readings = Readings(test.travel.read(samples, ahead), shown, window, further)
+    readings = recorded(effects, readings, felt, time)
+    return test.read(readings, samples.segment - tests.first_movement(number))
 
 
 def nominal_time(tests: TestSequence, samples: Sample) -> Array:

@@ -6,13 +6,15 @@
     jkr                  elastic spheres that stick; gamma is each body's surface energy
     parallel_bond        a bond of Potyondy and Cundall beside Hertz-Mindlin, or alone
 
-All have a rolling spring beside them whose limit is 0 unless given.  The laws that beds of lab
-files can have are in `jdem.materials.soil`.
+All have a rolling spring beside them whose limit is 0 unless given.  Beds can have all but the bond
+(BED_LAWS), with the parameters of a soil (`jdem.materials.soil`), beside the conventions of EEPA.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
+
+import jax.numpy as jnp
 
 from jdem.core.parameter import Accepted, Parameter
 from jdem.core.quantity import Real
@@ -22,6 +24,7 @@ from jdem.laws.base import AbstractContactLaw, AbstractNormalLaw
 from jdem.laws.composite import ContactLaw
 from jdem.laws.hertz_mindlin import Hertz, Kept, LinearCohesion, MindlinSpring
 from jdem.laws.liggghts import RollingSpring
+from jdem.materials.conventions import CONVENTIONS, Parts
 from jdem.mechanics import dashpot
 from jdem.mechanics.elasticity import (
     AbstractStiffness,
@@ -175,4 +178,50 @@ CONTACT_LAWS: dict[str, NamedLaw] = {
         {**_FREE, **_BONDED},
         {**_MEMORY, "base": ("hertz_mindlin", "none")},
     ),
+}
+
+
+# ---------------------------------------------------------------- laws of beds
+
+
+def hertz_mindlin_bed(parts: Parts) -> AbstractContactLaw:
+    """Hertz-Mindlin of a soil."""
+    return _of_soil("hertz_mindlin", parts)
+
+
+def hertz_cohesion_bed(parts: Parts) -> AbstractContactLaw:
+    """Hertz-Mindlin of a soil, with linear cohesion."""
+    return _of_soil("hertz_cohesion", parts)
+
+
+def hysteretic_cohesion_bed(parts: Parts) -> AbstractContactLaw:
+    """The hysteretic spring of a soil, with linear cohesion."""
+    return _of_soil("hysteretic_cohesion", parts)
+
+
+def jkr_bed(parts: Parts) -> AbstractContactLaw:
+    """JKR of a soil."""
+    return _of_soil("jkr", parts)
+
+
+ATTRACTING = ("cohesion", "gamma")  # what `wall_adhesion` multiplies at walls
+NO_ADHESION = 1e-12  # of the soil's, where JKR needs some
+
+
+def _of_soil(name: str, parts: Parts) -> AbstractContactLaw:
+    """A law by name from what a soil states: G and Poisson's ratio, and the law's parameters."""
+    law, values = CONTACT_LAWS[name], parts.values
+    own = {entry.name: values[entry.name] for entry in law.parameters if entry.name in values}
+    share = jnp.maximum(parts.adhesion, NO_ADHESION)
+    own |= {each: share * own[each] for each in ATTRACTING if each in own}
+    young = 2 * values["shear_modulus"] * (1 + values["poisson_ratio"])
+    return law.law(Stated(young, values["poisson_ratio"], own, {}, parts.smoothing))
+
+
+BED_LAWS: dict[str, Callable[[Parts], AbstractContactLaw]] = {
+    **CONVENTIONS,
+    "hertz_mindlin": hertz_mindlin_bed,
+    "hertz_cohesion": hertz_cohesion_bed,
+    "hysteretic_cohesion": hysteretic_cohesion_bed,
+    "jkr": jkr_bed,
 }

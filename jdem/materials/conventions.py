@@ -31,12 +31,14 @@ FRICTION_VISCOSITY = 0.3
 
 
 class Parts(NamedTuple):
-    """What a soil states: parameters by name (SI), normal law, elasticity, widths of roundings."""
+    """What a soil states: parameters by name (SI), normal law, elasticity, widths of roundings, and
+    how much of its adhesion acts (1 between spheres)."""
 
     values: Mapping[str, Real]
     normal: AbstractNormalLaw
     stiffness: AbstractStiffness
     smoothing: Smoothing
+    adhesion: Real = 1.0
 
 
 def eepa(parts: Parts) -> ContactLaw:

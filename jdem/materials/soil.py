@@ -16,7 +16,6 @@ from jax import Array
 from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.laws.base import AbstractContactLaw, AbstractNormalLaw
-from jdem.laws.composite import ContactLaw
 from jdem.laws.eepa import EEPA
 from jdem.materials.conventions import Parts, eepa
 from jdem.mechanics.elasticity import (
@@ -58,7 +57,7 @@ class SoilParameters(eqx.Module):
     wall_friction and platen_friction belong to the mould and to the platens.
     slope_exponent (1 or 1.5) chooses the law, so it is static; so is `law`, the normal law, whose
     parameters beyond these are in `further`, by name; so are `conventions`, what stands beside the
-    normal law (one of `jdem.materials.conventions.CONVENTIONS`).
+    normal law, or a whole law in its place (one of `jdem.materials.contact_laws.BED_LAWS`).
     """
 
     restitution: Real = quantity(0.322)
@@ -78,7 +77,7 @@ class SoilParameters(eqx.Module):
     stiffness_factor: Real = quantity(2.0)
     slope_exponent: float = eqx.field(static=True, default=1.0)
     law: NormalLaw = eqx.field(static=True, default=EEPA)
-    conventions: Callable[[Parts], ContactLaw] = eqx.field(static=True, default=eepa)
+    conventions: Callable[[Parts], AbstractContactLaw] = eqx.field(static=True, default=eepa)
     further: dict[str, Array] = eqx.field(default_factory=dict)
 
     def __check_init__(self):
@@ -127,7 +126,7 @@ def elasticity(soil: SoilParameters) -> AbstractStiffness:
 
 def _law(
     soil: SoilParameters, mean_diameter: Array, adhesion: Real, smoothing: Smoothing
-) -> ContactLaw:
+) -> AbstractContactLaw:
     stiffness, values = elasticity(soil), soil.values()
     normal = soil.law.of(values, mean_diameter, adhesion, stiffness, smoothing)
-    return soil.conventions(Parts(values, normal, stiffness, smoothing))
+    return soil.conventions(Parts(values, normal, stiffness, smoothing, adhesion))

@@ -54,12 +54,14 @@ class Specimen(eqx.Module):
         """Radius (m) of the largest sphere there can be."""
         return self.mean_radius() * (1 + self.spread)
 
-    def grid(self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0) -> Grid:
+    def grid(
+        self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0, touched: float = 0.0
+    ) -> Grid:
         """Neighbour search for any packing of this specimen, `stretch` times its height, with
-        forces across gaps up to `reach` (m)."""
+        forces across gaps up to `reach` (m), and tools of `touched` (m2) in it."""
         mean, largest = self.mean_radius(), self.max_radius()
         extent = (self.diameter, stretch * self.height)
-        return plan_grid(self.count, mean, largest, extent, numerics, reach)
+        return plan_grid(self.count, mean, largest, extent, numerics, reach, touched)
 
     def at_usual_porosity(self) -> "Specimen":
         """The same with the porosity that spheres of this size usually have in this mould."""
