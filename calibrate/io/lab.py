@@ -22,7 +22,6 @@ from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
 from calibrate.labtests.pair import Pair, pair_of
-from calibrate.labtests.protocol import program
 from jdem.materials.conventions import DEFAULT
 
 
@@ -310,12 +309,20 @@ def _curves(
 
 
 def _check_protocols(stated: StatedTests, cylinders: Sequence[Cylinder], file: str) -> None:
-    """Refuse a step that goes where this specimen does not let it."""
+    """Refuse what a test's specimen does not let it do, or a mould that is gone already."""
+    free = False
     for number, (test, cylinder) in enumerate(zip(stated.tests, cylinders, strict=True)):
+        field = f"tests[{number}]"
         try:
-            program(test.protocol, cylinder)
+            test.check_on(cylinder)
         except BadValue as bad:
-            raise bad.at(file, f"tests[{number}]") from None
+            raise bad.at(file, field) from None
+        free = free and test.specimen is None
+        if free and test.in_mould:
+            problem = f"the test before took the mould away, and {test.called} needs it"
+            repair = "put it before that test, or give it a specimen of its own"
+            raise InputError(file, field, problem, repair)
+        free = free or test.frees
 
 
 def _cylinders(stated: StatedTests, first: Cylinder) -> list[Cylinder]:

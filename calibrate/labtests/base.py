@@ -154,7 +154,8 @@ class AbstractLabTest(AbstractTable):
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
     further: what is read off its curve as well where a target asks for it; plain: its table may
     stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
-    says so itself; with_soil: without it, the test takes no specimen, and no fit compares it.
+    says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
+    in_mould: it needs the soil in its mould, and follows no protocol.
     """
 
     type_name: ClassVar[str]
@@ -164,6 +165,7 @@ class AbstractLabTest(AbstractTable):
     plain: ClassVar[bool] = False
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True
+    in_mould: ClassVar[bool] = False
 
     type: Text | None = None
     name: Annotated[str, AfterValidator(_test_name)] | None = None
@@ -175,6 +177,9 @@ class AbstractLabTest(AbstractTable):
     @model_validator(mode="after")
     def _check_whole(self) -> "AbstractLabTest":
         check_protocol(self.protocol)
+        if self.protocol and self.in_mould:
+            problem = f"a {self.title} test follows no protocol"
+            raise BadValue(problem, "leave it out, and give its rate", "protocol")
         for given in self.targets:
             self.observable(given)
         return self
@@ -213,6 +218,15 @@ class AbstractLabTest(AbstractTable):
     def asked_of(self, targets: Mapping[str, TargetTable]) -> Self:
         """The same test with further targets, by observable."""
         return self.model_copy(update={"targets": {**self.targets, **targets}})
+
+    @property
+    def frees(self) -> bool:
+        """Whether the specimen stands without its mould afterwards."""
+        return any(step.step == "remove_mould" for step in self.protocol)
+
+    def check_on(self, cylinder: Cylinder) -> None:
+        """`BadValue` where this specimen does not let the test be made."""
+        program(self.protocol, cylinder)
 
     def machine(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         """The virtual test with a gauge for each observable that is read off its curve."""

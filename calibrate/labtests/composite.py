@@ -7,6 +7,7 @@ from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
+from calibrate.labtests.penetration import ConeTest, PlateTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.unconfined import UnconfinedTest
 from jdem.apparatus.base import AbstractApparatus
@@ -19,6 +20,8 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         OedometerTest,
         RelaxationTest,
         MachineTest,
+        ConeTest,
+        PlateTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}

@@ -107,6 +107,10 @@ class UnconfinedTest(AbstractLabTest):
     lubricated: bool = False
     at_once: bool = False
 
+    @property
+    def frees(self) -> bool:
+        return True
+
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         rows = 2 * int(PEAK_WINDOW / (pace.free * pace.sample_time) / 2) + 1
         if self.protocol:

@@ -1,0 +1,142 @@
+"""Tools pushed into the bed: cone penetration (ASABE S313.3, EP542) and plate sinkage.
+
+A cone's index is its mean resistance over a range of depths of its base; a plate's pressure is read
+at a sinkage, counted from a seating pressure.  The bed is what the tests before left in its mould,
+or stands in it as it was prepared.
+"""
+
+import math
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from calibrate.core.errors import BadValue
+from calibrate.core.tables import Length, Speed
+from calibrate.core.units import LENGTH, SPEED, STRESS, Range
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.measured import Cylinder
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.penetration import (
+    MeanPressure,
+    Penetration,
+    PressureAt,
+    cone,
+    cone_length,
+    plate,
+)
+
+CONE_INDEX = Observable(
+    "cone_index_kpa", "cone index", "kPa", "cone_index", 1e-3, within=0.25, symbol="CI",
+    usually=Range(STRESS, "1 kPa", "20 MPa"),
+)  # fmt: skip
+SINKAGE_PRESSURE = Observable(
+    "sinkage_pressure_kpa", "pressure at the sinkage", "kPa", "sinkage_pressure", 1e-3,
+    within=0.25, symbol="p", usually=Range(STRESS, "0.1 kPa", "20 MPa"),
+)  # fmt: skip
+TOOL = Range(LENGTH, "2 mm", "300 mm")
+DEPTH = Range(LENGTH, "0.5 mm", "1 m")
+PUSHED = Range(SPEED, "0.01 mm/s", "1 m/s")
+CLEAR = 0.9  # of the bed's height, to which a tool may go: below, the base carries it
+NARROW = 0.5  # of the mould's diameter, from which on a tool has no room
+SEATED_WITHIN = 0.05  # of the bed's height, in which a plate is seated
+BEYOND = 1.05  # of the last depth that is read, to which the tool is pushed
+SEATING = 1e3  # Pa; pressure of a plate from which sinkage counts
+
+
+def _check_room(deepest: float, width: float, cylinder: Cylinder, name: str) -> None:
+    """Refuse a tool that goes too deep (m) for the bed, or is too wide (m) for it."""
+    if deepest > CLEAR * cylinder.height:
+        went, high = 1e3 * deepest, 1e3 * cylinder.height
+        problem = f"the tool goes {went:.0f} mm deep into a bed of {high:.0f} mm"
+        repair = f"stay above {100 * CLEAR:.0f} % of the height, or give a higher specimen"
+        raise BadValue(problem, repair, name)
+    if width >= NARROW * cylinder.diameter:
+        wide, mould = 1e3 * width, 1e3 * cylinder.diameter
+        problem = f"a tool {wide:.0f} mm wide has no room in a mould of {mould:.0f} mm"
+        repair = "give a narrower tool or a wider specimen, at least five times the tool"
+        raise BadValue(problem, repair, "diameter")
+
+
+class ConeTest(AbstractLabTest):
+    """A cone of a base diameter (m) and a full angle (degrees) pushed at `rate` (m/s); its index is
+    the mean over depths of its base from `depth_from` to `depth_to` (m)."""
+
+    type_name = "cone_penetration"
+    title = "cone penetration"
+    observables = (CONE_INDEX,)
+    shape = "stiffens"
+    in_mould = True
+
+    diameter: Annotated[Length, TOOL] = 12.83e-3
+    shaft: Annotated[Length | None, TOOL] = None
+    angle: float = Field(default=30.0, gt=5.0, lt=170.0)
+    rate: Annotated[Speed, PUSHED] = 0.03
+    depth_from: Annotated[Length | None, DEPTH] = None
+    depth_to: Annotated[Length, DEPTH] = 0.03
+
+    @model_validator(mode="after")
+    def _check_tool(self) -> "ConeTest":
+        if self.shaft is not None and self.shaft > self.diameter:
+            raise BadValue("the shaft is wider than the cone", "give it a smaller one", "shaft")
+        if self.depth_from is not None and self.depth_from >= self.depth_to:
+            raise BadValue("it is not above depth_to", "give a smaller depth", "depth_from")
+        return self
+
+    @property
+    def deepest(self) -> float:
+        """How deep the apex goes, m."""
+        return BEYOND * self.depth_to + cone_length(self.diameter, self.angle)
+
+    def check_on(self, cylinder: Cylinder) -> None:
+        _check_room(self.deepest, self.diameter, cylinder, "depth_to")
+
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        first = 0.0 if self.depth_from is None else self.depth_from
+        area = math.pi / 4 * self.diameter**2
+        return Penetration(
+            parts=cone(self.diameter, self.angle, self.shaft or 0.0),
+            gauges=(MeanPressure(area, first, self.depth_to, name=CONE_INDEX.source),),
+            simulated_rate=pace.free,
+            nominal_rate=self.rate,
+            stroke=self.deepest,
+            datum=cone_length(self.diameter, self.angle),
+            name=self.called,
+        )
+
+
+class PlateTest(AbstractLabTest):
+    """A round plate of a diameter and a thickness (m) pushed at `rate` (m/s); the pressure is read
+    at `sinkage` (m), which counts from a pressure of 1 kPa."""
+
+    type_name = "plate_sinkage"
+    title = "plate sinkage"
+    observables = (SINKAGE_PRESSURE,)
+    shape = "stiffens"
+    in_mould = True
+
+    diameter: Annotated[Length, TOOL] = 0.025
+    thickness: Annotated[Length, DEPTH] = 4e-3
+    rate: Annotated[Speed, PUSHED] = 0.01
+    sinkage: Annotated[Length, DEPTH] = 6e-3
+
+    def deepest(self, cylinder: Cylinder) -> float:
+        """How deep the plate goes, m."""
+        return BEYOND * self.sinkage + SEATED_WITHIN * cylinder.height
+
+    def check_on(self, cylinder: Cylinder) -> None:
+        _check_room(self.deepest(cylinder), self.diameter, cylinder, "sinkage")
+
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        area = math.pi / 4 * self.diameter**2
+        return Penetration(
+            parts=plate(self.diameter, self.thickness),
+            gauges=(PressureAt(area, self.sinkage, name=SINKAGE_PRESSURE.source),),
+            simulated_rate=pace.free,
+            nominal_rate=self.rate,
+            stroke=self.deepest(cylinder),
+            seating_force=SEATING * area,
+            name=self.called,
+        )
+
+    def guides(self) -> tuple[float, ...]:
+        return (SEATING * math.pi / 4 * self.diameter**2,)
