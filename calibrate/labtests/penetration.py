@@ -95,7 +95,9 @@ class ConeTest(AbstractLabTest):
         area = math.pi / 4 * self.diameter**2
         return Penetration(
             parts=cone(self.diameter, self.angle, self.shaft or 0.0),
-            gauges=(MeanPressure(area, first, self.depth_to, name=CONE_INDEX.source),),
+            gauges=(
+                MeanPressure(area=area, low=first, high=self.depth_to, name=CONE_INDEX.source),
+            ),
             simulated_rate=pace.free,
             nominal_rate=self.rate,
             stroke=self.deepest,
@@ -130,7 +132,7 @@ class PlateTest(AbstractLabTest):
         area = math.pi / 4 * self.diameter**2
         return Penetration(
             parts=plate(self.diameter, self.thickness),
-            gauges=(PressureAt(area, self.sinkage, name=SINKAGE_PRESSURE.source),),
+            gauges=(PressureAt(area=area, depth=self.sinkage, name=SINKAGE_PRESSURE.source),),
             simulated_rate=pace.free,
             nominal_rate=self.rate,
             stroke=self.deepest(cylinder),

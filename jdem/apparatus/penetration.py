@@ -25,7 +25,7 @@ from jdem.apparatus.tool import FORCE, PLACE, Channel, Tool, machine_segment
 from jdem.boundaries.base import DOWN, UP, point
 from jdem.boundaries.revolved import Revolved
 from jdem.core.quantity import Real, quantity
-from jdem.engine.segment import CELL, FOLLOW, HOME, KEEP, LOWER, PLATEN, REMOVE
+from jdem.engine.segment import CELL, FOLLOW, LOWER, PLATEN, REMOVE
 from jdem.observables import AbstractGauge, Curve, displacement_at
 
 SHAFT = 0.2  # m; length of a cone's shaft, which no test uses up
@@ -55,12 +55,11 @@ class Penetration(AbstractApparatus):
         scale = self.simulated_rate / self.nominal_rate
         return [
             Movement("resting", self._resting(), testing=False, resting=True),
-            Movement("aligning", self._aligned(), testing=False),
             Movement("pushing", self._pushing(), scale),
         ]
 
     def read(self, readings: Readings, movement: Array) -> Reading:
-        pushed = curve_of(readings, movement == 2)
+        pushed = curve_of(readings, movement == 1)
         zero = displacement_at(pushed, self.seating_force) if self.seating_force else 0.0
         depth = (pushed.displacement - zero - self.datum) * pushed.valid
         curve = replace(pushed, displacement=depth)
@@ -101,26 +100,20 @@ class Penetration(AbstractApparatus):
         return range(CELL, CELL + len(self.parts))
 
     def _resting(self):
-        away = {number: REMOVE for number in (PLATEN, *self._numbers())}
-        damping = {"damping": self.resting_damping, "duration": self.rest}
-        return machine_segment(len(self.parts), placed=away, **damping)
-
-    def _aligned(self):
-        """All parts at their homes, which are above any bed, for no time."""
-        return machine_segment(len(self.parts), placed={n: HOME for n in self._numbers()})
+        away = dict.fromkeys((PLATEN, *self._numbers()), REMOVE)
+        return machine_segment(
+            len(self.parts), placed=away, damping=self.resting_damping, duration=self.rest
+        )
 
     def _pushing(self):
-        placed = {number: FOLLOW for number in self._numbers()} | {CELL: LOWER}
+        placed = dict.fromkeys(self._numbers(), FOLLOW) | {CELL: LOWER}
         return machine_segment(
             len(self.parts),
-            speed={number: self.simulated_rate for number in self._numbers()},
-            placed={PLATEN: KEEP, **placed},
+            speed=dict.fromkeys(self._numbers(), self.simulated_rate),
+            placed=placed,
             servo=CELL,
             duration=self.stroke / self.simulated_rate,
         )
-
-
-HOME_HEIGHT = 5.0  # m; above any bed
 
 
 def cone(base_diameter: float, angle: float, shaft_diameter: float = 0.0) -> tuple[Tool, ...]:
@@ -153,7 +146,7 @@ def plate(diameter: float, thickness: float) -> tuple[Tool, ...]:
 
 
 def _tool(name: str, line: Sequence[tuple[float, float]], area: float) -> Tool:
-    at = point(0.0, 0.0, HOME_HEIGHT, float)
+    at = point(0.0, 0.0, 0.0, float)
     return Tool(name, Revolved.of(line, at, DOWN), area)
 
 
@@ -187,5 +180,5 @@ class PressureAt(AbstractGauge):
 
     def of(self, curve: Curve, movement: Array) -> Array:
         half = 0.5 * self.window
-        mean = MeanPressure(self.area, self.depth - half, self.depth + half)
+        mean = MeanPressure(area=self.area, low=self.depth - half, high=self.depth + half)
         return mean.of(curve, movement)

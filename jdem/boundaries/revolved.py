@@ -123,16 +123,10 @@ class Revolved(AbstractBoundary):
 
     def _nearest(self, radius: Array, height: Array) -> tuple[Array, Array, Array]:
         """Away from the nearest point of the line: in radius, in height, and the distance."""
-        chosen = None
-        for start, end in self._legs():
-            leg = end - start
-            along_leg = (radius - start[0]) * leg[0] + (height - start[1]) * leg[1]
-            share = jnp.clip(along_leg / (leg[0] * leg[0] + leg[1] * leg[1]), 0.0, 1.0)
-            off = (radius - start[0] - share * leg[0], height - start[1] - share * leg[1])
-            found = (*off, off[0] * off[0] + off[1] * off[1])
-            nearer = True if chosen is None else found[2] < chosen[2]
-            chosen = found if chosen is None else _chosen(nearer, found, chosen)
-        assert chosen is not None
+        chosen, *others = [_off(leg, radius, height) for leg in self._legs()]
+        for other in others:
+            nearer = other[2] < chosen[2]
+            chosen = [jnp.where(nearer, a, b) for a, b in zip(other, chosen, strict=True)]
         off_radius, off_height, square = chosen
         positive = jnp.where(square > 0, square, 1.0)
         return off_radius, off_height, jnp.where(square > 0, jnp.sqrt(positive), 0.0)
@@ -157,6 +151,10 @@ class Revolved(AbstractBoundary):
         return eqx.tree_at(lambda b: b.reference, self, reference)
 
 
-def _chosen(first: Array, one: tuple[Array, ...], other: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Entry by entry `one` where `first` holds, else `other`."""
-    return tuple(jnp.where(first, a, b) for a, b in zip(one, other, strict=True))
+def _off(leg: tuple[Array, Array], radius: Array, height: Array) -> list[Array]:
+    """Away from the nearest point of a leg, in radius and in height, and the distance squared."""
+    start, way = leg[0], leg[1] - leg[0]
+    passed = (radius - start[0]) * way[0] + (height - start[1]) * way[1]
+    share = jnp.clip(passed / (way[0] * way[0] + way[1] * way[1]), 0.0, 1.0)
+    off = (radius - start[0] - share * way[0], height - start[1] - share * way[1])
+    return [*off, off[0] * off[0] + off[1] * off[1]]

@@ -139,7 +139,7 @@ class MindlinSpring(AbstractTangentialLaw):
         return once((spring * (-unit * share), contact.slip * (-beta * sticks), memory))
 
     def damping_ratio(self):
-        """TOGETHER times that of one contact: at twice the step a plate on a bed is half as hard."""
+        """TOGETHER times that of one contact: with twice the step a plate sinks half as hard."""
         return TOGETHER * HERTZIAN * damping_ratio(jnp.log(self.restitution))
 
     def memory(self, shape, dtype):

@@ -1,0 +1,189 @@
+"""Tests that bring tools along: surfaces of revolution against closed forms, a plate on one sphere,
+tools of several tests in one sequence, and what is recorded of them."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.penetration import (
+    MeanPressure,
+    Penetration,
+    PressureAt,
+    cone,
+    cone_length,
+    plate,
+)
+from jdem.apparatus.tool import TORQUE, Channel, machine_segment, numbered
+from jdem.bodies.spheres import Spheres
+from jdem.boundaries.base import DOWN, FAR, UP, along, point
+from jdem.boundaries.revolved import Revolved
+from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics
+from jdem.engine.segment import CELL, PLATEN, REMOVE
+from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
+from jdem.materials.contact_laws import BED_LAWS
+from jdem.materials.soil import SoilParameters
+from jdem.observables import Curve
+from jdem.packing.specimen import Packing, Specimen
+
+RADIUS = 2.5e-3
+ORIGIN = point(0.0, 0.0, 0.0, float)
+CONE = [(0.0, 0.0), (0.01, 0.02)]  # half angle atan(1/2), opening along its axis
+PLAIN = SoilParameters(
+    restitution=0.5, surface_energy=0.0, rolling_friction=0.0, shear_modulus=12e6,
+    platen_friction=0.0, wall_friction=0.0, conventions=BED_LAWS["hertz_mindlin"],
+)  # fmt: skip
+
+
+def at(*places):
+    return Vector.from_rows(jnp.asarray(places, float))
+
+
+def test_the_nearest_point_is_on_the_flank_at_the_apex_or_on_the_edge():
+    body = Revolved.of(CONE, ORIGIN, UP)
+    flank = np.array([0.005, 0.01]) + 0.003 * np.array([2.0, -1.0]) / np.sqrt(5)
+    position = at([flank[0], 0.0, flank[1]], [0.0, 0.0, -0.004], [0.0, 0.013, 0.024])
+    surface = body.surface(position)
+    np.testing.assert_allclose(surface.distance, [0.003, 0.004, 0.005], rtol=1e-12)
+    expected = [[2 / np.sqrt(5), 0.0, -1 / np.sqrt(5)], [0.0, 0.0, -1.0], [0.0, 0.6, 0.8]]
+    np.testing.assert_allclose(surface.normal.stack(), expected, atol=1e-12)
+
+
+def test_a_tool_is_lowered_onto_the_first_sphere_under_it():
+    """Of many spheres none is touched before, whichever part of the line meets it."""
+    random = np.random.default_rng(3)
+    for line in (CONE, [(0.0, 0.0), (0.01, 0.0), (0.01, -0.004)], [(0.008, 0.0), (0.008, -0.01)]):
+        body = Revolved.of([(r, -z) for r, z in line] if line is CONE else line, ORIGIN, DOWN)
+        places = random.uniform([-0.02, -0.02, -0.08], [0.02, 0.02, -0.05], (40, 3))
+        radius = jnp.asarray(random.uniform(0.001, 0.004, 40))
+        gap = body.removed().touching(at(*places), radius).distance(at(*places)) - radius
+        assert float(gap.min()) == pytest.approx(0.0, abs=1e-13)
+        lifted = replace(body.touching(at(*places), radius), made_at=ORIGIN)
+        higher = lifted.distance(at(*(places - [0.0, 0.0, 1e-4]))) - radius
+        assert float(higher.min()) > 0.0
+
+
+def test_a_line_needs_two_points_on_its_side_of_the_axis():
+    with pytest.raises(ValueError, match="two or more"):
+        Revolved.of([(0.0, 0.0)], ORIGIN, UP)
+    with pytest.raises(ValueError, match="0 or more"):
+        Revolved.of([(0.0, 0.0), (-0.1, 0.0)], ORIGIN, UP)
+
+
+# ---------------------------------------------------------------- one sphere under a tool
+
+
+def one_sphere(test, height=0.02):
+    """A sphere on the base of a wide mould, and what a test finds."""
+    mass = 1830 * 4 / 3 * np.pi * RADIUS**3
+    spheres = Spheres(jnp.asarray([RADIUS]), jnp.asarray([mass]))
+    packing = Packing(at([0.0, 0.0, RADIUS]), spheres, height, 0.03)
+    specimen = Specimen(diameter=0.06, height=height, count=64, porosity=0.4)
+    numerics = Numerics(sample_time=2e-4, smoothing=Smoothing.sharp())
+    lab = VirtualLab.of(specimen, TestSequence(test), numerics)
+    return eqx.filter_jit(VirtualLab.run)(lab, packing, PLAIN)
+
+
+def squeezed(stroke):
+    """A plate pressed on the sphere, slowly."""
+    area = np.pi / 4 * 0.02**2
+    gauges = (
+        MeanPressure(area, 0.0, stroke),
+        PressureAt(area, 0.5 * stroke, window=0.02 * stroke),
+    )
+    return Penetration(plate(0.02, 2e-3), gauges, 5e-4, 0.01, stroke, rest=0.02, name="plate")
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    return one_sphere((squeezed(4e-5),))
+
+
+HERTZ = 4 / 3 * 12e6 / 0.7 * np.sqrt(RADIUS)  # N/m^1.5 of a sphere on a plane
+WEIGHT = 9.81 * 1830 * 4 / 3 * np.pi * RADIUS**3
+
+
+def test_a_plate_on_one_sphere_follows_hertz(pressed):
+    """Way of the plate: overlaps d(F) above and d(F + W) below, of which d(W) was there before,
+    with F = 4/3 E* sqrt(R) d^1.5."""
+    curve = pressed.curves["plate"]
+    rows = np.asarray(curve.valid) > 0
+    way, force = np.asarray(curve.displacement)[rows], np.asarray(curve.force)[rows]
+    begun = 0.5 * 5e-4 * 2e-4  # the first sample is a mean over some way
+    below, before = ((force + WEIGHT) / HERTZ) ** (2 / 3), (WEIGHT / HERTZ) ** (2 / 3)
+    expected = (force / HERTZ) ** (2 / 3) + below - before
+    late = way > 1e-5
+    np.testing.assert_allclose((way - way[0] + begun)[late], expected[late], rtol=0.01)
+    area = np.pi / 4 * 0.02**2
+    found = pressed.observables["plate"]
+    mean = np.trapezoid(force, way) / 4e-5 / area
+    assert float(found["cone_index"]) == pytest.approx(mean, rel=0.03)
+    half = np.interp(2e-5, way, force) / area
+    assert float(found["sinkage_pressure"]) == pytest.approx(half, rel=0.02)
+    assert not bool(pressed.failed)
+
+
+def test_what_pushes_is_what_the_base_feels(pressed):
+    loads = np.asarray(pressed.record.samples.loads)
+    last = np.flatnonzero(np.asarray(pressed.record.samples.segment) >= 0)[-1]
+    assert loads[last, CELL, 2] == pytest.approx(-loads[last, 0, 2] - WEIGHT, rel=1e-3)
+    ledger = pressed.record.state.energy
+    assert float(ledger.boundaries[CELL]) > 0
+    assert float(ledger.supplied()) == pytest.approx(float(ledger.absorbed()), rel=0.02)
+
+
+# ---------------------------------------------------------------- tools of several tests
+
+
+def test_each_test_numbers_its_own_tools():
+    own = machine_segment(2, speed={CELL: 0.1, CELL + 1: 0.2}, placed={PLATEN: REMOVE}, servo=CELL)
+    wide = numbered(own, 1, 2)
+    np.testing.assert_allclose(wide.speed, [0, 0, 0, 0, 0.1, 0.2, 0, 0])
+    np.testing.assert_array_equal(wide.placed, [0, REMOVE, 0, REMOVE, 0, 0, REMOVE, REMOVE])
+    assert int(wide.servo) == CELL + 1
+    assert int(numbered(machine_segment(0, servo=PLATEN), 3, 0).servo) == PLATEN
+
+
+def test_tools_are_away_while_another_test_runs():
+    """The platen presses the sphere first; cone and shaft, then a plate come to the same force."""
+    pressing = ConfinedCompression(
+        simulated_rate=0.004, force_low=0.02, force_high=0.04, servo_width=0.004, tolerance=0.002,
+        stroke=0.02, seating_force=0.005,
+    )  # fmt: skip
+    tip = Penetration(cone(0.02, 60.0, 0.01), (), 0.002, 0.03, 2e-5, rest=0.01, name="cone")
+    found = one_sphere((pressing, tip, squeezed(2e-5)), height=2.1 * RADIUS)
+    samples = found.record.samples
+    segment, place = np.asarray(samples.segment), np.asarray(samples.reference)[..., 2]
+    tools = slice(CELL, CELL + 3)
+    assert np.abs(place[(segment >= 0) & (segment < 3)][:, tools]).min() > 0.9 * FAR
+    last = np.flatnonzero(segment >= 0)[-1]
+    assert place[last, CELL] > 0.9 * FAR and place[last, CELL + 2] < 0.01
+    pushed = segment == 4
+    length = 0.01 / np.tan(np.radians(30.0))
+    assert cone_length(0.02, 60.0) == pytest.approx(length)
+    tips, shafts = place[pushed][:, CELL], place[pushed][:, CELL + 1]
+    np.testing.assert_allclose(tips, shafts, atol=1e-12)  # both count from the apex
+    ends = [np.asarray(found.curves[n].force).max() for n in ("cone", "plate")]
+    assert ends[0] == pytest.approx(ends[1], rel=0.1)
+    assert float(np.abs(found.channels["cone"]["shaft"]).max()) == 0.0
+
+
+def test_a_channel_says_what_it_may_be():
+    with pytest.raises(ValueError, match="force, torque, place"):
+        Channel("angle", "angle")
+    assert Channel("torque", TORQUE).unit == "N m"
+
+
+def test_pressures_are_read_between_and_at_depths():
+    depth = jnp.linspace(-0.01, 0.03, 81)
+    curve = Curve(depth, 100.0 * jnp.maximum(depth, 0.0), jnp.ones(81))
+    mean = MeanPressure(2e-4, 0.01, 0.02).of(curve, jnp.zeros(81))
+    assert float(mean) == pytest.approx(100 * 0.015 / 2e-4)
+    there = PressureAt(2e-4, 0.02, window=1e-3).of(curve, jnp.zeros(81))
+    assert float(there) == pytest.approx(100 * 0.02 / 2e-4)
+    assert float(along(DOWN, at([0.0, 0.0, -2.0]))[0]) == 2.0
