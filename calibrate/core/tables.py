@@ -35,6 +35,7 @@ Length = Annotated[float, _read(positive_quantity, LENGTH)]
 Speed = Annotated[float, _read(positive_quantity, SPEED)]
 Force = Annotated[float, _read(positive_quantity, FORCE)]
 Duration = Annotated[float, _read(unsigned_quantity, TIME)]
+Stress = Annotated[float, BeforeValidator(lambda text: 1e3 * positive_quantity(text, STRESS))]  # Pa
 Density = Annotated[float, _read(positive_quantity, DENSITY)]
 Fraction = Annotated[float, _read(unsigned_quantity, FRACTION)]
 LengthUnit = Annotated[float, _read(unit_factor, MILLIMETRES)]

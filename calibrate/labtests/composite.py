@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
+from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.penetration import ConeTest, PlateTest
@@ -22,6 +23,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         MachineTest,
         ConeTest,
         PlateTest,
+        DirectShearTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}

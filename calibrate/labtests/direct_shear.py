@@ -1,0 +1,98 @@
+"""Direct shear (ASTM D3080): the shear stress that a box of two halves takes under a normal stress.
+
+The stress is the horizontal force on the upper half and the lid over the first area.  The lid's
+stress is the one that is stated; the stress ON the plane is given beside it, as friction on the
+walls makes another of it.  Several normal stresses are several tests, each on a specimen of its
+own; cohesion and friction angle are a line through their peaks.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import model_validator
+
+from calibrate.core.errors import BadValue
+from calibrate.core.tables import Length, Speed, Stress, required
+from calibrate.core.units import LENGTH, SPEED, STRESS, Range
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.unconfined import still_rises
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.direct_shear import DirectShear, round_box
+
+SHEARED = Range(STRESS, "0.5 kPa", "10 MPa")
+PEAK, RESIDUAL, ON_PLANE = (
+    Observable(f"{source}_kpa", label, "kPa", source, 1e-3, within=0.25, symbol=symbol,
+               usually=SHEARED)
+    for source, label, symbol in (
+        ("peak_shear_stress", "peak shear stress", "τ"),
+        ("residual_shear_stress", "residual shear stress", "τr"),
+        ("plane_stress", "normal stress on the plane", "σ'"),
+    )
+)  # fmt: skip
+SLOWER = 0.4  # of the speed at which free specimens are pressed
+LIP = 1.5  # of the travel
+PEAK_TRAVEL = 1e-4  # m, over which the peak is averaged
+WIDTH = 0.15  # of the lid's force, within which its servo slows down
+
+
+class DirectShearTest(AbstractLabTest):
+    """Shear under a `normal_stress` (Pa) of the lid at `rate` (m/s) through `travel` (m); `gap` (m)
+    between the halves."""
+
+    type_name = "direct_shear"
+    title = "direct shear"
+    observables = (PEAK, RESIDUAL, ON_PLANE)
+    shape = "softens"
+    in_mould = True
+
+    normal_stress: Annotated[Stress, SHEARED] = required('normal_stress = "50 kPa"')
+    rate: Annotated[Speed, Range(SPEED, "0.001 mm/min", "100 mm/s")] = 1e-3 / 60
+    travel: Annotated[Length, Range(LENGTH, "1 mm", "60 mm")] = 6e-3
+    gap: Annotated[Length, Range(LENGTH, "0.1 mm", "20 mm")] = 1e-3
+
+    @property
+    def frees(self) -> bool:
+        return True
+
+    @model_validator(mode="after")
+    def _check_gap(self) -> "DirectShearTest":
+        if self.gap >= self.travel:
+            raise BadValue("the gap is wider than the travel", "give a narrower one", "gap")
+        return self
+
+    def check_on(self, cylinder: Cylinder) -> None:
+        if self.travel > 0.25 * cylinder.diameter:
+            problem = "the halves move by more than a quarter of their diameter"
+            raise BadValue(problem, "give less travel, or a wider specimen", "travel")
+        if self.gap > 0.2 * cylinder.height:
+            raise BadValue("the gap is a large part of the height", "give a narrower one", "gap")
+
+    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
+        if observable.source != PEAK.source or not still_rises(*curve.T):
+            return ""
+        return (
+            f"the shear force still rises at the end of the travel, {1e3 * self.travel:.3g} mm: "
+            "there is no peak, the number is where the curve stops"
+        )
+
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        area = math.pi / 4 * cylinder.diameter**2
+        lower, upper = round_box(
+            cylinder.diameter, cylinder.height, cylinder.height / 2, self.gap, LIP * self.travel
+        )
+        speed = SLOWER * pace.free
+        rows = 2 * int(PEAK_TRAVEL / (speed * pace.sample_time) / 2) + 1
+        return DirectShear(
+            lower=lower,
+            upper=upper,
+            area=area,
+            normal_force=self.normal_stress * area,
+            simulated_rate=speed,
+            nominal_rate=self.rate,
+            stroke=self.travel,
+            servo_width=WIDTH * self.normal_stress * area,
+            peak_rows=rows,
+            name=self.called,
+        )
