@@ -38,6 +38,7 @@ STRESS = Kind("stress", "kPa", "200 kPa")
 ENERGY = Kind("energy", "J", "0.4 J")
 STRAIN = Kind("strain", "", "5 %")
 PERCENT = Kind("strain", "%", "5 %")
+ANGLE = Kind("angle", "deg", "31 deg")
 STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 VOID_RATIO = Kind("void ratio", "", "1.2")
 

@@ -310,19 +310,24 @@ def _curves(
 
 def _check_protocols(stated: StatedTests, cylinders: Sequence[Cylinder], file: str) -> None:
     """Refuse what a test's specimen does not let it do, or a mould that is gone already."""
-    free = False
+    free = disturbed = ""  # the test that took the mould away, or left the soil disturbed
     for number, (test, cylinder) in enumerate(zip(stated.tests, cylinders, strict=True)):
         field = f"tests[{number}]"
         try:
             test.check_on(cylinder)
         except BadValue as bad:
             raise bad.at(file, field) from None
-        free = free and test.specimen is None
-        if free and test.in_mould:
-            problem = f"the test before took the mould away, and {test.called} needs it"
-            repair = "put it before that test, or give it a specimen of its own"
+        if test.specimen is not None:
+            free = disturbed = ""
+        if test.with_soil and (disturbed or (free and test.in_mould)):
+            left = (
+                f"{disturbed} leaves the soil disturbed" if disturbed else f"{free} opens the mould"
+            )
+            problem = f"{left}, and {test.called} goes on with this specimen"
+            repair = "give it a specimen of its own, or put it before"
             raise InputError(file, field, problem, repair)
-        free = free or test.frees
+        free = test.called if test.frees else free
+        disturbed = test.called if test.in_mould else disturbed
 
 
 def _cylinders(stated: StatedTests, first: Cylinder) -> list[Cylinder]:

@@ -18,6 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from calibrate.core.errors import BadValue, shown, suggestion
 from calibrate.core.tables import AbstractTable, Text
 from calibrate.core.units import (
+    ANGLE,
     ENERGY,
     FORCE,
     FRACTION,
@@ -72,6 +73,7 @@ UNITS = {
     "N": Unit(FORCE, Range(STRESS, "0.05 kPa", "20 MPa"), STRESS, lambda size: 1e3 * size.area),
     "%": Unit(PERCENT, Range(STRAIN, "0.01 %", "90 %"), LENGTH, lambda size: 100 / size.height),
     "kPa": Unit(STRESS, Range(STRESS, "10 kPa", "10 GPa")),
+    "deg": Unit(ANGLE, Range(ANGLE, "0.5 deg", "89 deg")),
     "J": Unit(ENERGY, Range(ENERGY, "0.01 mJ", "10 kJ")),
 }
 
@@ -155,7 +157,8 @@ class AbstractLabTest(AbstractTable):
     further: what is read off its curve as well where a target asks for it; plain: its table may
     stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
     says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
-    in_mould: it needs the soil in its mould, and follows no protocol.
+    in_mould: a tool's, which needs the soil in its mould, leaves it disturbed, and follows no
+    protocol.
     """
 
     type_name: ClassVar[str]

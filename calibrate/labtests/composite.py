@@ -10,6 +10,7 @@ from calibrate.labtests.machine import MachineTest
 from calibrate.labtests.oedometer import OedometerTest
 from calibrate.labtests.penetration import ConeTest, PlateTest
 from calibrate.labtests.relaxation import RelaxationTest
+from calibrate.labtests.repose import ReposeTest
 from calibrate.labtests.unconfined import UnconfinedTest
 from jdem.apparatus.base import AbstractApparatus
 
@@ -24,6 +25,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         ConeTest,
         PlateTest,
         DirectShearTest,
+        ReposeTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}

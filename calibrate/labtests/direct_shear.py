@@ -52,10 +52,6 @@ class DirectShearTest(AbstractLabTest):
     travel: Annotated[Length, Range(LENGTH, "1 mm", "60 mm")] = 6e-3
     gap: Annotated[Length, Range(LENGTH, "0.1 mm", "20 mm")] = 1e-3
 
-    @property
-    def frees(self) -> bool:
-        return True
-
     @model_validator(mode="after")
     def _check_gap(self) -> "DirectShearTest":
         if self.gap >= self.travel:

@@ -15,6 +15,7 @@ from jax import Array
 from jdem.apparatus.tool import PLACE, Channel, Tool
 from jdem.core.quantity import Real, quantity
 from jdem.engine.segment import Segment
+from jdem.engine.state import Bed, BedState
 from jdem.observables import AbstractGauge, Curve
 
 RESPONSE = 5e-4  # s, of the drive to its servo: some 13 time steps at quick, 50 at fine
@@ -94,11 +95,23 @@ class AbstractApparatus(eqx.Module):
     def observables(self) -> tuple[str, ...]:
         """Names of the observables that `read` gives."""
 
+    def at_end(self, bed: Bed, state: BedState) -> dict[str, Array]:
+        """Further observables, SI, of where all spheres are after the test: none, unless said so.
+
+        A test that has some is the last one of its sequence.
+        """
+        return {}
+
     @property
     def tools(self) -> tuple[Tool, ...]:
         """Boundaries that the test brings along beside the cell's; `movements` has their rates
         after the cell's."""
         return ()
+
+    @property
+    def spreads(self) -> float:
+        """How many times as wide as its mould the soil may lie in the end; 1 unless said so."""
+        return 1.0
 
     @property
     def travel(self) -> Channel:
@@ -166,9 +179,16 @@ class Gauged(AbstractApparatus):
     def observables(self) -> tuple[str, ...]:
         return (*self.test.observables, *(gauge.name for gauge in self.gauges))
 
+    def at_end(self, bed: Bed, state: BedState) -> dict[str, Array]:
+        return self.test.at_end(bed, state)
+
     @property
     def tools(self) -> tuple[Tool, ...]:
         return self.test.tools
+
+    @property
+    def spreads(self) -> float:
+        return self.test.spreads
 
     @property
     def travel(self) -> Channel:

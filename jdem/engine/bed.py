@@ -126,11 +126,13 @@ def plan_grid(
     numerics: Numerics,
     reach: float = 0.0,
     touched: float = 0.0,
+    spreads: float = 1.0,
 ) -> Grid:
     """The neighbour search for spheres of these sizes (m).
 
     `extent` is the width and height (m) that the search grid covers before it wraps; `reach`
-    (m) is the gap across which forces act; `touched` (m2) is what tools add to the cell's walls.
+    (m) is the gap across which forces act; `touched` (m2) is what tools add to the cell's walls;
+    cells cover `spreads` times the width.
     """
     if count > MOST_SPHERES:
         raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
@@ -141,7 +143,8 @@ def plan_grid(
     pairs_per_sphere = room * (1 + reach / (2 * mean_radius)) ** PAIRS_GROW
     layer = numerics.wall_layer * 2 * mean_radius / extent[0]
     on_tools = ON_TOOLS * touched / (2 * mean_radius) ** 2
-    across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in extent)
+    covered = (spreads * extent[0], extent[1])
+    across, up = (max(3, int(np.ceil(length / cell)) + 1) for length in covered)
     return Grid(
         shape=(across, across, up),
         per_cell=numerics.per_cell,

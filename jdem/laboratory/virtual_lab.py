@@ -141,7 +141,8 @@ class VirtualLab(eqx.Module):
     ) -> "VirtualLab":
         reach = max((e.reach(2 * specimen.max_radius()) for e in effects), default=0.0)
         touched = sum(tool.area for tool in tests.tools)
-        grid = specimen.grid(numerics, reach=reach, touched=touched)
+        spreads = max(test.spreads for test in tests.apparatus)
+        grid = specimen.grid(numerics, reach=reach, touched=touched, spreads=spreads)
         capacity = sample_capacity(tests.programme(), numerics)
         return VirtualLab(tests, numerics, grid, capacity, tuple(effects))
 
@@ -261,7 +262,9 @@ def outcome(
         test.name: _read(tests, number, record.samples, effects, time, window)
         for number, test in enumerate(tests.apparatus)
     }
+    last = tests.apparatus[-1]
     observables = {name: reading.observables for name, reading in found.items()}
+    observables[last.name] |= last.at_end(bed, record.state)
     finite = [jnp.isfinite(value) for value in jax.tree.leaves(observables)]
     complete = [reading.complete for reading in found.values()]
     sound = jnp.all(jnp.stack([*finite, *complete]))

@@ -55,13 +55,15 @@ class Specimen(eqx.Module):
         return self.mean_radius() * (1 + self.spread)
 
     def grid(
-        self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0, touched: float = 0.0
-    ) -> Grid:
+        self, numerics: Numerics, stretch: float = 1.5, reach: float = 0.0, touched: float = 0.0,
+        spreads: float = 1.0,
+    ) -> Grid:  # fmt: skip
         """Neighbour search for any packing of this specimen, `stretch` times its height, with
-        forces across gaps up to `reach` (m), and tools of `touched` (m2) in it."""
+        forces across gaps up to `reach` (m), and tools of `touched` (m2) in it; its cells cover
+        `spreads` times its diameter."""
         mean, largest = self.mean_radius(), self.max_radius()
         extent = (self.diameter, stretch * self.height)
-        return plan_grid(self.count, mean, largest, extent, numerics, reach, touched)
+        return plan_grid(self.count, mean, largest, extent, numerics, reach, touched, spreads)
 
     def at_usual_porosity(self) -> "Specimen":
         """The same with the porosity that spheres of this size usually have in this mould."""

@@ -1,0 +1,213 @@
+"""Tools in beds whose positions are given, beside an independent code on the same beds.
+
+LIGGGHTS-PUBLIC 3.8.0 pushed a cone and a plate into six beds of 1000 spheres (law 1: Hertz-Mindlin
+without adhesion; law 2: EEPA, three beds).  This script does the same from the same positions.
+Codes that are both right part on ONE bed, by as much as a smaller time step changes there; what
+they have to share is the mean over beds.
+
+    python -m verification.reference_beds                    some fifteen minutes on two cores
+    python -m verification.reference_beds --tests plate --laws 1
+
+Runs are kept in results/benchmarks; a second call resumes.  Writes
+verification/results/reference_beds.md.  Positions, radii and what LIGGGHTS found are in
+tests/data/reference_beds.npz (made for this purpose, MIT).
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.penetration import Penetration, cone, plate
+from jdem.bodies.spheres import Spheres
+from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics
+from jdem.engine.segment import CELL
+from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
+from jdem.materials.contact_laws import BED_LAWS
+from jdem.materials.soil import SoilParameters
+from jdem.packing.specimen import Packing, Specimen
+from verification import reporting
+
+DATA = Path(__file__).parents[1] / "tests" / "data" / "reference_beds.npz"
+DENSITY = 1830.0  # kg/m3
+MOULD = 0.030  # m, radius
+RATE = 0.05  # m/s
+DAMPING = 41.0  # 1/s, while beds come to rest: 5e-3 N s/m on a sphere of 0.12 g
+SPECIMEN = Specimen(diameter=2 * MOULD, height=0.06, count=1000, spread=0.15, porosity=0.42)
+SMALLER = 0.8  # of the time step, for what a bed itself leaves open
+CONE, PLATE = np.pi / 4 * 0.01283**2, np.pi / 4 * 0.025**2  # m2
+
+_SHARED = SoilParameters(
+    restitution=0.3, static_friction=0.5, rolling_friction=0.2, shear_modulus=31.2e6 / 2.6,
+    poisson_ratio=0.3, wall_friction=0.3, platen_friction=0.3, surface_energy=0.0,
+    tensile_exponent=1.0, plasticity_ratio=2 / 3, tangential_multiplier=1.0,
+)  # fmt: skip
+LAWS = {
+    1: replace(_SHARED, conventions=BED_LAWS["hertz_mindlin"]),
+    2: replace(
+        _SHARED,
+        surface_energy=jnp.asarray(1500.0),
+        reference_diameter=jnp.asarray(5.02e-3),
+        conventions=BED_LAWS["liggghts"],
+    ),
+}
+BEDS = {1: (1, 2, 3, 4, 5, 6), 2: (1, 2, 3)}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A test: its apparatus, the number that is compared, and how it is read: from depths (m) under
+    the highest sphere and forces (N), both (samples,)."""
+
+    apparatus: AbstractApparatus
+    what: str
+    unit: str
+    read: Callable[[np.ndarray, np.ndarray], float]
+
+
+def _between(low: float, high: float, factor: float) -> Callable[[np.ndarray, np.ndarray], float]:
+    def mean(depth: np.ndarray, force: np.ndarray) -> float:
+        return float(factor * force[(depth > low) & (depth < high)].mean())
+
+    return mean
+
+
+def _pushed(parts, stroke: float) -> Penetration:
+    return Penetration(
+        parts=parts, simulated_rate=RATE, nominal_rate=RATE, stroke=stroke, rest=0.05,
+        resting_damping=DAMPING,
+    )  # fmt: skip
+
+
+TESTS = {
+    "cone": Compared(
+        _pushed(cone(0.01283, 30.0, 0.00953), 0.036),
+        "mean on the tip from 24 to 34 mm", "kPa", _between(0.024, 0.034, 1e-3 / CONE),
+    ),
+    "plate": Compared(
+        _pushed(plate(0.025, 0.004), 0.0105),
+        "mean from 5 to 10 mm", "kPa", _between(0.005, 0.010, 1e-3 / PLATE),
+    ),
+}  # fmt: skip
+
+
+@cache
+def data() -> dict[str, np.ndarray]:
+    """Beds (`cylinder_1`: (4, spheres), x, y, z and radius in 0.1 um) and numbers of LIGGGHTS by
+    test and law (`cone_1`: (beds,))."""
+    with np.load(DATA) as found:
+        return {name: found[name] for name in found.files}
+
+
+def packing(bed: int) -> Packing:
+    """The spheres of one bed, from their positions alone."""
+    *centres, radius = 1e-7 * data()[f"cylinder_{bed}"]
+    spheres = Spheres(radius, DENSITY * 4 / 3 * np.pi * radius**3)
+    height = float((centres[2] + radius).max())
+    return Packing(Vector(*map(jnp.asarray, centres)), spheres, height, MOULD)
+
+
+def simulated(test: str, law: int, bed: int, step: float, folder: Path) -> float:
+    """The number of one run, kept; `step` is its time step over the usual one."""
+    path = reporting.kept("reference_beds", folder) / f"{test}_{law}_{bed}_{step:g}.npy"
+    if not path.exists():
+        depth, force = _run(test, law, bed, step)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, np.stack([depth, force]))
+    return TESTS[test].read(*np.load(path))
+
+
+def _run(test: str, law: int, bed: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (m) under the highest sphere, and force (N)."""
+    made, soil, lab = packing(bed), LAWS[law], _lab(test)
+    time_step = step * lab.time_step(made, soil)
+    found: Outcome = _program()(lab, made, soil, time_step)
+    if bool(found.failed):
+        lab = lab.roomier(SPECIMEN)
+        found = _program()(lab, made, soil, time_step)
+    if bool(found.failed):
+        raise RuntimeError(f"{test}, bed {bed}: {found.record.explain_overflow(lab.grid)}")
+    samples = found.record.samples
+    rows = np.asarray(found.curves["penetration"].valid) > 0
+    depth = float(made.height) - np.asarray(samples.reference)[rows, CELL, 2]
+    return depth, np.asarray(found.curves["penetration"].force)[rows]
+
+
+@cache
+def _lab(test: str) -> VirtualLab:
+    tests = TestSequence((TESTS[test].apparatus,))
+    return VirtualLab.of(SPECIMEN, tests, Numerics(sample_time=4e-4, pairs_per_sphere=5.0))
+
+
+@cache
+def _program() -> Callable:
+    return eqx.filter_jit(VirtualLab.run)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One test and law: numbers by bed of LIGGGHTS and of this code, and of bed 1 with a smaller
+    time step."""
+
+    test: str
+    law: int
+    theirs: np.ndarray
+    ours: np.ndarray
+    smaller: float
+
+    def cells(self) -> list[str]:
+        """What the page says of it."""
+        ratio = self.ours.mean() / self.theirs.mean()
+        apart = self.ours - self.theirs
+        error = apart.std(ddof=1) / len(apart) ** 0.5 / self.theirs.mean()
+        each = ", ".join(f"{a:.3g}/{b:.3g}" for a, b in zip(self.ours, self.theirs, strict=True))
+        return [
+            self.test, str(self.law), f"{TESTS[self.test].what} ({TESTS[self.test].unit})",
+            _mean(self.theirs), _mean(self.ours), f"{ratio:.3f} ± {error:.3f}", each,
+            f"{100 * abs(self.smaller / self.ours[0] - 1):.0f} %",
+        ]  # fmt: skip
+
+
+def _mean(values: np.ndarray) -> str:
+    return f"{values.mean():.4g} ± {values.std(ddof=1) / len(values) ** 0.5:.2g}"
+
+
+def markdown(rows: list[Row], origin: dict) -> str:
+    header = ("test", "law", "number", "LIGGGHTS, mean over beds", "this code", "ratio",
+              "bed by bed, this code/LIGGGHTS", "a step 20 % smaller changes bed 1 by")  # fmt: skip
+    return (
+        "# Tools on the beds of another code\n\n"
+        "Law 1: Hertz-Mindlin without adhesion, six beds; law 2: EEPA in the conventions of "
+        "LIGGGHTS, three beds. Means stand with their standard errors over beds; the ratio's is "
+        "of the differences bed by bed.\n\n"
+        + reporting.table(header, [row.cells() for row in rows])
+        + reporting.footer(origin)
+    )
+
+
+def main() -> None:
+    plain = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
+    parser.add_argument("--tests", nargs="+", choices=tuple(TESTS), default=list(TESTS))
+    parser.add_argument("--laws", nargs="+", type=int, choices=tuple(LAWS), default=list(LAWS))
+    chosen = parser.parse_args()
+    reporting.configure()
+    rows = []
+    for test in chosen.tests:
+        for law in chosen.laws:
+            ours = [simulated(test, law, bed, 1.0, reporting.CACHE) for bed in BEDS[law]]
+            smaller = simulated(test, law, 1, SMALLER, reporting.CACHE)
+            theirs = data()[f"{test}_{law}"]
+            rows.append(Row(test, law, theirs, np.array(ours), smaller))
+            reporting.write_page("reference_beds", markdown(rows, reporting.provenance()))
+
+
+if __name__ == "__main__":
+    main()
