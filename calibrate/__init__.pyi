@@ -16,6 +16,8 @@ from .verbs.diagnose import DiagnosisResult as DiagnosisResult
 from .verbs.diagnose import diagnose as diagnose
 from .verbs.doe import DoeResult as DoeResult
 from .verbs.doe import doe as doe
+from .verbs.example import ExampleResult as ExampleResult
+from .verbs.example import example as example
 from .verbs.export import ExportResult as ExportResult
 from .verbs.export import export as export
 from .verbs.fit import FitResult as FitResult

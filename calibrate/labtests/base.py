@@ -263,6 +263,16 @@ class AbstractLabTest(AbstractTable):
         is called; "" if it is."""
         return ""
 
+    @classmethod
+    def together(cls, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+        """Numbers that several tests of this type give together, by name with their unit: `found`
+        has the observables of each test by name, and their conditions: none, unless said so."""
+        return {}
+
+    def conditions(self) -> dict[str, float]:
+        """What the test was made under, by name with the unit, for `together`."""
+        return {}
+
     def guides(self) -> tuple[float, ...]:
         """Forces (N) that a figure of the curve marks."""
         return ()

@@ -7,6 +7,7 @@ own; cohesion and friction angle are a line through their peaks.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -31,6 +32,7 @@ PEAK, RESIDUAL, ON_PLANE = (
         ("plane_stress", "normal stress on the plane", "σ'"),
     )
 )  # fmt: skip
+LID = "lid_stress_kpa"
 SLOWER = 0.4  # of the speed at which free specimens are pressed
 LIP = 1.5  # of the travel
 PEAK_TRAVEL = 1e-4  # m, over which the peak is averaged
@@ -64,6 +66,22 @@ class DirectShearTest(AbstractLabTest):
             raise BadValue(problem, "give less travel, or a wider specimen", "travel")
         if self.gap > 0.2 * cylinder.height:
             raise BadValue("the gap is a large part of the height", "give a narrower one", "gap")
+
+    @classmethod
+    def together(cls, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+        """Cohesion (kPa) and friction angle (deg): lines through peaks over the normal stress on
+        the plane, and over the lid's; empty for fewer than two normal stresses."""
+        said = {}
+        for stress, which in ((ON_PLANE.name, "plane"), (LID, "lid")):
+            points = np.array([[row[stress], row[PEAK.name]] for row in found.values()])
+            if len(np.unique(points[:, 0])) > 1:
+                slope, cohesion = np.polyfit(points[:, 0], points[:, 1], 1)
+                said[f"cohesion_on_{which}_kpa"] = float(cohesion)
+                said[f"friction_angle_on_{which}_deg"] = float(np.degrees(np.arctan(slope)))
+        return said
+
+    def conditions(self) -> dict[str, float]:
+        return {LID: 1e-3 * self.normal_stress}
 
     def doubt(self, observable: Observable, curve: np.ndarray) -> str:
         if observable.source != PEAK.source or not still_rises(*curve.T):

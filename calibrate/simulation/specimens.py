@@ -74,6 +74,7 @@ def simulate(
     runs = work.runs([soil], seeds, "simulating")[0]
     result = {
         **simulation_json(runs),
+        "together": together(lab, runs),
         "observable_warnings": doubts(lab, runs),
         "rates": rates_json(work),
         "parameters": soil_json(soil),
@@ -95,6 +96,22 @@ def simulation_json(runs: Sequence[Run]) -> dict:
         "runtime_s": seconds,
         "particle_steps_per_s": work / seconds,
     }
+
+
+def together(lab: Lab, runs: Sequence[Run]) -> dict[str, float]:
+    """What several tests of one type say together, of means over packings."""
+    called, means = names_of(lab.tests), summary_json(runs)["observables"]
+    found: dict[str, float] = {}
+    for kind in dict.fromkeys(type(test) for test in lab.tests):
+        rows = {
+            test.called: {
+                o.name: means[called[test.called, o.source][0]] for o in test.given
+            } | test.conditions()
+            for test in lab.tests
+            if test.type_name == kind.type_name
+        }  # fmt: skip
+        found |= kind.together(rows)
+    return found
 
 
 def doubts(lab: Lab, runs: Sequence[Run]) -> dict[str, str]:

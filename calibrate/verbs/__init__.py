@@ -7,6 +7,7 @@ is a file NAME.py that begins with what it does, and its line below.
 VERBS = {  # the name that is typed, which is that of the file: the function, in the order of --help
     "check": "check",
     "simulate": "simulate",
+    "example": "example",
     "fit": "fit",
     "posterior": "posterior",
     "predict": "predict",

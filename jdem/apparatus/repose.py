@@ -4,9 +4,10 @@
     angle = atan of the least-squares slope of h where it is 20 to 80 % of its height in the middle
 
 Three angles are given, because the definition is worth more than the physics: of the mass profile,
-which no single sphere decides; of height over base, atan(h/R); of the highest sphere in each ring.
-Spheres that do not hang together with the heap are left out.  What stands as it stood in the tube
-has no angle of repose: compare the heap's height with that of the bed.
+which no single sphere decides; of height over base, atan(h/R); of the highest sphere in each piece
+of a ring, which single spheres at the toe pull down.  Spheres that do not hang together with the
+heap are left out.  What stands as it stood in the tube has no angle of repose: compare the heap's
+height with that of the bed.
 """
 
 import math
@@ -30,7 +31,8 @@ REST = 0.05  # s, simulated, in the tube without a lid
 CALM = 0.2  # s, simulated, after the tube is up
 SOLID = 0.6  # solid fraction that a heap is reckoned with
 SPREADS = 4.0  # times the tube's diameter, as wide as a heap may be
-RINGS = 40  # of the mass profile; each as wide as a sphere
+RINGS = 40  # each as wide as a sphere
+SECTORS = 8  # in which highest spheres are looked for
 NEAR = 1.02  # of the sum of radii, within which spheres hang together
 FLANK = (0.2, 0.8)  # of the height in the middle, between which the slope is taken
 FARTHEST = 0.99  # share of the heap's spheres that lie within its base
@@ -112,10 +114,11 @@ def tube(diameter: float, height: float) -> Tool:
 
 
 class Heap(eqx.Module):
-    """Spheres of a heap: distance from its axis, height of the centre, and radius (m), all of shape
-    (N,), and `inside`, 1 for those that hang together with it."""
+    """Spheres of a heap: distance from its axis (m), angle about it (rad), height of the centre and
+    radius (m), all of shape (N,), and `inside`, 1 for those that hang together with it."""
 
     off_axis: Array
+    around: Array
     height: Array
     radius: Array
     inside: Array
@@ -130,32 +133,34 @@ class Heap(eqx.Module):
         inside = _hanging_together(jnp.hypot(position.x, position.y), first, second, touch)
         count = jnp.sum(inside)
         middle = [jnp.sum(inside * part) / count for part in (position.x, position.y)]
-        off_axis = jnp.hypot(position.x - middle[0], position.y - middle[1])
-        return Heap(off_axis, position.z, radius, inside)
+        x, y = position.x - middle[0], position.y - middle[1]
+        return Heap(jnp.hypot(x, y), jnp.arctan2(y, x), position.z, radius, inside)
 
     def measured(self) -> dict[str, Array]:
         """Angles (rad) and the height (m)."""
         width = 2 * jnp.mean(self.radius)
-        number = jnp.clip((self.off_axis / width).astype(jnp.int32), 0, RINGS - 1)
+        ring = jnp.clip((self.off_axis / width).astype(jnp.int32), 0, RINGS - 1)
         rings = jnp.arange(RINGS)
-        area = jnp.pi * width**2 * (2 * rings + 1)
-        solid = 4 / 3 * jnp.pi * self.radius**3 * self.inside
-        profile = jnp.zeros(RINGS).at[number].add(solid) / (SOLID * area)
-        top = jnp.max(self.inside * (self.height + self.radius))
-        highest = jnp.zeros(RINGS).at[number].max(self.inside * (self.height + self.radius))
         middle = (rings + 0.5) * width
+        solid = 4 / 3 * jnp.pi * self.radius**3 * self.inside
+        area = jnp.pi * width**2 * (2 * rings + 1)
+        profile = jnp.zeros(RINGS).at[ring].add(solid) / (SOLID * area)
+        tops = self.inside * (self.height + self.radius)
+        sector = ((self.around / (2 * jnp.pi) + 0.5) * SECTORS).astype(jnp.int32) % SECTORS
+        highest = jnp.zeros((SECTORS, RINGS)).at[sector, ring].max(tops)
         within = jnp.where(self.inside > 0, self.off_axis, jnp.nan)
+        whole = jnp.max(tops)
         return {
             "repose_angle": _slope(middle, profile, jnp.mean(profile[:2])),
-            "repose_angle_by_height": jnp.arctan(top / jnp.nanquantile(within, FARTHEST)),
-            "repose_angle_by_top": _slope(middle, highest, top),
-            "heap_height": top,
+            "repose_angle_by_height": jnp.arctan(whole / jnp.nanquantile(within, FARTHEST)),
+            "repose_angle_by_top": _slope(jnp.tile(middle, SECTORS), highest.ravel(), whole),
+            "heap_height": whole,
         }
 
 
 def _slope(place: Array, height: Array, whole: Array) -> Array:
-    """Angle (rad) of the least-squares line through the flank of a profile (rings,); NaN where
-    fewer than two rings are its flank."""
+    """Angle (rad) of the least-squares line through the flank of a profile (points,); NaN where
+    fewer than two points are on it."""
     chosen = jnp.where((height > FLANK[0] * whole) & (height < FLANK[1] * whole), 1.0, 0.0)
     count = jnp.sum(chosen)
     x, y = (part - jnp.sum(chosen * part) / count for part in (place, height))

@@ -93,8 +93,8 @@ def squeezed(stroke):
     """A plate pressed on the sphere, slowly."""
     area = np.pi / 4 * 0.02**2
     gauges = (
-        MeanPressure(area, 0.0, stroke),
-        PressureAt(area, 0.5 * stroke, window=0.02 * stroke),
+        MeanPressure(area=area, low=0.0, high=stroke),
+        PressureAt(area=area, depth=0.5 * stroke, window=0.02 * stroke),
     )
     return Penetration(plate(0.02, 2e-3), gauges, 5e-4, 0.01, stroke, rest=0.02, name="plate")
 
@@ -182,8 +182,8 @@ def test_a_channel_says_what_it_may_be():
 def test_pressures_are_read_between_and_at_depths():
     depth = jnp.linspace(-0.01, 0.03, 81)
     curve = Curve(depth, 100.0 * jnp.maximum(depth, 0.0), jnp.ones(81))
-    mean = MeanPressure(2e-4, 0.01, 0.02).of(curve, jnp.zeros(81))
+    mean = MeanPressure(area=2e-4, low=0.01, high=0.02).of(curve, jnp.zeros(81))
     assert float(mean) == pytest.approx(100 * 0.015 / 2e-4)
-    there = PressureAt(2e-4, 0.02, window=1e-3).of(curve, jnp.zeros(81))
+    there = PressureAt(area=2e-4, depth=0.02, window=1e-3).of(curve, jnp.zeros(81))
     assert float(there) == pytest.approx(100 * 0.02 / 2e-4)
     assert float(along(DOWN, at([0.0, 0.0, -2.0]))[0]) == 2.0
