@@ -135,6 +135,16 @@ class Pace:
     sample_time: float
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What a test showed on a simulated specimen: its cylinder, its curve (points, 2; mm, N), and
+    the test's observables by source, in their units."""
+
+    cylinder: Cylinder
+    curve: np.ndarray
+    numbers: Mapping[str, float]
+
+
 def clean_name(text: str) -> str:
     """The text with what a test's name cannot have replaced by "-", cut to `LONGEST_NAME`."""
     return _STRANGE.sub("-", text.strip())[:LONGEST_NAME] or "test"
@@ -258,9 +268,9 @@ class AbstractLabTest(AbstractTable):
         problem = f"the curve is loaded {loadings} times, and the test {self.called} once"
         return BadValue(problem, f"give the test {written_course(course)}")
 
-    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        """Why the number read off a simulated curve (points, 2; mm, N) is not what the observable
-        is called; "" if it is."""
+    def doubt(self, observable: Observable, shown: "Shown") -> str:
+        """Why the number of a simulated specimen is not what the observable is called; "" if it
+        is."""
         return ""
 
     @classmethod

@@ -16,7 +16,7 @@ from pydantic import model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed, Stress, required
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Shown
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.unconfined import still_rises
 from jdem.apparatus.base import AbstractApparatus
@@ -83,8 +83,8 @@ class DirectShearTest(AbstractLabTest):
     def conditions(self) -> dict[str, float]:
         return {LID: 1e-3 * self.normal_stress}
 
-    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        if observable.source != PEAK.source or not still_rises(*curve.T):
+    def doubt(self, observable: Observable, shown: Shown) -> str:
+        if observable.source != PEAK.source or not still_rises(*shown.curve.T):
             return ""
         return (
             f"the shear force still rises at the end of the travel, {1e3 * self.travel:.3g} mm: "

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibrate.core.tables import Length, Speed
 from calibrate.core.units import ANGLE, LENGTH, SPEED, STRAIN, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Shown
 from calibrate.labtests.measured import Cylinder
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.repose import LiftedCylinder, tube
@@ -31,6 +31,7 @@ HEAP = Observable(
     "heap_height_mm", "height of the heap", "mm", "heap_height", 1e3, within=0.15,
     usually=Range(STRAIN, "1 %", "150 %"),
 )  # fmt: skip
+STANDS = 0.85  # of the specimen's height, from which on the soil stands
 CLEAR = 1.1  # of the soil's height, to which the cylinder is lifted
 
 
@@ -45,6 +46,15 @@ class ReposeTest(AbstractLabTest):
 
     rate: Annotated[Speed, Range(SPEED, "0.5 mm/s", "0.5 m/s")] = 0.01
     lift: Annotated[Length | None, Range(LENGTH, "5 mm", "1 m")] = None
+
+    def doubt(self, observable: Observable, shown: Shown) -> str:
+        left = 1e-3 * shown.numbers[HEAP.source] / shown.cylinder.height
+        if observable.source == HEAP.source or left < STANDS:
+            return ""
+        return (
+            f"the heap is still {100 * left:.0f} % as high as the specimen was: the soil stands, "
+            "and has no angle of repose"
+        )
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         return LiftedCylinder(

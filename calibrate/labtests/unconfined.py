@@ -11,7 +11,7 @@ import numpy as np
 
 from calibrate.core.tables import Duration, Speed
 from calibrate.core.units import STRAIN, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Shown
 from calibrate.labtests.features import (
     SHORT_OF,
     AbstractFeature,
@@ -124,10 +124,10 @@ class UnconfinedTest(AbstractLabTest):
             name=self.called,
         )
 
-    def doubt(self, observable: Observable, curve: np.ndarray) -> str:
-        if not still_rises(*curve.T):
+    def doubt(self, observable: Observable, shown: Shown) -> str:
+        if not still_rises(*shown.curve.T):
             return ""
-        travel = float(np.ptp(curve[:, 0]))
+        travel = float(np.ptp(shown.curve[:, 0]))
         return (
             f"the force still rises at the end of the travel, {travel:.3g} mm: there is no "
             f"{observable.label}, the number is where the curve stops; a slender specimen "

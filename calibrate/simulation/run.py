@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from calibrate.labtests.composite import names_observed
+from jdem.engine.segment import CELL
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.observables import Curve, inertial_number
@@ -161,7 +163,7 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
     if not (error < UNSTABLE and np.all(np.isfinite(position))):
         finds.append(
             "the time step is too large or a parameter is extreme: integration errors are "
-            f"{error:.2g} times the platen's work"
+            f"{error:.2g} times the machine's work"
         )
     if bool(record.overflow_of(lab.grid)) and not finds:
         finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
@@ -169,9 +171,13 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
 
 
 def _integration_error(outcome: Outcome) -> float:
-    """Of the whole programme, relative to the platen's work; far below 1 in a sound run."""
+    """Of the whole programme, relative to the platen's work, or to that of all boundaries and of
+    gravity where there are tools; far below 1 in a sound run."""
     energy = outcome.record.state.energy
-    return float(abs(energy.integration) / abs(energy.platen))
+    done = abs(energy.platen)
+    if energy.boundaries.shape[-1] > CELL:
+        done = jnp.sum(jnp.abs(energy.boundaries)) + abs(energy.gravity)
+    return float(abs(energy.integration) / done)
 
 
 def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress
 from calibrate.io.lab import Lab
-from calibrate.labtests.base import AbstractLabTest
+from calibrate.labtests.base import AbstractLabTest, Shown
 from calibrate.labtests.composite import names_of
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
@@ -119,14 +119,21 @@ def doubts(lab: Lab, runs: Sequence[Run]) -> dict[str, str]:
     out."""
     called, sound = names_of(lab.tests), [run for run in runs if not run.failure]
     found = {}
-    for test in lab.tests:
+    for test in (each for each in lab.tests if each.with_soil):
+        shown = [_shown(lab, test, run) for run in sound if test.called in run.curves]
         for observable in test.given:
-            curves = [run.curves[test.called] for run in sound if test.called in run.curves]
-            said = [doubt for curve in curves if (doubt := test.doubt(observable, curve))]
-            if len(said) > len(curves) / 2:
+            said = [doubt for each in shown if (doubt := test.doubt(observable, each))]
+            if len(said) > len(shown) / 2:
                 name, _ = called[test.called, observable.source]
-                found[name] = f"{said[0]} ({len(said)} of {len(curves)} packings)"
+                found[name] = f"{said[0]} ({len(said)} of {len(shown)} packings)"
     return found
+
+
+def _shown(lab: Lab, test: AbstractLabTest, run: Run) -> Shown:
+    """What a test showed in one run."""
+    called = names_of(lab.tests)
+    numbers = {o.source: run.observables[called[test.called, o.source][0]] for o in test.given}
+    return Shown(lab.cylinder_of(test.called), run.curves[test.called], numbers)
 
 
 OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean, "repeats": np.sum}

@@ -1,8 +1,10 @@
 """Two types of test beyond the pair: the oedometer by load steps, whose published data are read as
 they are and answered by a simulation, and a hold at 400 N: what force is left, with and without a
-soil that feels the rate.  And a number beyond those of the pair: the strain at failure."""
+soil that feels the rate.  And a number beyond those of the pair: the strain at failure.  Tests with
+tools: cone, plate, shear box, lifted cylinder."""
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +12,22 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.problem import pose
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
+from calibrate.labtests.base import Shown
+from calibrate.labtests.composite import TYPES
+from calibrate.labtests.direct_shear import DirectShearTest
+from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.repose import ReposeTest
 from calibrate.labtests.unconfined import FAILURE_STRAIN
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
 from calibrate.simulation.specimens import campaign, simulate
+from calibrate.verbs.example import examples
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -135,3 +144,127 @@ def test_force_stays_without_an_effect_and_falls_with_the_rate(lab, runs):
     assert felt.observables["force_left_n"] < still.observables["force_left_n"] - 10
     for run in runs:
         assert pose(lab).simulated([run])[0][-1] == pytest.approx(run.observables["force_left_n"])
+
+
+# ---------------------------------------------------------------- tools
+
+TOOLS = """[soil]
+name = "x"
+[specimen]
+diameter = "60 mm"
+height = "40 mm"
+[particles]
+reference_diameter = "80 um"
+[parameters]
+surface_energy = "2 J/m^2"
+"""
+CONE = """[[tests]]
+type = "cone_penetration"
+angle = 60.0
+depth_to = "15 mm"
+targets.cone_index = { mean = "50 kPa", scatter = "5 kPa", repeats = 3 }
+"""
+PLATE = """[[tests]]
+type = "plate_sinkage"
+sinkage = "4 mm"
+targets.sinkage_pressure = { mean = "50 kPa", scatter = "5 kPa", repeats = 3 }
+"""
+SHEAR = """[[tests]]
+type = "direct_shear"
+normal_stress = "50 kPa"
+travel = "3 mm"
+targets.peak_shear_stress = { mean = "50 kPa", scatter = "5 kPa", repeats = 3 }
+"""
+REPOSE = """[[tests]]
+type = "repose_angle"
+targets.repose_angle = { mean = "30 deg", scatter = "2 deg", repeats = 3 }
+"""
+UNCONFINED = """[[tests]]
+type = "unconfined"
+"""
+REFUSED = {
+    "a cone deeper than the bed": (CONE.replace("15 mm", "60 mm"), "depth_to: .* deep into a bed"),
+    "a plate as wide as the mould": (
+        PLATE.replace("sinkage =", 'diameter = "50 mm"\nsinkage ='), "diameter: .* has no room",
+    ),
+    "a shaft wider than its cone": (
+        CONE.replace("angle", 'shaft = "30 mm"\nangle'), "shaft: .* wider than the cone",
+    ),
+    "no normal stress": (SHEAR.replace('normal_stress = "50 kPa"\n', ""), "normal_stress: missing"),
+    "a box that opens too far": (SHEAR.replace("3 mm", "20 mm"), "travel: .* quarter"),
+    "a tool without mould": (UNCONFINED + CONE, "unconfined opens the mould"),
+    "a test on what a tool left": (SHEAR + UNCONFINED, "direct_shear leaves the soil disturbed"),
+    "a protocol of a cone": (
+        CONE + "protocol = [{ step = 'load', to = '1 kPa' }]\n", "protocol: .* follows no protocol",
+    ),
+    "a force for an angle": (REPOSE.replace("30 deg", "30 N"), "not a unit of angle"),
+}  # fmt: skip
+
+
+def lab_of(tmp_path, tests):
+    path = tmp_path / "lab.toml"
+    dry = TOOLS.replace("2 J/m^2", "0 J/m^2") if tests == REPOSE else TOOLS
+    path.write_text(dry + tests)
+    return load_lab(path)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_tools_that_cannot_be_are_named_with_their_repair(tmp_path, name):
+    tests, said = REFUSED[name]
+    with pytest.raises(
+        InputError, match=r"field 'tests\[\d\]" if "field" in said else "."
+    ) as error:
+        lab_of(tmp_path, tests)
+    text = str(error.value).replace("'", "")
+    assert re.search(said, text), text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "tests", [CONE, PLATE, SHEAR, REPOSE], ids=["cone", "plate", "box", "heap"]
+)
+def test_a_tool_in_a_bed_gives_numbers_with_their_order(tmp_path, tests):
+    """More friction makes the soil harder, or the heap steeper."""
+    lab = lab_of(tmp_path, tests)
+    small = Preset("small", 150, 0.2, 0.2, 1)
+    work = campaign(lab, small, tmp_path, Silent())
+    soils = [replace(base_soil(lab), static_friction=np.asarray(mu)) for mu in (0.05, 0.9)]
+    found = [simulate(lab, small, soil, 0, work)[0]["observables"] for soil in soils]
+    (wanted,) = lab.targets
+    assert 0 < found[0][wanted] < found[1][wanted]
+    assert all(np.isfinite(value) for value in found[1].values())
+
+
+def test_shear_tests_together_give_cohesion_and_friction():
+    """tau = 12 kPa + 0.7 sigma on the plane, which carries 1.2 times the lid's stress."""
+    found = {
+        str(lid): {
+            "lid_stress_kpa": lid, "plane_stress_kpa": 1.2 * lid,
+            "peak_shear_stress_kpa": 12 + 0.7 * 1.2 * lid,
+        }
+        for lid in (25.0, 50.0, 100.0)
+    }  # fmt: skip
+    said = DirectShearTest.together(found)
+    assert said["cohesion_on_plane_kpa"] == pytest.approx(12)
+    assert said["friction_angle_on_plane_deg"] == pytest.approx(np.degrees(np.arctan(0.7)))
+    assert said["friction_angle_on_lid_deg"] == pytest.approx(np.degrees(np.arctan(0.84)))
+    assert DirectShearTest.together({"25.0": found["25.0"]}) == {}
+
+
+def test_every_example_is_a_lab_file_of_the_test_that_it_is_called_after(tmp_path):
+    for name, example in examples().items():
+        path = tmp_path / "lab.toml"
+        path.write_text(example.lab)
+        lab = load_lab(path)
+        assert lab.targets and example.minutes <= 15
+        assert name in {test.type_name for test in lab.tests} or name not in TYPES
+
+
+def test_soil_that_stands_has_no_angle_of_repose():
+    test = ReposeTest()
+    angle, *_, height = test.observables
+    heap = {"heap_height": 37.0}
+    said = test.doubt(angle, Shown(Cylinder(0.06, 0.04, None), np.zeros((0, 2)), heap))
+    assert "92 % as high" in said and "stands" in said
+    assert not test.doubt(height, Shown(Cylinder(0.06, 0.04, None), np.zeros((0, 2)), heap))
+    assert not test.doubt(angle, Shown(Cylinder(0.06, 0.05, None), np.zeros((0, 2)), heap))

@@ -17,7 +17,7 @@ from calibrate.core.errors import InputError
 from calibrate.figures.style import pretty
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab, bundled_lab, load_lab
-from calibrate.labtests.base import Pace
+from calibrate.labtests.base import Pace, Shown
 from calibrate.labtests.composite import label
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.features import cyclic_course, path_features, turning_rows
@@ -343,13 +343,18 @@ RISES = {  # shape of the curve, whether there is no crushing force
 }
 
 
+def shown(curve):
+    """On a specimen of the usual size."""
+    return Shown(Cylinder(0.05, 0.1, None), curve, {})
+
+
 @pytest.mark.parametrize("name", RISES)
 def test_a_force_that_rises_to_the_end_is_no_crushing_force(name):
     shape, rises = RISES[name]
     test = UnconfinedTest()
     (force,) = test.observables
-    assert bool(test.doubt(force, crushing(shape))) == rises
-    assert not ConfinedTest().doubt(ConfinedTest().observables[0], crushing(shape))
+    assert bool(test.doubt(force, shown(crushing(shape)))) == rises
+    assert not ConfinedTest().doubt(ConfinedTest().observables[0], shown(crushing(shape)))
 
 
 @pytest.mark.parametrize(("points", "noise"), [(60, 0.0), (400, 0.0), (400, 3.0), (3000, 3.0)])
@@ -405,12 +410,12 @@ def test_failure_strain_is_given_where_a_target_asks_for_it():
 
 def test_a_specimen_that_does_not_fail_has_no_failure_strain():
     rising = np.stack([np.linspace(0, 10, 200), np.linspace(0, 100, 200)], axis=1)
-    said = UnconfinedTest().doubt(FAILURE_STRAIN, rising)
+    said = UnconfinedTest().doubt(FAILURE_STRAIN, shown(rising))
     assert "there is no failure strain" in said and "\n" not in said
 
 
 def test_a_doubt_is_said_with_what_to_do(tmp_path):
-    flat = UnconfinedTest().doubt(UnconfinedTest().observables[0], crushing(lambda s: s))
+    flat = UnconfinedTest().doubt(UnconfinedTest().observables[0], shown(crushing(lambda s: s)))
     assert "still rises at the end of the travel, 15 mm" in flat
     assert "no crushing force" in flat and "slender" in flat
 
