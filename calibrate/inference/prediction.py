@@ -10,7 +10,7 @@ between soils and that between packings of one soil (one-way analysis of varianc
 effects; Searle, Casella and McCulloch 1992, Variance Components, section 3.6).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -188,3 +188,20 @@ def _curve(found: Prediction, test: str) -> dict:
         "specimen": [end[rows].tolist() for end in found.of_specimens],
         "mean": [end[rows].tolist() for end in found.of_means],
     }
+
+
+def prediction_sentences(called: str, row: dict) -> Iterator[str]:
+    """What a number is unsure of, and whether it holds."""
+    parts = ", ".join(f"{sd:.2g} by {cause}" for cause, sd in row["sd"].items())
+    said = f"{called} has a standard deviation of {parts}"
+    if row["half_the_spheres"] is not None:
+        said += f"; half as many spheres would show {row['half_the_spheres']:+.2g}"
+    yield said
+    if (measured := row.get("measured")) is not None:
+        verdict = "holds" if measured["holds"] else "does NOT hold"
+        off = measured["mean"] - row["middle"]
+        yield (
+            f"the prediction of {called} {verdict}: {measured['mean']:.4g} was measured, "
+            f"{off:+.2g} from what was expected, and {100 * SHARE:.0f} % of means over "
+            f"{measured['repeats']} specimens lie within ± {measured['half_width']:.2g}"
+        )

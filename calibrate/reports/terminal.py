@@ -1,5 +1,7 @@
 """Tables and sentences that several verbs show on the terminal, and in notebooks."""
 
+import csv
+import io
 from collections.abc import Iterator
 
 from rich.table import Table
@@ -49,3 +51,18 @@ def observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
         cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
         table.add_row(f"{which} (± one packing)", *cells)
     return table
+
+
+def history_table(history: list[dict]) -> str:
+    """The evaluations of a fit as CSV, one row each."""
+    rows = [
+        {k: v for k, v in row.items() if k not in ("parameters", "features")}
+        | row["parameters"]
+        | row["features"]
+        for row in history
+    ]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

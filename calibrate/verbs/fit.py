@@ -1,9 +1,7 @@
 """Calibrate the parameters that the data can fix; say which those are."""
 
-import csv
-import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -19,14 +17,16 @@ from calibrate.inference.calibration import Calibrated, Explored, calibrate, exp
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.on_response import OnResponse
 from calibrate.inference.parameters import RANGES, checked_free
+from calibrate.inference.prediction import prediction_json, prediction_sentences
 from calibrate.inference.resolutions import Coarse
+from calibrate.inference.verified import parts, predicted
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
 from calibrate.records.fit import FitRecord
-from calibrate.reports.terminal import observables_table, warned_of_observables
+from calibrate.reports.terminal import history_table, observables_table, warned_of_observables
 from calibrate.simulation.session import Session, origin_of
-from calibrate.simulation.specimens import check_some_sound
+from calibrate.simulation.specimens import check_some_sound, measured_json
 from calibrate.verbs import options
 from calibrate.verbs.base import (
     AbstractRecordedResult,
@@ -100,6 +100,8 @@ class FitResult(AbstractRecordedResult[FitRecord]):
         both = {name: (self.record.start(name), self.parameters[name]) for name in self.free}
         yield parameters_table(both, self.interval_95)
         yield from map(line, [*self._verification(), *self._conclusions()])
+        for name, row in ((found.get("verified") or {}).get("observables") or {}).items():
+            yield from map(line, prediction_sentences(label(name), row))
         yield from warned_of_observables(found)
 
     def _verification(self) -> Iterator[str]:
@@ -215,6 +217,8 @@ def fit(
     ] = None,
     values: options.Changes = None,
     conventions: options.Conventions = None,
+    tests: options.Tests = None,
+    verify: options.Verified = None,
     preset: options.PresetName = "quick",
     seed: options.Seed = 0,
     prepare_with_soil: options.Preparation = False,
@@ -240,6 +244,8 @@ def fit(
             unit ("12 J/m^2").
         conventions: whose contact law: "eepa", "liggghts" or "liggghts_history"; None: the lab
             file's.
+        tests: names of the tests to fit; None: all that are not verified.
+        verify: names of tests that take no part and are predicted afterwards; None: none.
         preset: "quick", "standard" or "fine": how many spheres and packings.
         seed: choice of packings, from 0.
         prepare_with_soil: beds settle with the soil under test, not with a slippery one.
@@ -267,7 +273,9 @@ def fit(
     folder = Path(out)
     if no_runs and preset == "quick":
         preset = "standard"  # the library's beds are not as coarse
-    session = Session.open(lab, preset, folder, dask, conventions)
+    whole = Session.open(lab, preset, folder, dask, conventions)
+    fitted_on, held_back = parts(whole.lab, listed(tests or ()), listed(verify or ()))
+    session = replace(whole, lab=fitted_on)
     base = session.soil(parameter_values(values))
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
@@ -283,7 +291,18 @@ def fit(
     if done is None:
         session.progress.say(f"the library of runs does not explore: {why}")
         done = fitted(_smaller(session, preparation))
-    return kept(session, done, why)
+    return kept(session, done, why, _verified(session, done, held_back, preparation))
+
+
+def _verified(
+    session: Session, done: Calibrated, held_back: Lab | None, preparation: SoilParameters | None
+) -> dict | None:
+    """What tests that took no part would show, beside what was measured; None without any."""
+    if held_back is None:
+        return None
+    work = replace(session, lab=held_back).campaign(session.out, preparation)
+    found = predicted(done, work, done.setup.seeds.fresh, done.setup.seeds.fitted[0])
+    return prediction_json(found, measured_json(held_back)["targets"])
 
 
 def _on_library(
@@ -326,29 +345,16 @@ def _smaller(session: Session, preparation: SoilParameters | None) -> Coarse | N
     return Coarse(beds, spheres, session.preset.spheres)
 
 
-def kept(session: Session, done: Calibrated, why: str = "") -> FitResult:
+def kept(
+    session: Session, done: Calibrated, why: str = "", verified: dict | None = None
+) -> FitResult:
     """The result, with result.json, history.csv and a figure in the session's folder; why the
-    library of runs did not explore."""
+    library of runs did not explore, and what was verified."""
     content = {**origin_of(session), "spheres": session.preset.spheres, **fit_json(done)}
-    content["without_library"] = why
+    content |= {"without_library": why, "verified": verified}
     found = FitResult(session.lab, session.out, content)
     write_json(session.out / "result.json", content)
-    write_text(session.out / "history.csv", _table_of(content["history"]))
+    write_text(session.out / "history.csv", history_table(content["history"]))
     found.save_figures()
     check_some_sound(done.fresh_runs, "fresh packings", found)
     return found
-
-
-def _table_of(history: list[dict]) -> str:
-    """The evaluations as CSV, one row each."""
-    rows = [
-        {k: v for k, v in row.items() if k not in ("parameters", "features")}
-        | row["parameters"]
-        | row["features"]
-        for row in history
-    ]
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

@@ -57,6 +57,16 @@ Out = Annotated[
     typer.Option("--out", help="Folder for results; a second run resumes."),
     Typed(Path),
 ]
+Tests = Annotated[
+    str | Sequence[str] | None,
+    typer.Option("--tests", help="Tests to fit, comma-separated; default: all not verified."),
+    Typed(str | None),
+]
+Verified = Annotated[
+    str | Sequence[str] | None,
+    typer.Option("--verify", help="Tests to leave out and predict, comma-separated."),
+    Typed(str | None),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=10_000_000, help="Choice of packings.")]
 PresetName = Annotated[str, typer.Option("--preset", help="quick, standard or fine.")]
 Preparation = Annotated[

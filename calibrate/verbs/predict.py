@@ -19,6 +19,7 @@ from calibrate.inference.prediction import (
     by_response,
     by_runs,
     prediction_json,
+    prediction_sentences,
 )
 from calibrate.io.lab import Lab
 from calibrate.labtests.composite import label
@@ -82,25 +83,8 @@ class PredictionResult(AbstractDrawnResult):
             table.add_row(label(name), f"{row['middle']:.4g}", *ends)
         yield table
         for name, row in self.observables.items():
-            yield from map(line, _sentences(label(name), row))
+            yield from map(line, prediction_sentences(label(name), row))
         yield from (line(f"warning: {sentence}") for sentence in self.warnings)
-
-
-def _sentences(called: str, row: dict) -> Iterator[str]:
-    """What a number is unsure of, and whether it holds."""
-    parts = ", ".join(f"{sd:.2g} by {cause}" for cause, sd in row["sd"].items())
-    said = f"{called} has a standard deviation of {parts}"
-    if row["half_the_spheres"] is not None:
-        said += f"; half as many spheres would show {row['half_the_spheres']:+.2g}"
-    yield said
-    if (measured := row.get("measured")) is not None:
-        verdict = "holds" if measured["holds"] else "does NOT hold"
-        off = measured["mean"] - row["middle"]
-        yield (
-            f"the prediction of {called} {verdict}: {measured['mean']:.4g} was measured, "
-            f"{off:+.2g} from what was expected, and {100 * SHARE:.0f} % of means over "
-            f"{measured['repeats']} specimens lie within ± {measured['half_width']:.2g}"
-        )
 
 
 @verb

@@ -16,6 +16,7 @@ from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.problem import pose
+from calibrate.inference.verified import parts
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.labtests.base import Shown
@@ -268,3 +269,31 @@ def test_soil_that_stands_has_no_angle_of_repose():
     assert "92 % as high" in said and "stands" in said
     assert not test.doubt(height, Shown(Cylinder(0.06, 0.04, None), np.zeros((0, 2)), heap))
     assert not test.doubt(angle, Shown(Cylinder(0.06, 0.05, None), np.zeros((0, 2)), heap))
+
+
+# ---------------------------------------------------------------- some fitted, others verified
+
+OWN = 'specimen = { diameter = "60 mm", height = "40 mm" }\n'
+SEVERAL = (
+    '[[tests]]\ntype = "confined"\n' + CONE
+    + SHEAR.replace("travel", OWN + "travel") + PLATE.replace("sinkage =", OWN + "sinkage =")
+)  # fmt: skip
+
+
+def test_a_fit_sees_its_tests_and_what_prepares_them(tmp_path):
+    lab = lab_of(tmp_path, SEVERAL)
+    fitted, held_back = parts(lab, ["cone_penetration"], ["direct_shear"])
+    assert [test.called for test in fitted.tests] == ["confined", "cone_penetration"]
+    assert set(fitted.targets) == {"cone_index_kpa"}
+    assert held_back is not None
+    assert [test.called for test in held_back.tests] == ["direct_shear"]
+    assert set(held_back.targets) == {"peak_shear_stress_kpa"}
+    rest, nothing = parts(lab, [], ["plate_sinkage"])
+    assert set(rest.targets) == {"cone_index_kpa", "peak_shear_stress_kpa"}
+    assert parts(lab, [], [])[0].targets == lab.targets and nothing is not None
+    with pytest.raises(InputError, match="nothing is measured in confined"):
+        parts(lab, ["confined"], [])
+    with pytest.raises(InputError, match="no test is called 'cone'"):
+        parts(lab, ["cone"], [])
+    with pytest.raises(InputError, match="is in both"):
+        parts(lab, ["plate_sinkage"], ["plate_sinkage"])

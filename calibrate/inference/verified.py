@@ -1,0 +1,60 @@
+"""Tests that took no part in a fit, predicted from what the fit leaves of all parameters.
+
+    ln p ~ N( ln fitted, (J' J + P^-1)^-1 )        of ALL candidates, free or not
+
+J are the whitened slopes of the fit's features at its end, in every parameter that a fit may free,
+P the priors' variances.  What the fit's tests say nothing of keeps its prior: another test may hang
+on it, and an interval of the free parameters alone would promise too much.  Soils are drawn from
+this normal distribution and simulated (`calibrate.inference.prediction`).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibrate.core.errors import COMMAND_LINE, InputError, shown, suggestion
+from calibrate.inference.calibration import Calibrated
+from calibrate.inference.identifiability import assess
+from calibrate.inference.prediction import Prediction, by_runs
+from calibrate.io.lab import Lab
+from calibrate.simulation.joint import AbstractCampaign
+from jdem.materials.soil import SoilParameters
+
+SOILS, PACKINGS = 8, 2  # that are drawn, and packings on which each is simulated
+
+
+def drawn_soils(done: Calibrated, count: int, seed: int) -> list[SoilParameters]:
+    """Soils that the data of a fit leave possible, within their bounds."""
+    screened = done.setup.screened()
+    space, best = screened.space, done.result.best
+    fitted = done.calibration.space.soil(best.values)
+    middle = np.log([float(fitted.values()[name]) for name in space.names])
+    slopes = screened.at(best.features.mean(axis=0))
+    whitened = done.setup.calibration(space.names).whitened(slopes)
+    left = assess(space.names, np.exp(middle), whitened, space.prior_sd(), 1)
+    random = np.random.default_rng([seed, 5])
+    rows = random.multivariate_normal(middle, left.covariance_log, count, method="eigh")
+    return [space.soil(np.exp(row)) for row in space.inside(rows)]
+
+
+def predicted(
+    done: Calibrated, work: AbstractCampaign, packings: Sequence[int], seed: int
+) -> Prediction:
+    """What the tests of `work` would show, on packings that no fit has seen."""
+    return by_runs(work, drawn_soils(done, SOILS, seed), packings[:PACKINGS])
+
+
+def parts(lab: Lab, tests: Sequence[str], verify: Sequence[str]) -> tuple[Lab, Lab | None]:
+    """The lab of a fit and the one that it is verified on, None without any; tests by name, all
+    that are not verified where none are named."""
+    known = [test.called for test in lab.tests]
+    for option, names in (("--tests", tests), ("--verify", verify)):
+        for name in names:
+            if name not in known:
+                problem = f"no test is called {shown(name)}"
+                raise InputError(COMMAND_LINE, option, problem, suggestion(name, known))
+    if both := [name for name in tests if name in verify]:
+        problem = f"{both[0]} is in both"
+        raise InputError(COMMAND_LINE, "--verify", problem, "take it out of one of them")
+    used = tests or [name for name in known if name not in verify]
+    return lab.of_tests(used, "--tests"), lab.of_tests(verify, "--verify") if verify else None
