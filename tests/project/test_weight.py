@@ -15,7 +15,7 @@ import pytest
 from tests import ROOT
 
 FOLDER = "benchmarks"
-FILES, BYTES = 700, 15_000_000
+FILES, BYTES = 720, 15_000_000
 BLOCK = 4096  # bytes; what the smallest file takes
 READS = re.compile(rf"(^|.*/){FOLDER}(/\S*)?")  # as a whole: a path, not words that name one
 
