@@ -129,10 +129,11 @@ def by_runs(
     means, within = values.mean(axis=1), values.var(axis=1, ddof=1).mean(axis=0)
     between = np.maximum(means.var(axis=0, ddof=1) - within / len(packings), 0.0)
     middle, wide = means.mean(axis=0), student.ppf(0.5 + SHARE / 2, count - 1)
+    least = np.where((values > 0).all(axis=(0, 1)), 0.0, -np.inf)  # where nothing is below 0
 
     def ends(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         half = wide * np.sqrt(variance + means.var(axis=0, ddof=1) / count)
-        return middle - half, middle + half
+        return np.maximum(middle - half, least), middle + half
 
     return Prediction(
         points=points,
