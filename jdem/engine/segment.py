@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jdem.boundaries.base import AbstractBoundary
 from jdem.boundaries.composite import FORCE, MOULD, PLATEN, Boundaries, resistances
 from jdem.core.kernel import together
 from jdem.core.quantity import Real, as_quantity, quantity
@@ -149,11 +150,20 @@ def placed(boundaries: Boundaries, segment: Segment, position, radius) -> Bounda
     """Boundaries taken away or lowered as the segment begins, and at rest."""
     changed = []
     for boundary, wanted in zip(boundaries, segment.placed, strict=True):
-        there, away = boundary.touching(position, radius), boundary.removed()
+        there, away = _lowered(boundary, wanted, position, radius), boundary.removed()
         now = jax.tree.map(lambda a, b, w=wanted: jnp.where(w == LOWER, a, b), there, boundary)
         now = jax.tree.map(lambda a, b, w=wanted: jnp.where(w == REMOVE, a, b), away, now)
         changed.append(now.driven(jax.tree.map(jnp.zeros_like, now.rates)))
     return tuple(changed)
+
+
+def _lowered(boundary: AbstractBoundary, wanted: Array, position, radius) -> AbstractBoundary:
+    """The boundary lowered; of many faces it takes long, and is done only where it is wanted."""
+
+    def lowered():
+        return boundary.touching(position, radius)
+
+    return jax.lax.cond(wanted == LOWER, lowered, lambda: boundary) if boundary.faces else lowered()
 
 
 def ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]) -> Array:
