@@ -44,7 +44,7 @@ class Grid(eqx.Module):
     cell: float = eqx.field(static=True)
     skin: float = eqx.field(static=True)
     reach: float = eqx.field(static=True, default=0.0)
-    faces: int = eqx.field(static=True, default=64, repr=False)
+    faces: int = eqx.field(static=True, default=128, repr=False)
 
     @property
     def farthest(self) -> float:
