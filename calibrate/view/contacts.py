@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem.boundaries.composite import effective_radius, nearest
+from jdem.boundaries.composite import effective_radius, nearest, owner
 from jdem.core import smooth
 from jdem.core.vector import Vector
+from jdem.engine.loads import codes_met
 from jdem.engine.neighbors import ContactList
 from jdem.engine.step import Bed, BedState
 from jdem.laws.base import AbstractContactLaw
@@ -74,9 +75,10 @@ def _between_spheres(bed: Bed, state: BedState) -> Contacts:
 
 def _with_walls(bed: Bed, state: BedState) -> Contacts:
     contacts = state.wall_contacts
-    one, wall = contacts.first, contacts.second
+    one, wall = contacts.first, owner(state.boundaries, contacts.second)
     centre = state.motion.position.at(one)
-    seen = nearest(state.boundaries, wall, centre)
+    codes = codes_met(bed.spheres.rows(state.motion), state.boundaries, contacts)
+    seen = nearest(state.boundaries, wall, centre, codes)
     contact = _still(
         overlap=bed.spheres.radius[one] - seen.distance,
         normal=seen.normal,

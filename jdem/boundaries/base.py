@@ -12,6 +12,10 @@ driven by the machine or by a servo on the force or torque that resists it:
 
 The bed holds a static tuple of boundaries.  All of them share one list of contacts and one
 kernel: for each contact every kind is asked, and the contact's own is chosen.
+
+A sphere touches a boundary once, or once each of its `parts`.  A kind that is made of faces also
+lists the faces near each sphere (`listing`); in every step it says which of them, of their edges
+or of their vertices is touched (`met`), and then what is seen there (`touched`).
 """
 
 import abc
@@ -36,6 +40,30 @@ class Surface(eqx.Module):
     normal: Vector  #: unit vector from the surface to the point
     velocity: Vector  #: m/s; of the surface
     curvature: Array | None = None  #: 1/m; 1/R of a convex surface that spheres touch, None: flat
+
+
+class Room(eqx.Module):
+    """What a boundary may list: spheres within `gap` (m), whose centres are within `farthest` (m),
+    in at most `rows` rows of at most `faces` faces."""
+
+    gap: float = eqx.field(static=True)
+    farthest: float = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+    faces: int = eqx.field(static=True)
+
+
+class Listing(eqx.Module):
+    """Spheres and parts (K,), whether they are near each other, and the faces of each row.
+
+    faces (K, most) are None of boundaries that have none; there `asked` counts the rows and the
+    faces that all of them would take.
+    """
+
+    sphere: Array
+    part: Array
+    near: Array
+    faces: Array | None = None
+    asked: tuple[Array, Array] | None = None
 
 
 class Rates(eqx.Module):
@@ -102,11 +130,32 @@ class AbstractBoundary(eqx.Module):
         return None
 
     def near(self, position: Vector, radius: Array, gap: float) -> Array:
-        """Whether spheres come within `gap` (m) of it, shape (N,).
-
-        A kind whose distance is costly, as a mesh's, may cull by its bounding box first.
-        """
+        """Whether spheres come within `gap` (m) of it, shape (N,)."""
         return self.distance(position) - radius < gap
+
+    @property
+    def parts(self) -> int:
+        """How many contacts a sphere may have with it at once, at most."""
+        return 1
+
+    @property
+    def faces(self) -> int:
+        """How many faces it is made of: none, unless said so."""
+        return 0
+
+    def listing(self, position: Vector, radius: Array, room: Room) -> Listing:
+        """Spheres that are near its parts, as far as there is room."""
+        count = radius.shape[0]
+        near = self.near(position, radius, room.gap)
+        return Listing(jnp.arange(count), jnp.zeros(count, jnp.int32), near)
+
+    def met(self, position: Vector, faces: Array, most: Array) -> Array:
+        """Codes (K,) of what is touched from each point, of the first `most` of `faces` (K, n)."""
+        return jnp.zeros(faces.shape[0], jnp.int32)
+
+    def touched(self, position: Vector, code: Array) -> Surface:
+        """The surface of what has this code, as seen from `position` (m)."""
+        return self.surface(position)
 
 
 def along(axis: Axis, vector: Vector) -> Array:

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jdem.boundaries.base import DOWN, UP, AbstractBoundary, Rates, Surface, along, point
 from jdem.boundaries.cylinder import Cylinder
+from jdem.boundaries.mesh import Mesh
 from jdem.boundaries.plane import Plane
 from jdem.boundaries.revolved import Revolved
 from jdem.boundaries.sphere import Sphere
@@ -22,6 +24,7 @@ KINDS: dict[str, type[AbstractBoundary]] = {
     "cylinder": Cylinder,
     "sphere": Sphere,
     "revolved": Revolved,
+    "mesh": Mesh,
 }
 
 Boundaries = tuple[AbstractBoundary, ...]
@@ -38,9 +41,30 @@ def cell(platen_height: Real, mould_radius: Real, dtype) -> Boundaries:
     return (Plane.at(centre, UP), platen, Cylinder.at(centre, UP, mould_radius))
 
 
-def nearest(boundaries: Boundaries, number: Array, position: Vector) -> Surface:
-    """The surface of boundary `number` as seen from `position`; arrays of one shape."""
-    chosen, *others = _alike([boundary.surface(position) for boundary in boundaries])
+def part_count(boundaries: Boundaries) -> int:
+    """Of all boundaries together."""
+    return sum(boundary.parts for boundary in boundaries)
+
+
+def first_parts(boundaries: Boundaries) -> list[int]:
+    """The number of each boundary's first part."""
+    return [part_count(boundaries[:k]) for k in range(len(boundaries))]
+
+
+def owner(boundaries: Boundaries, part: Array) -> Array:
+    """The number of the boundary that each part belongs to."""
+    if part_count(boundaries) == len(boundaries):
+        return part
+    return jnp.asarray(np.repeat(np.arange(len(boundaries)), [b.parts for b in boundaries]))[part]
+
+
+def nearest(
+    boundaries: Boundaries, number: Array, position: Vector, code: Array | None = None
+) -> Surface:
+    """The surface of boundary `number` as seen from `position`, and where there are faces, of what
+    has this code; arrays of one shape."""
+    seen = [b.surface(position) if code is None else b.touched(position, code) for b in boundaries]
+    chosen, *others = _alike(seen)
     for k, surface in enumerate(others, start=1):
         chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, a, b), surface, chosen)
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, number.shape), chosen)

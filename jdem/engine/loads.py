@@ -9,7 +9,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.boundaries.composite import Boundaries, effective_radius, nearest, spin_of
+from jdem.boundaries.composite import (
+    Boundaries,
+    effective_radius,
+    nearest,
+    owner,
+    spin_of,
+)
 from jdem.core import smooth
 from jdem.core.fusion import once
 from jdem.core.kernel import entrywise
@@ -64,7 +70,8 @@ def between(bed: Bed, one: Array, two: Array, alive: Array, history):
 def wall_loads(bed: Bed, rows: Array, boundaries: Boundaries, contacts: ContactList, loads: Loads):
     """Loads with those of contacts with boundaries added, the list, and loads on boundaries with
     torques about the origin."""
-    entries = (contacts.first, contacts.second, contacts.alive, contacts.history)
+    codes = codes_met(rows, boundaries, contacts)
+    entries = (contacts.first, contacts.second, contacts.alive, contacts.history, codes)
     found = entrywise(_wall_forces, (bed, rows, boundaries), entries, contacts.used())
     on_first, felt, absorbed, history = found
     sums = jnp.sum(absorbed, axis=0)
@@ -77,14 +84,41 @@ def wall_loads(bed: Bed, rows: Array, boundaries: Boundaries, contacts: ContactL
 def _wall_forces(shared: tuple[Bed, Array, Boundaries], entries):
     """Rows to add to each sphere, loads on all boundaries, power by channel, new histories."""
     bed, rows, boundaries = shared
-    first, wall, alive, history = entries
+    first, *listed = entries
     one = once(jax.lax.optimization_barrier(rows[first]).T)
-    return against(bed, boundaries, one, wall, alive, history)
+    return against(bed, boundaries, one, *listed)
 
 
-def against(bed: Bed, boundaries: Boundaries, one: Array, wall: Array, alive: Array, history):
-    """What spheres and boundaries do to each other, from the columns (11, contacts) of rows."""
-    contact, lever = _wall_geometry(bed, one, boundaries, wall, alive)
+def codes_met(rows: Array, boundaries: Boundaries, contacts: ContactList) -> Array | None:
+    """Which face, edge or vertex each listed contact touches, of boundaries that are made of them;
+    None where there are none.  No derivative passes."""
+    if not any(boundary.faces for boundary in boundaries):
+        return None
+    rows, boundaries = jax.lax.stop_gradient((rows, boundaries))
+    codes = jnp.full(contacts.first.shape, -1, jnp.int32)
+    for boundary, listed in zip(boundaries, contacts.faces, strict=True):
+        if listed is not None:
+            used, most = listed.used()
+            shared = (rows, contacts.first, boundary, most)
+            found = entrywise(_met, shared, (listed.entry, listed.faces), used)
+            codes = codes.at[listed.entry].set(found, mode="drop")
+    return codes
+
+
+def _met(shared, entries) -> Array:
+    """Codes of what some contacts with one boundary touch."""
+    (rows, first, boundary, most), (entry, faces) = shared, entries
+    places = rows[first[jnp.minimum(entry, first.shape[0] - 1)]].T
+    return once(boundary.met(Vector(*places[0:3]), faces, most))
+
+
+def against(
+    bed: Bed, boundaries: Boundaries, one: Array, part: Array, alive: Array, history, codes
+):
+    """What spheres and boundaries do to each other, from the columns (11, contacts) of rows;
+    `codes` are those of `codes_met`."""
+    wall = owner(boundaries, part)
+    contact, lever = _wall_geometry(bed, one, boundaries, wall, alive, codes)
     force, history = _law_forces(bed.wall_law, contact, history)
     force = _dragged(bed, contact, force)
     push, twist, power = _assembled(contact, force)
@@ -122,9 +156,9 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
     return _kept_apart(contact, (lever_one, lever_two))
 
 
-def _wall_geometry(bed: Bed, one: Array, boundaries: Boundaries, wall: Array, alive: Array):
+def _wall_geometry(bed: Bed, one: Array, boundaries: Boundaries, wall: Array, alive: Array, codes):
     """Contacts of listed spheres with boundaries, which have infinite mass."""
-    surface = once(nearest(boundaries, wall, Vector(*one[0:3])))
+    surface = once(nearest(boundaries, wall, Vector(*one[0:3]), codes))
     overlap = jnp.where(alive > 0, one[9] - surface.distance, -1.0)
     lever = one[9] - overlap
     spin = Vector(*one[6:9])

@@ -22,7 +22,7 @@ from jdem.core.fusion import fenced
 from jdem.core.kernel import together
 from jdem.engine.energy import Ledger
 from jdem.engine.list_update import ListUpdate, checked, lasting, refreshed
-from jdem.engine.neighbors import ContactList, Demand, Grid
+from jdem.engine.neighbors import ContactList, Demand, Grid, no_faces
 from jdem.engine.schedule import AbstractSurroundings, Unchanging
 from jdem.engine.segment import Segment, command_of, ended, placed, read, row_of
 from jdem.engine.state import Bed, BedState, Command
@@ -84,10 +84,13 @@ class Record(eqx.Module):
     def explain_overflow(self, grid: Grid) -> str:
         """Which list or skin was too small, and the capacity that would do."""
         demand = self.demand
-        have = [grid.pairs, grid.wall_contacts, grid.per_cell, grid.skin]
-        need = [int(demand.pairs), int(demand.wall_contacts), int(demand.per_cell), self.drift]
-        names = ["pairs", "wall contacts", "spheres per cell", "motion between rebuilds (m)"]
-        rows = zip(names, have, need, strict=True)
+        rows = [
+            ("pairs", grid.pairs, int(demand.pairs)),
+            ("wall contacts", grid.wall_contacts, int(demand.wall_contacts)),
+            ("spheres per cell", grid.per_cell, int(demand.per_cell)),
+            ("faces per contact", grid.faces, int(demand.faces)),
+            ("motion between rebuilds (m)", grid.skin, self.drift),
+        ]
         return "; ".join(f"{name}: have {h:.4g}, need {n:.4g}" for name, h, n in rows if n > h)
 
 
@@ -100,11 +103,12 @@ def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
     """A bed at rest between any boundaries, without any contact history."""
     dtype, count = position.x.dtype, len(boundaries)
     zero = jnp.zeros((), dtype)
+    walls = ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law)
     return BedState(
         motion=Motion.at_rest(position),
         boundaries=boundaries,
         pairs=ContactList.empty(bed.grid.pairs, dtype, bed.particle_law),
-        wall_contacts=ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law),
+        wall_contacts=replace(walls, faces=no_faces(bed.grid, boundaries)),
         loads=jnp.zeros((count, LOADS), dtype),
         energy=Ledger.zeros(count, dtype),
         time=zero,

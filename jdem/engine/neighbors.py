@@ -4,8 +4,10 @@ Candidates come from a grid of cells as wide as the largest sphere plus the skin
 are packed into a list sorted by a unique key.  On a rebuild each new entry takes over
 the history of the old entry with the same key.  A list that is too small is reported
 with the capacity that would do; it is never silent.  Keys are 32-bit: up to 46 000
-spheres.
+spheres.  Of boundaries made of faces, those near each sphere are listed too (`FaceList`).
 """
+
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -14,7 +16,8 @@ import numpy as np
 from jax import Array
 
 from jdem.bodies.base import AbstractBodies
-from jdem.boundaries.composite import Boundaries
+from jdem.boundaries.base import Listing, Room
+from jdem.boundaries.composite import Boundaries, first_parts, part_count
 from jdem.core.kernel import most_used
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw, Memory
@@ -30,7 +33,8 @@ class Grid(eqx.Module):
     `shape` counts cells along x, y, z (three at least: space is wrapped around the grid,
     so spheres may leave it); `cell` (m) is a cell's edge.  Pairs are listed up to a gap of
     `skin` + `reach` (m): spheres may move by the skin between rebuilds, and forces act across
-    gaps up to the reach.
+    gaps up to the reach.  `faces` is the most that a boundary made of faces lists for a contact; it
+    is no part of what a grid is known by.
     """
 
     shape: tuple[int, int, int] = eqx.field(static=True)
@@ -40,12 +44,62 @@ class Grid(eqx.Module):
     cell: float = eqx.field(static=True)
     skin: float = eqx.field(static=True)
     reach: float = eqx.field(static=True, default=0.0)
+    faces: int = eqx.field(static=True, default=128, repr=False)
+
+    @property
+    def farthest(self) -> float:
+        """How far (m) a listed boundary may be from a sphere's centre, at most."""
+        return 0.5 * (self.cell - self.skin - self.reach) + self.skin
+
+
+class FaceList(eqx.Module):
+    """Of one boundary made of faces, those that listed contacts with it may touch.
+
+    entry (K,) is the contact's place in its list, faces (K, n); `used` rows stand at the beginning,
+    and only the first `most` faces of a row are needed.
+    """
+
+    entry: Array
+    faces: Array
+    count: Array
+    most: Array
+
+    @staticmethod
+    def empty(grid: Grid) -> "FaceList":
+        rows, zero = grid.wall_contacts, jnp.zeros((), jnp.int32)
+        entry = jnp.full(rows, rows, jnp.int32)
+        return FaceList(entry, jnp.zeros((rows, grid.faces), jnp.int32), zero, zero)
+
+    @staticmethod
+    def of(listing: Listing, key: Array, listed: Array) -> "FaceList":
+        """From what the boundary found, under these keys, and the keys of all that is listed."""
+        assert listing.faces is not None and listing.asked is not None
+        capacity, (_, most) = listed.shape[0], listing.asked
+        place = jnp.minimum(jnp.searchsorted(listed, key), capacity - 1)
+        there = listing.near & (listed[place] == key)
+        order = jnp.argsort(~there)[:capacity]
+        entry = jnp.where(there, place, capacity)[order].astype(jnp.int32)
+        count = jnp.minimum(jnp.sum(there), capacity).astype(jnp.int32)
+        faces = listing.faces[order]
+        return FaceList(entry, faces, count, jnp.minimum(most, faces.shape[1]))
+
+    def used(self) -> tuple[Array, Array]:
+        """How many rows there are, and how many faces of each are needed."""
+        return most_used(self.count), most_used(self.most)
+
+
+def no_faces(grid: Grid, boundaries: Boundaries) -> tuple[FaceList | None, ...]:
+    """Before the first rebuild; nothing where no boundary has faces."""
+    if not any(boundary.faces for boundary in boundaries):
+        return ()
+    return tuple(FaceList.empty(grid) if boundary.faces else None for boundary in boundaries)
 
 
 class ContactList(eqx.Module):
     """Entries sorted by key; unused ones stand at the end and have `alive` 0.
 
-    For pairs, `second` is a sphere; for wall contacts it is the boundary's number.
+    For pairs, `second` is a sphere; for wall contacts it is the number of the boundary, or of its
+    part where boundaries have several.  `faces` are those of each boundary that is made of them.
     """
 
     key: Array
@@ -53,6 +107,7 @@ class ContactList(eqx.Module):
     second: Array
     alive: Array
     history: Memory  #: what the law remembers of each entry
+    faces: tuple[FaceList | None, ...] = ()
 
     def used(self) -> Array:
         """How many entries there are; they stand at the beginning."""
@@ -73,11 +128,12 @@ class Demand(eqx.Module):
     pairs: Array
     wall_contacts: Array
     per_cell: Array
+    faces: Array
 
     @staticmethod
     def none() -> "Demand":
         zero = jnp.zeros((), jnp.int32)
-        return Demand(zero, zero, zero)
+        return Demand(zero, zero, zero, zero)
 
     def including(self, other: "Demand") -> "Demand":
         return jax.tree.map(jnp.maximum, self, other)
@@ -88,6 +144,7 @@ class Demand(eqx.Module):
             (self.pairs > grid.pairs)
             | (self.wall_contacts > grid.wall_contacts)
             | (self.per_cell > grid.per_cell)
+            | (self.faces > grid.faces)
         )
 
 
@@ -105,9 +162,9 @@ def rebuild(
     """Both lists for the spheres' present places, with the histories of the old lists."""
     candidates, valid, fullest = _cell_candidates(grid, bodies, position)
     new_pairs, pair_count = _packed(candidates, valid, bodies.count, grid.pairs, pairs)
-    near = _near_boundaries(grid, bodies, boundaries, position)
-    new_contacts, wall_count = _packed(*near, len(boundaries), grid.wall_contacts, contacts)
-    return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest)
+    walls = _wall_contacts if any(b.faces for b in boundaries) else _smooth_wall_contacts
+    new_contacts, wall_count, faces = walls(grid, bodies, boundaries, position, contacts)
+    return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest, faces)
 
 
 def _cell_candidates(grid: Grid, bodies: AbstractBodies, position: Vector):
@@ -151,6 +208,42 @@ def _close(grid: Grid, bodies: AbstractBodies, position: Vector, second):
     offset = jax.tree.map(lambda axis: axis[:, None], position) - position.at(other)
     reach = bodies.radius[:, None] + bodies.radius[other] + (grid.skin + grid.reach)
     return offset.dot(offset) < reach * reach
+
+
+def _smooth_wall_contacts(
+    grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector, old: ContactList
+):
+    """Contacts with boundaries that have no faces, how many, and no face."""
+    near = _near_boundaries(grid, bodies, boundaries, position)
+    contacts, count = _packed(*near, len(boundaries), grid.wall_contacts, old)
+    return contacts, count, jnp.zeros((), jnp.int32)
+
+
+def _wall_contacts(
+    grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector, old: ContactList
+):
+    """Contacts with boundaries of any kind, the room they take, and the most faces of one."""
+    room = Room(grid.skin, grid.farthest, grid.wall_contacts, grid.faces)
+    position, radius, boundaries = jax.lax.stop_gradient((position, bodies.radius, boundaries))
+    found = [boundary.listing(position, radius, room) for boundary in boundaries]
+    parts = [f.part + first for f, first in zip(found, first_parts(boundaries), strict=True)]
+    stride = part_count(boundaries)
+    if bodies.count * stride >= _NO_KEY:
+        raise ValueError(
+            f"{bodies.count} spheres and {stride} parts of boundaries: keys are 32-bit; take a "
+            "mesh of fewer patches, or a larger smooth_below"
+        )
+    candidates = (jnp.concatenate([f.sphere for f in found]), jnp.concatenate(parts))
+    near = jnp.concatenate([f.near for f in found])
+    contacts, count = _packed(candidates, near, stride, grid.wall_contacts, old)
+    keys = [f.sphere * stride + part for f, part in zip(found, parts, strict=True)]
+    faces = tuple(
+        None if f.faces is None else FaceList.of(f, key, contacts.key)
+        for f, key in zip(found, keys, strict=True)
+    )
+    asked = [f.asked for f in found if f.asked is not None]
+    count = jnp.max(jnp.stack([count, *(rows for rows, _ in asked)]))
+    return replace(contacts, faces=faces), count, jnp.max(jnp.stack([most for _, most in asked]))
 
 
 def _near_boundaries(grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector):

@@ -154,7 +154,7 @@ def placed(boundaries: Boundaries, segment: Segment, position, radius) -> Bounda
     """Boundaries taken away or lowered as the segment begins, and at rest."""
     changed: list[AbstractBoundary] = []
     for boundary, wanted in zip(boundaries, segment.placed, strict=True):
-        places = {LOWER: boundary.touching(position, radius), REMOVE: boundary.removed()}
+        places = {LOWER: _lowered(boundary, wanted, position, radius), REMOVE: boundary.removed()}
         if (home := boundary.home()) is not None:
             places |= {HOME: _at(boundary, home), FOLLOW: _at(boundary, home + _way(changed[-1]))}
         now = boundary
@@ -173,6 +173,15 @@ def _way(boundary: AbstractBoundary) -> Vector:
     """How far a boundary is from its home (m); no way for one without."""
     home = boundary.home()
     return boundary.reference - (boundary.reference if home is None else home)
+
+
+def _lowered(boundary: AbstractBoundary, wanted: Array, position, radius) -> AbstractBoundary:
+    """The boundary lowered; of many faces it takes long, and is done only where it is wanted."""
+
+    def lowered():
+        return boundary.touching(position, radius)
+
+    return jax.lax.cond(wanted == LOWER, lowered, lambda: boundary) if boundary.faces else lowered()
 
 
 def ended(segment: Segment, readings: list[Array], elapsed: tuple[Array, Array]) -> Array:

@@ -29,7 +29,7 @@ from jdem.boundaries.composite import Boundaries
 from jdem.core import smooth
 from jdem.core.kernel import entrywise
 from jdem.core.vector import Vector
-from jdem.engine.loads import against, between
+from jdem.engine.loads import against, between, codes_met
 from jdem.engine.neighbors import ContactList
 from jdem.engine.state import Bed, TangentDrag
 
@@ -78,7 +78,8 @@ class System(eqx.Module):
         first, second = rows[pairs.first], rows[pairs.second]
         listed = (first, second, pairs.alive, pairs.history)
         of_pairs = entrywise(_pair_stiffness, bed, listed, pairs.used())
-        listed = (rows[walls.first], walls.second, walls.alive, walls.history)
+        codes = codes_met(rows, boundaries, walls)
+        listed = (rows[walls.first], walls.second, walls.alive, walls.history, codes)
         of_walls = entrywise(_wall_stiffness, (bed, boundaries), listed, walls.used())
         pushing = [(pairs.first, of_pairs[:, 0:3, 0:3]), (pairs.second, of_pairs[:, 0:3, 0:3])]
         turning = [(pairs.first, of_pairs[:, 3:6, 3:6]), (pairs.second, of_pairs[:, 6:9, 6:9])]
@@ -174,11 +175,11 @@ def _pair_stiffness(bed: Bed, entries):
 
 
 def _wall_stiffness(shared, entries):
-    (bed, boundaries), (one, wall, alive, history) = shared, entries
+    (bed, boundaries), (one, *listed) = shared, entries
     one = one.T
 
     def pushed(one):
-        on_first, *_ = against(bed, boundaries, one, wall, alive, history)
+        on_first, *_ = against(bed, boundaries, one, *listed)
         return on_first[:, 0:7]
 
     return _slopes(pushed, (one,), (jnp.concatenate(_directions(one, bed.time_step)),))

@@ -84,7 +84,7 @@ def test_the_surface_moves_as_the_boundary_does(kind, axis):
     """The distance of a resting point changes by minus the normal velocity; a spin alone moves
     no surface along its normal."""
     boundary = made(kind, axis)
-    position, step = around(boundary), 1e-6
+    position, step = around(boundary), 1e-7
     surface = boundary.surface(position)
     later = boundary.moved(jnp.asarray(step)).distance(position)
     rate = (later - surface.distance) / step
