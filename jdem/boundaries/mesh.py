@@ -65,6 +65,7 @@ class Mesh(AbstractBoundary):
     rates: Rates
     axis: Axis = eqx.field(static=True)
     angle: Array
+    made_at: Vector
     form: TriangleSurface = eqx.field(static=True)
 
     @staticmethod
@@ -105,7 +106,7 @@ class Mesh(AbstractBoundary):
     @staticmethod
     def _of(reference: Vector, axis: Axis, form: TriangleSurface) -> "Mesh":
         dtype = reference.x.dtype
-        return Mesh(reference, Rates.zero(dtype), axis, jnp.zeros((), dtype), form)
+        return Mesh(reference, Rates.zero(dtype), axis, jnp.zeros((), dtype), reference, form)
 
     @property
     def parts(self) -> int:
@@ -185,6 +186,9 @@ class Mesh(AbstractBoundary):
         way = jnp.min(jax.lax.fori_loop(0, self.faces, nearer, none))
         way = jnp.where(jnp.isfinite(way), way, 0.0)
         return self._at(self.reference + times(self.axis, way))
+
+    def home(self) -> Vector:
+        return self.made_at
 
     def travelled(self, since: Self) -> Array:
         shift = smooth.norm(self.reference - since.reference)

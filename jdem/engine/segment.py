@@ -156,7 +156,9 @@ def placed(boundaries: Boundaries, segment: Segment, position, radius) -> Bounda
     for boundary, wanted in zip(boundaries, segment.placed, strict=True):
         places = {LOWER: _lowered(boundary, wanted, position, radius), REMOVE: boundary.removed()}
         if (home := boundary.home()) is not None:
-            places |= {HOME: _at(boundary, home), FOLLOW: _at(boundary, home + _way(changed[-1]))}
+            places[HOME] = _at(boundary, home)
+            if changed:
+                places[FOLLOW] = _at(boundary, home + _way(changed[-1]))
         now = boundary
         for placing, there in places.items():
             chosen = partial(jnp.where, wanted == placing)
