@@ -50,13 +50,15 @@ class Movement(eqx.Module):
 
 
 class Readings(eqx.Module):
-    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N), and the
-    test's further channels by name (SI); `window` as in `Curve`."""
+    """What is recorded; arrays (samples,): travel (m, downward, from anywhere), force (N), the
+    test's further channels by name (SI), and the simulated time (s) where it is known; `window` as
+    in `Curve`."""
 
     travel: Array
     force: Array
     window: float = eqx.field(static=True, default=0.0)
     channels: dict[str, Array] = eqx.field(default_factory=dict)
+    time: Array | None = None
 
 
 class Reading(eqx.Module):

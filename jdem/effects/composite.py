@@ -5,6 +5,7 @@ order of the effects; errors of instruments add up.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -195,4 +196,4 @@ def recorded(
     for effect in effects:
         travel = travel + effect.travel_error(force)
         shown = shown + effect.force_error(readings.force, time)
-    return Readings(travel, shown, readings.window, readings.channels)
+    return replace(readings, travel=travel, force=shown)

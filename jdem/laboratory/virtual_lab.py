@@ -291,7 +291,8 @@ def _read(
     felt = samples.platen_force if test.force is None else test.force.read(samples, ahead)
     shown = samples.reading if test.force is None else felt
     further = {channel.name: channel.read(samples, ahead) for channel in test.channels}
-    readings = Readings(test.travel.read(samples, ahead), shown, window, further)
+    travel = test.travel.read(samples, ahead)
+    readings = Readings(travel, shown, window, further, samples.time)
     readings = recorded(effects, readings, felt, time)
     return test.read(readings, samples.segment - tests.first_movement(number))
 
