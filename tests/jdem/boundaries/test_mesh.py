@@ -493,7 +493,7 @@ def test_derivatives_pass_through_the_loop():
         return record.state.motion.position.stack()
 
     slopes = [
-        jax.jit(lambda speed, b=b: jax.jvp(lambda s: rolled(b, s), (speed,), (1.0,)))(
+        jax.jit(lambda speed, b=b: jax.jvp(lambda s: rolled(b, s), (speed,), (jnp.ones(()),)))(
             jnp.asarray(0.2)
         )
         for b in ((mesh,), (FLOOR,))
