@@ -134,6 +134,6 @@ def _torque(boundary: AbstractBoundary, load: Array) -> Vector:
 def strain_rate(boundaries: Boundaries, number: int | None) -> Real:
     """Rate (1/s) at which boundary `number` stretches the soil between it and z = 0; none: 0."""
     if number is None:
-        return 0.0
+        return jnp.zeros_like(boundaries[0].rates.speed)  # a number would have no derivative
     chosen = boundaries[number]
     return chosen.axis[2] * chosen.rates.speed / chosen.reference.z

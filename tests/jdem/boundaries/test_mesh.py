@@ -479,6 +479,7 @@ def test_derivatives_are_those_of_finite_differences_and_never_nan():
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in at)
 
 
+@pytest.mark.slow
 def test_derivatives_pass_through_the_loop():
     """Of the place after rolling over edges, with respect to the first speed."""
     mesh = Mesh.from_triangles(PLANES["288 irregular"], shell=True)
@@ -493,7 +494,7 @@ def test_derivatives_pass_through_the_loop():
         return record.state.motion.position.stack()
 
     slopes = [
-        jax.jit(lambda speed, b=b: jax.jvp(lambda s: rolled(b, s), (speed,), (1.0,)))(
+        quickly(lambda speed, b=b: jax.jvp(lambda s: rolled(b, s), (speed,), (jnp.ones(()),)))(
             jnp.asarray(0.2)
         )
         for b in ((mesh,), (FLOOR,))
