@@ -1,8 +1,9 @@
 """Tools in beds whose positions are given, beside an independent code on the same beds.
 
-LIGGGHTS-PUBLIC 3.8.0 pushed a cone and a plate into six beds of 1000 spheres, and lifted the tube
-from around them (law 1: Hertz-Mindlin without adhesion; law 2: EEPA, three beds).  This script does
-the same from the same positions.  Codes that are both right part on ONE bed, by as much as a
+LIGGGHTS-PUBLIC 3.8.0 pushed a cone and a plate into six beds of 1000 spheres, turned a vane in
+them, lifted the tube from around them, and sheared six beds of 700 in a square box (law 1:
+Hertz-Mindlin without adhesion; law 2: EEPA, three beds).  This script does the same from the same
+positions.  Codes that are both right part on ONE bed, by as much as a
 smaller time step changes there; what they have to share is the mean over beds.
 
     python -m verification.reference_beds                    some fifteen minutes on two cores
@@ -14,6 +15,7 @@ tests/data/reference_beds.npz (made for this purpose, MIT).
 """
 
 import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -23,11 +25,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from calibrate.core.files import write_json
 from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.direct_shear import SIDEWAYS, DirectShear
 from jdem.apparatus.penetration import Penetration, cone, plate
 from jdem.apparatus.repose import LiftedCylinder, tube
 from jdem.apparatus.tool import Tool
+from jdem.apparatus.vane import VaneShear, vane, vane_constant
 from jdem.bodies.spheres import Spheres
+from jdem.boundaries.base import UP
+from jdem.boundaries.mesh import Mesh
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics
 from jdem.engine.segment import CELL
@@ -61,7 +68,6 @@ LAWS = {
         conventions=BED_LAWS["liggghts"],
     ),
 }
-BEDS = {1: (1, 2, 3, 4, 5, 6), 2: (1, 2, 3)}
 
 
 Read = Callable[[Outcome, Packing], float]
@@ -69,14 +75,13 @@ Read = Callable[[Outcome, Packing], float]
 
 @dataclass(frozen=True)
 class Compared:
-    """A test: its apparatus, the number that is compared with its unit, and how it is read; `rough`
-    (-) is the friction on the base where it is not the platen's."""
+    """A test: its apparatus; by name in the data what is compared, its unit, its reading; rough (-)
+    is the friction on the base where it is not the platen's; `beds` by kind."""
 
     apparatus: AbstractApparatus
-    what: str
-    unit: str
-    read: Read
+    numbers: dict[str, tuple[str, str, Read]]
     rough: float | None = None
+    beds: str = "cylinder"
 
 
 def _mean_pressure(low: float, high: float, area: float) -> Read:
@@ -92,9 +97,15 @@ def _mean_pressure(low: float, high: float, area: float) -> Read:
     return read
 
 
-def _heap_angle(found: Outcome, made: Packing) -> float:
-    """Degrees."""
-    return float(np.degrees(found.observables["lifted"]["repose_angle"]))
+def _observable(test: str, name: str, factor: float) -> Read:
+    return lambda found, made: float(factor * found.observables[test][name])
+
+
+def _late_torque(found: Outcome, made: Packing) -> float:
+    """Mean (mN m) from 60 degrees on."""
+    curve = found.curves["turned"]
+    late = (np.asarray(curve.valid) > 0) & (np.asarray(curve.displacement) > 1.05)
+    return float(1e3 * np.asarray(curve.force)[late].mean())
 
 
 def _pushed(parts: tuple[Tool, ...], stroke: float) -> Penetration:
@@ -104,58 +115,131 @@ def _pushed(parts: tuple[Tool, ...], stroke: float) -> Penetration:
     )  # fmt: skip
 
 
+def _sheared(stress: float) -> Compared:
+    """Under a lid of so many kPa."""
+    lower, upper = square_box(0.05, 0.016, 0.001, 0.09)
+    apparatus = DirectShear(
+        lower=lower, upper=upper, area=0.05**2, normal_force=1e3 * stress * 0.05**2, stroke=0.008,
+        nominal_rate=0.02, resting_damping=DAMPING, peak_rows=45, name="sheared",
+    )  # fmt: skip
+    names = {
+        f"shear{stress:g}": ("peak shear stress", "peak_shear_stress"),
+        f"plane{stress:g}": ("normal stress on the plane at the peak", "plane_stress"),
+    }
+    numbers = {
+        key: (f"{what}, lid {stress:g} kPa", "kPa", _observable("sheared", name, 1e-3))
+        for key, (what, name) in names.items()
+    }
+    return Compared(apparatus, numbers, beds="box")
+
+
+def square_box(
+    side: float, plane: float, gap: float, top: float
+) -> tuple[tuple[Tool, ...], tuple[Tool, ...]]:
+    """Both halves of a square box with lips, as shells of triangles, m."""
+    half, rim = side / 2, 0.8 * side + side / 10
+    lower = [*_walls(half, 0.0, plane), *_lip(half, rim, plane), *_quad(_square(half, 0.0))]
+    upper = [*_walls(half, plane + gap, top), *_lip(half, rim, plane + gap)]
+    area = 4 * side * plane
+    made = [
+        Mesh.from_triangles(np.array(faces), axis=axis, shell=True, name=name)
+        for faces, axis, name in ((lower, SIDEWAYS, "lower half"), (upper, UP, "upper half"))
+    ]
+    return (Tool("lower", made[0], area, "mould"),), (Tool("upper", made[1], 2 * area, "mould"),)
+
+
+def _square(half: float, height: float) -> list[tuple[float, float, float]]:
+    return [(x * half, y * half, height) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+
+
+def _quad(corners) -> list:
+    a, b, c, d = corners
+    return [(a, b, c), (a, c, d)]
+
+
+def _around(first, second) -> list:
+    """Four quadrilaterals between two squares."""
+    sides = [(first[k], first[(k + 1) % 4], second[(k + 1) % 4], second[k]) for k in range(4)]
+    return [face for side in sides for face in _quad(side)]
+
+
+def _walls(half: float, low: float, high: float) -> list:
+    return _around(_square(half, low), _square(half, high))
+
+
+def _lip(half: float, rim: float, height: float) -> list:
+    return _around(_square(half, height), _square(rim, height))
+
+
 TESTS = {
     "cone": Compared(
         _pushed(cone(0.01283, 30.0, 0.00953), 0.036),
-        "mean on the tip from 24 to 34 mm", "kPa", _mean_pressure(0.024, 0.034, CONE),
+        {"cone": ("mean on the tip from 24 to 34 mm", "kPa", _mean_pressure(0.024, 0.034, CONE))},
     ),
     "plate": Compared(
         _pushed(plate(0.025, 0.004), 0.0105),
-        "mean from 5 to 10 mm", "kPa", _mean_pressure(0.005, 0.010, PLATE),
+        {"plate": ("mean from 5 to 10 mm", "kPa", _mean_pressure(0.005, 0.010, PLATE))},
+    ),
+    "vane": Compared(
+        VaneShear(  # no servo lets it rest at no axial force, as there
+            vane=vane(0.02, 0.02, 0.0015), constant=vane_constant(0.02, 0.02), nominal_rate=5.0,
+            depth=0.03, resting_damping=DAMPING, servo_width=1e9, name="turned",
+        ),
+        {
+            "vane": ("peak torque", "mN m", _observable("turned", "peak_torque", 1e3)),
+            "late": ("mean torque from 60 to 90 degrees", "mN m", _late_torque),
+        },
     ),
     "repose": Compared(
         LiftedCylinder(
             tube=tube(2 * MOULD, 0.05), nominal_rate=RATE, resting_damping=DAMPING, name="lifted"
         ),
-        "angle of the mass profile", "deg", _heap_angle, rough=0.5,
+        {
+            "repose": (
+                "angle of the mass profile", "deg",
+                _observable("lifted", "repose_angle", 180 / np.pi),
+            )
+        },
+        rough=0.5,
     ),
+    **{f"shear{stress:g}": _sheared(stress) for stress in (25.0, 50.0, 100.0)},
 }  # fmt: skip
 
 
 @cache
 def data() -> dict[str, np.ndarray]:
-    """Beds (`cylinder_1`: (4, spheres), x, y, z and radius in 0.1 um) and numbers of LIGGGHTS by
-    test and law (`cone_1`: (beds,))."""
+    """Beds (`cylinder_1`: (4, spheres), x, y, z and radius in 0.1 um) and what LIGGGHTS found, by
+    number and law (`cone_1`: (beds,))."""
     with np.load(DATA) as found:
         return {name: found[name] for name in found.files}
 
 
-def packing(bed: int) -> Packing:
+def packing(kind: str, bed: int) -> Packing:
     """The spheres of one bed, from their positions alone."""
-    *centres, radius = 1e-7 * data()[f"cylinder_{bed}"]
+    *centres, radius = 1e-7 * data()[f"{kind}_{bed}"]
     spheres = Spheres(radius, DENSITY * 4 / 3 * np.pi * radius**3)
-    height = float((centres[2] + radius).max())
-    return Packing(Vector(*map(jnp.asarray, centres)), spheres, height, MOULD)
+    height, mould = float((centres[2] + radius).max()), MOULD if kind == "cylinder" else 2 * MOULD
+    return Packing(Vector(*map(jnp.asarray, centres)), spheres, height, mould)
 
 
-def simulated(test: str, law: int, bed: int, step: float, folder: Path) -> float:
-    """The number of one run, kept; `step` is its time step over the usual one."""
-    path = reporting.kept("reference_beds", folder) / f"{test}_{law}_{bed}_{step:g}.txt"
+def simulated(test: str, law: int, bed: int, step: float, folder: Path) -> dict[str, float]:
+    """The numbers of one run, kept; `step` is its time step over the usual one."""
+    path = reporting.kept("reference_beds", folder) / f"{test}_{law}_{bed}_{step:g}.json"
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(repr(_run(test, law, bed, step)))
-    return float(path.read_text())
+        write_json(path, _run(test, law, bed, step))
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _run(test: str, law: int, bed: int, step: float) -> float:
-    made, soil, lab = packing(bed), LAWS[law], _lab(test)
-    if (rough := TESTS[test].rough) is not None:
-        soil = replace(soil, platen_friction=jnp.asarray(rough))
-    time_step = step * lab.time_step(made, soil)
+def _run(test: str, law: int, bed: int, step: float) -> dict[str, float]:
+    asked = TESTS[test]
+    made, soil, lab = packing(asked.beds, bed), LAWS[law], _lab(test)
+    if asked.rough is not None:
+        soil = replace(soil, platen_friction=jnp.asarray(asked.rough))
+    time_step, said = step * lab.time_step(made, soil), ""
     for _ in range(TRIES):
         found: Outcome = _program()(lab, made, soil, time_step)
         if not bool(found.failed):
-            return TESTS[test].read(found, made)
+            return {name: read(found, made) for name, (*_, read) in asked.numbers.items()}
         said, lab = found.record.explain_overflow(lab.grid), lab.roomier(SPECIMEN)
     raise RuntimeError(f"{test}, bed {bed}: {said}")
 
@@ -173,10 +257,11 @@ def _program() -> Callable:
 
 @dataclass(frozen=True)
 class Row:
-    """One test and law: numbers by bed of LIGGGHTS and of this code, and of bed 1 with a smaller
-    time step."""
+    """One number of a test and law: its name, what it is with its unit, by bed of LIGGGHTS and of
+    this code, and of bed 1 with a smaller time step."""
 
-    test: str
+    name: str
+    what: str
     law: int
     theirs: np.ndarray
     ours: np.ndarray
@@ -189,10 +274,24 @@ class Row:
         error = apart.std(ddof=1) / len(apart) ** 0.5 / self.theirs.mean()
         each = ", ".join(f"{a:.3g}/{b:.3g}" for a, b in zip(self.ours, self.theirs, strict=True))
         return [
-            self.test, str(self.law), f"{TESTS[self.test].what} ({TESTS[self.test].unit})",
-            _mean(self.theirs), _mean(self.ours), f"{ratio:.3f} ± {error:.3f}", each,
+            self.name, str(self.law), self.what, _mean(self.theirs), _mean(self.ours),
+            f"{ratio:.3f} ± {error:.3f}", each,
             f"{100 * abs(self.smaller / self.ours[0] - 1):.0f} %",
         ]  # fmt: skip
+
+
+def rows_of(test: str, law: int) -> list[Row]:
+    """Those of one test under one law; its beds are simulated."""
+    beds = range(1, len(data()[f"{next(iter(TESTS[test].numbers))}_{law}"]) + 1)
+    runs = [simulated(test, law, bed, 1.0, reporting.CACHE) for bed in beds]
+    smaller = simulated(test, law, 1, SMALLER, reporting.CACHE)
+    return [
+        Row(
+            name, f"{what} ({unit})", law, data()[f"{name}_{law}"],
+            np.array([run[name] for run in runs]), smaller[name],
+        )
+        for name, (what, unit, _) in TESTS[test].numbers.items()
+    ]  # fmt: skip
 
 
 def _mean(values: np.ndarray) -> str:
@@ -200,7 +299,7 @@ def _mean(values: np.ndarray) -> str:
 
 
 def markdown(rows: list[Row], origin: dict) -> str:
-    header = ("test", "law", "number", "LIGGGHTS, mean over beds", "this code", "ratio",
+    header = ("name", "law", "number", "LIGGGHTS, mean over beds", "this code", "ratio",
               "bed by bed, this code/LIGGGHTS", "a step 20 % smaller changes bed 1 by")  # fmt: skip
     return (
         "# Tools on the beds of another code\n\n"
@@ -221,11 +320,9 @@ def main() -> None:
     reporting.configure()
     rows = []
     for test in chosen.tests:
-        for law in (law for law in chosen.laws if f"{test}_{law}" in data()):
-            ours = [simulated(test, law, bed, 1.0, reporting.CACHE) for bed in BEDS[law]]
-            smaller = simulated(test, law, 1, SMALLER, reporting.CACHE)
-            theirs = data()[f"{test}_{law}"]
-            rows.append(Row(test, law, theirs, np.array(ours), smaller))
+        known = [law for law in chosen.laws if f"{next(iter(TESTS[test].numbers))}_{law}" in data()]
+        for law in known:
+            rows += rows_of(test, law)
             reporting.write_page("reference_beds", markdown(rows, reporting.provenance()))
 
 
