@@ -43,7 +43,7 @@ BEYOND = 1.05  # of the last depth that is read, to which the tool is pushed
 SEATING = 1e3  # Pa; pressure of a plate from which sinkage counts
 
 
-def _check_room(deepest: float, width: float, cylinder: Cylinder, name: str) -> None:
+def check_room(deepest: float, width: float, cylinder: Cylinder, name: str) -> None:
     """Refuse a tool that goes too deep (m) for the bed, or is too wide (m) for it."""
     if deepest > CLEAR * cylinder.height:
         went, high = 1e3 * deepest, 1e3 * cylinder.height
@@ -88,7 +88,7 @@ class ConeTest(AbstractLabTest):
         return BEYOND * self.depth_to + cone_length(self.diameter, self.angle)
 
     def check_on(self, cylinder: Cylinder) -> None:
-        _check_room(self.deepest, self.diameter, cylinder, "depth_to")
+        check_room(self.deepest, self.diameter, cylinder, "depth_to")
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         first = 0.0 if self.depth_from is None else self.depth_from
@@ -126,7 +126,7 @@ class PlateTest(AbstractLabTest):
         return BEYOND * self.sinkage + SEATED_WITHIN * cylinder.height
 
     def check_on(self, cylinder: Cylinder) -> None:
-        _check_room(self.deepest(cylinder), self.diameter, cylinder, "sinkage")
+        check_room(self.deepest(cylinder), self.diameter, cylinder, "sinkage")
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         area = math.pi / 4 * self.diameter**2
