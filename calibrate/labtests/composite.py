@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from calibrate.labtests.ball import BallTest
 from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.direct_shear import DirectShearTest
@@ -26,6 +27,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         PlateTest,
         DirectShearTest,
         ReposeTest,
+        BallTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
