@@ -4,6 +4,7 @@ Quantities are strings with units (`calibrate.core.units`) and leave a table in 
 refuses is a `BadValue` with its repair; `calibrate.io.labfile` adds file and field.
 """
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from calibrate.core.units import (
     FRACTION,
     LENGTH,
     MILLIMETRES,
+    ROTATION,
     SPEED,
     STRESS,
     TIME,
@@ -36,6 +38,9 @@ Speed = Annotated[float, _read(positive_quantity, SPEED)]
 Force = Annotated[float, _read(positive_quantity, FORCE)]
 Duration = Annotated[float, _read(unsigned_quantity, TIME)]
 Stress = Annotated[float, BeforeValidator(lambda text: 1e3 * positive_quantity(text, STRESS))]  # Pa
+Rotation = Annotated[  # rad/s
+    float, BeforeValidator(lambda text: math.radians(positive_quantity(text, ROTATION)))
+]
 Density = Annotated[float, _read(positive_quantity, DENSITY)]
 Fraction = Annotated[float, _read(unsigned_quantity, FRACTION)]
 LengthUnit = Annotated[float, _read(unit_factor, MILLIMETRES)]

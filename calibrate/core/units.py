@@ -39,6 +39,8 @@ ENERGY = Kind("energy", "J", "0.4 J")
 STRAIN = Kind("strain", "", "5 %")
 PERCENT = Kind("strain", "%", "5 %")
 ANGLE = Kind("angle", "deg", "31 deg")
+TORQUE = Kind("torque", "mN*m", "250 mN*m")
+ROTATION = Kind("rotation speed", "deg/s", "1 deg/s")
 STRAIN_RATE = Kind("strain rate", "1/s", "1 %/min")
 VOID_RATIO = Kind("void ratio", "", "1.2")
 

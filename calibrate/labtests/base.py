@@ -27,6 +27,7 @@ from calibrate.core.units import (
     PERCENT,
     STRAIN,
     STRESS,
+    TORQUE,
     Kind,
     Range,
 )
@@ -73,6 +74,7 @@ UNITS = {
     "N": Unit(FORCE, Range(STRESS, "0.05 kPa", "20 MPa"), STRESS, lambda size: 1e3 * size.area),
     "%": Unit(PERCENT, Range(STRAIN, "0.01 %", "90 %"), LENGTH, lambda size: 100 / size.height),
     "kPa": Unit(STRESS, Range(STRESS, "10 kPa", "10 GPa")),
+    "mN m": Unit(TORQUE, Range(TORQUE, "0.01 mN*m", "1000 N*m")),
     "deg": Unit(ANGLE, Range(ANGLE, "0.5 deg", "89 deg")),
     "J": Unit(ENERGY, Range(ENERGY, "0.01 mJ", "10 kJ")),
 }

@@ -13,6 +13,7 @@ from calibrate.labtests.penetration import ConeTest, PlateTest
 from calibrate.labtests.relaxation import RelaxationTest
 from calibrate.labtests.repose import ReposeTest
 from calibrate.labtests.unconfined import UnconfinedTest
+from calibrate.labtests.vane import VaneTest
 from jdem.apparatus.base import AbstractApparatus
 
 TYPES: Mapping[str, type[AbstractLabTest]] = {
@@ -28,6 +29,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
         DirectShearTest,
         ReposeTest,
         BallTest,
+        VaneTest,
     )
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}

@@ -39,7 +39,8 @@ class VaneShear(AbstractApparatus):
 
     constant (m3) is K.  The vane rests within servo_width (N) of no axial force; resting_damping
     (1/s) acts before the insertion.  The peak is that of the torque averaged over peak_rows
-    samples.  The curve is the angle (rad) and the torque (N m).
+    samples.  The curve is the angle (rad) and the torque (N m), or with a `rim` (m) the way of a
+    point at that radius and the force there that has the torque.
     """
 
     vane: Tool
@@ -53,6 +54,7 @@ class VaneShear(AbstractApparatus):
     resting_damping: Real = quantity(500.0)
     servo_width: Real = quantity(5.0)
     response: Real = quantity(RESPONSE)
+    rim: Real = quantity(1.0)
     peak_rows: int = eqx.field(static=True, default=7)
     name: str = eqx.field(static=True, default="vane_shear")
 
@@ -80,7 +82,10 @@ class VaneShear(AbstractApparatus):
             "residual_torque": jnp.sum(curve.force * late) / jnp.sum(late),
             "vane_strength": peak / self.constant,
         }
-        return Reading(curve, found, jnp.isfinite(peak))
+        at_rim = replace(
+            curve, displacement=curve.displacement * self.rim, force=curve.force / self.rim
+        )
+        return Reading(at_rim, found, jnp.isfinite(peak))
 
     @property
     def observables(self) -> tuple[str, ...]:

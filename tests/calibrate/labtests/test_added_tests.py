@@ -180,6 +180,16 @@ REPOSE = """[[tests]]
 type = "repose_angle"
 targets.repose_angle = { mean = "30 deg", scatter = "2 deg", repeats = 3 }
 """
+VANE = """[[tests]]
+type = "vane_shear"
+depth = "25 mm"
+targets.peak_torque = { mean = "0.5 N*m", scatter = "50 mN*m", repeats = 3 }
+"""
+BALL = """[[tests]]
+type = "ball_penetration"
+depth_to = "20 mm"
+targets.ball_resistance = { mean = "50 kPa", scatter = "5 kPa", repeats = 3 }
+"""
 UNCONFINED = """[[tests]]
 type = "unconfined"
 """
@@ -198,6 +208,8 @@ REFUSED = {
     "a protocol of a cone": (
         CONE + "protocol = [{ step = 'load', to = '1 kPa' }]\n", "protocol: .* follows no protocol",
     ),
+    "a vane above the soil": (VANE.replace("25 mm", "15 mm"), "depth: .* not covered"),
+    "depths in the wrong order": (BALL.replace("20 mm", "5 mm"), "depth_from: .* not above"),
     "a force for an angle": (REPOSE.replace("30 deg", "30 N"), "not a unit of angle"),
 }  # fmt: skip
 

@@ -1,0 +1,84 @@
+"""Vane shear (ASTM D4648): the torque that turns a cross of four blades in the bed.
+
+The vane strength is the peak torque over K, which takes the stress to be uniform on the mantle and
+both ends.  Soil with friction gives more of it at depth.  The curve is the way of the blades' rim
+(mm) and the force at the rim (N) that has the torque.
+"""
+
+import math
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from calibrate.core.errors import BadValue
+from calibrate.core.tables import Length, Rotation, Speed
+from calibrate.core.units import ROTATION, STRESS, TORQUE, Range
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.penetration import DEPTH, PUSHED, TOOL, check_room
+from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.vane import VaneShear, vane, vane_constant
+
+TURNED = Range(TORQUE, "0.05 mN*m", "500 N*m")
+PEAK, RESIDUAL = (
+    Observable(f"{source}_mnm", label, "mN m", source, 1e3, within=0.25, symbol=symbol,
+               usually=TURNED)
+    for source, label, symbol in (
+        ("peak_torque", "peak torque of the vane", "T"),
+        ("residual_torque", "residual torque of the vane", "Tr"),
+    )
+)  # fmt: skip
+STRENGTH = Observable(
+    "vane_strength_kpa", "vane strength", "kPa", "vane_strength", 1e-3, within=0.25, symbol="su",
+    usually=Range(STRESS, "0.1 kPa", "2 MPa"),
+)  # fmt: skip
+RIM = 0.05  # m/s, at which the rim moves
+RESTING = 50e3  # Pa on the blades' section, within which the vane counts as without axial force
+PEAK_TRAVEL = 2e-4  # m of the rim, over which the peak is averaged
+
+
+class VaneTest(AbstractLabTest):
+    """Blades of a diameter, height and thickness (m), lower face at `depth` (m), turned at `rate`
+    (rad/s) through `angle` (degrees)."""
+
+    type_name = "vane_shear"
+    title = "vane shear"
+    observables = (PEAK, RESIDUAL, STRENGTH)
+    shape = "softens"
+    in_mould = True
+
+    diameter: Annotated[Length, TOOL] = 0.02
+    height: Annotated[Length, TOOL] = 0.02
+    thickness: Annotated[Length, Range(TOOL.kind, "0.3 mm", "20 mm")] = 1.5e-3
+    depth: Annotated[Length, DEPTH] = 0.03
+    insertion: Annotated[Speed, PUSHED] = 0.01
+    rate: Annotated[Rotation, Range(ROTATION, "0.05 deg/s", "60 deg/s")] = math.radians(1.0)
+    angle: float = Field(default=90.0, ge=10.0, le=720.0)
+
+    @model_validator(mode="after")
+    def _check_blades(self) -> "VaneTest":
+        if self.thickness > 0.3 * self.diameter:
+            raise BadValue("the blades are no blades", "give thinner ones", "thickness")
+        if self.depth < self.height:
+            raise BadValue("the vane is not covered", "give at least its height", "depth")
+        return self
+
+    def check_on(self, cylinder: Cylinder) -> None:
+        check_room(self.depth, self.diameter, cylinder, "depth")
+
+    def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
+        speed = RIM / (self.diameter / 2)
+        rows = 2 * int(PEAK_TRAVEL / (RIM * pace.sample_time) / 2) + 1
+        return VaneShear(
+            vane=vane(self.diameter, self.height, self.thickness),
+            constant=vane_constant(self.diameter, self.height),
+            simulated_rate=speed,
+            nominal_rate=self.rate,
+            insertion_rate=pace.free,
+            depth=self.depth,
+            stroke=math.radians(self.angle),
+            servo_width=RESTING * 2 * self.diameter * self.thickness,
+            rim=self.diameter / 2,
+            peak_rows=rows,
+            name=self.called,
+        )
