@@ -86,6 +86,9 @@ class LinearCohesion(AbstractNormalLaw):
     def damping_ratio(self):
         return self.inner.damping_ratio()
 
+    def reach(self, radius):
+        return self.inner.reach(radius)
+
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)
 
