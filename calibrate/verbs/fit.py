@@ -18,7 +18,7 @@ from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, Explored, calibrate, explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.parameters import RANGES, checked_free
+from calibrate.inference.parameters import checked_free, ranges
 from calibrate.inference.resolutions import Coarse
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS
@@ -33,7 +33,6 @@ from calibrate.verbs.base import (
     AbstractResult,
     line,
     listed,
-    parameter_values,
     verb,
 )
 from jdem.materials.soil import SoilParameters
@@ -124,7 +123,7 @@ class FitResult(AbstractRecordedResult[FitRecord]):
             f"stopped: {found.stopped}; {len(found.history)} evaluations, "
             f"{found.simulations} simulations in this start"
         )
-        held = [name for name in RANGES if name not in self.free]
+        held = [name for name in ranges(self.lab.particles.conventions) if name not in self.free]
         yield "held at their starting values: " + ", ".join(held)
         for direction in found.identifiability.directions:
             weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
@@ -268,7 +267,7 @@ def fit(
     if no_runs and preset == "quick":
         preset = "standard"  # the library's beds are not as coarse
     session = Session.open(lab, preset, folder, dask, conventions)
-    base = session.soil(parameter_values(values))
+    base = session.soil(values)
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
     work = session.campaign(folder, preparation)
