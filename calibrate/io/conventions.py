@@ -51,6 +51,14 @@ def origin(name: str) -> dict[str, str]:
     return {"law": name} if name in WHOLE else {"conventions": name}
 
 
+def check_eepa(name: str, file: str) -> None:
+    """Refuse a lab that follows another law where only EEPA will do: a library of runs."""
+    if name in WHOLE:
+        problem = f"the library of runs is of the law '{DEFAULT}', and knows nothing of '{name}'"
+        repair = f'simulate (calibrate simulate, fit, doe), or give law = "{DEFAULT}"'
+        raise InputError(file, "particles.law", problem, repair)
+
+
 def check_needed(name: str, values: Mapping[str, float | None], file: str) -> None:
     """Refuse a lab file that does not state what its law needs and nothing else knows."""
     for parameter in needed_by(name):

@@ -23,6 +23,7 @@ from calibrate.discrepancy.library.design import SHAPE_COLUMNS
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize, SoilPrior
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
+from calibrate.io.conventions import check_eepa
 from calibrate.io.lab import Lab
 from calibrate.response.response import (
     FURTHER,
@@ -33,7 +34,6 @@ from calibrate.response.response import (
     linearised,
 )
 from jdem.effects.composite import EFFECTS
-from jdem.materials.catalogue import WHOLE
 from jdem.materials.conventions import DEFAULT
 
 MOISTURE_SD = 0.03  # of stiffness and surface energy from specimen to specimen
@@ -82,10 +82,7 @@ class EmulatedLibrary:
     def _following(self, lab: Lab) -> "EmulatedLibrary":
         """That of the lab's conventions, made once."""
         wanted = lab.particles.conventions
-        if wanted in WHOLE:
-            problem = f"no run of the library follows the law '{wanted}', they are of '{DEFAULT}'"
-            repair = f'give law = "{DEFAULT}", or fit by simulations alone (calibrate fit)'
-            raise InputError(lab.file, "particles.law", problem, repair)
+        check_eepa(wanted, lab.file)
         if wanted == DEFAULT or self.library.law is not None:
             return self
         if wanted not in self.library.other_laws:
