@@ -45,8 +45,8 @@ def uncertainty(found: Found) -> list[str]:
         for name in in_order(found.intervals)
         for low, high in [found.intervals[name]]
     ]
-    left_out = (*found.intervals, *_NOT_EXPORTED)
-    held = [name for name in in_order(found.values) if name not in left_out]
+    said_above = (*found.intervals, *_NOT_EXPORTED)
+    held = [name for name in in_order(found.values) if name not in said_above]
     head = ["Fitted, with 95 % intervals:", *lines] if lines else ["Nothing here was fitted."]
     return [*head, "Held at stated values, without interval:", *textwrap.wrap(", ".join(held), 90)]
 
