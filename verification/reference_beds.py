@@ -138,8 +138,16 @@ def square_box(
 ) -> tuple[tuple[Tool, ...], tuple[Tool, ...]]:
     """Both halves of a square box with lips, as shells of triangles, m."""
     half, rim = side / 2, 0.8 * side + side / 10
-    lower = [*_walls(half, 0.0, plane), *_lip(half, rim, plane), *_quad(_square(half, 0.0))]
-    upper = [*_walls(half, plane + gap, top), *_lip(half, rim, plane + gap)]
+    below, above = plane, plane + gap
+    lower = [
+        *_quad(_square(half, 0.0)[::-1]),
+        *_around(_square(half, 0.0), _square(half, below)),
+        *_around(_square(half, below), _square(rim, below)),
+    ]
+    upper = [
+        *_around(_square(rim, above), _square(half, above)),
+        *_around(_square(half, above), _square(half, top)),
+    ]
     area = 4 * side * plane
     made = [
         Mesh.from_triangles(np.array(faces), axis=axis, shell=True, name=name)
@@ -161,14 +169,6 @@ def _around(first, second) -> list:
     """Four quadrilaterals between two squares."""
     sides = [(first[k], first[(k + 1) % 4], second[(k + 1) % 4], second[k]) for k in range(4)]
     return [face for side in sides for face in _quad(side)]
-
-
-def _walls(half: float, low: float, high: float) -> list:
-    return _around(_square(half, low), _square(half, high))
-
-
-def _lip(half: float, rim: float, height: float) -> list:
-    return _around(_square(half, height), _square(rim, height))
 
 
 TESTS = {

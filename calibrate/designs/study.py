@@ -115,7 +115,7 @@ class StudySetup:
 
     def _factor(self, name: str, reach: float, held: dict[str, float]) -> Factor:
         bounds = self.space.ranges[self.space.names.index(name)]
-        value = held.get(name, float(getattr(self.space.base, name)))
+        value = held.get(name, float(self.space.base.values()[name]))
         room = min(np.log(bounds.high / value), np.log(value / bounds.low)) / _STAR
         half = min(reach, max(float(room), _LEAST))
         low, high = value * np.exp(-half), value * np.exp(half)

@@ -1,4 +1,4 @@
-"""LIGGGHTS 3.8: an input section for `model edinburgh`, its own EEPA.
+"""LIGGGHTS 3.8: an input section for `model edinburgh`, its own EEPA, and for `model hertz`.
 
 Types: 1 soil, 2 mould, 3 platen and base.  Include it after `create_box` (three types) or
 `read_data`, before particles move; give walls the same models and their type.
@@ -9,6 +9,8 @@ are matched as far as they go: `tangential history` limits friction by mu |F_n| 
 adds the adhesive share k_adh d, which is EEPA's where the tensile exponent is 1, and its spring
 takes the tangential multiplier; with slope and tensile exponent 1 it is therefore used, with the
 rolling model that goes with it.
+
+Hertz-Mindlin with and without linear cohesion is that of LIGGGHTS, one to one.
 """
 
 from math import sqrt
@@ -23,13 +25,17 @@ from calibrate.exporters.notes import (
     uncertainty,
 )
 from calibrate.exporters.source import Found
-from jdem.materials.catalogue import CATALOGUE
-from jdem.materials.conventions import FRICTION_VISCOSITY
+from jdem.materials.catalogue import EVERY
+from jdem.materials.conventions import DEFAULT, FRICTION_VISCOSITY
 
 NAME, FILE = "liggghts", "soil.liggghts"
 HISTORY = "edinburgh tangential history rolling_friction epsd2"
 LUDING = "edinburgh tangential tan_luding rolling_friction luding"
 OWN = {"liggghts": LUDING, "liggghts_history": HISTORY}  # models of LIGGGHTS' own conventions
+HERTZ = {  # laws that stand in the place of EEPA
+    "hertz_mindlin": "hertz tangential history rolling_friction epsd2",
+    "hertz_cohesion": "hertz tangential history cohesion sjkr rolling_friction epsd2",
+}
 TYPES = 3
 KEPT = "atom_modify sort 0 0.0"  # LIGGGHTS' edinburgh loses its memory when spheres are sorted
 _SOFTEST, _HARDEST = 5e6, 1e9  # Pa; beyond these LIGGGHTS wants to be told so
@@ -75,10 +81,15 @@ _LUDING_CONSTANTS = {  # what tan_luding and luding want besides
 
 
 def text(found: Found) -> str:
-    """The input section; `InputError` for what `tan_luding` cannot follow."""
-    _check(found)
+    """The input section; `InputError` for a law that LIGGGHTS has not, and for what `tan_luding`
+    cannot follow."""
+    found.check_law((DEFAULT, *HERTZ), NAME)
     notes = [*heading(found), "", *uncertainty(found), "", *scale_up(found), ""]
-    lines = [KEPT, *_allowances(found), *_properties(found)]
+    if found.law in HERTZ:
+        lines = [*_allowances(found), *_of_hertz(found)]
+    else:
+        _check(found)
+        lines = [KEPT, *_allowances(found), *_properties(found)]
     lines += [f"pair_style gran model {model(found)}", "pair_coeff * *"]
     return comment([*notes, *_differences(found)]) + "\n".join(lines) + "\n"
 
@@ -94,8 +105,8 @@ def _check(found: Found) -> None:
 
 def model(found: Found) -> str:
     """The contact models of the calibrated law, or those that come nearest to it."""
-    if found.conventions in OWN:
-        return OWN[found.conventions]
+    if found.conventions in OWN | HERTZ:
+        return (OWN | HERTZ)[found.conventions]
     linear = found["slope_exponent"] == 1 and found["tensile_exponent"] == 1
     return LUDING if linear else HISTORY
 
@@ -105,6 +116,8 @@ def young_modulus(found: Found) -> float:
 
     At n = 1 LIGGGHTS has k1 = 2 E* R*; another `stiffness_factor` c makes it c/2 of E.
     """
+    if found.law in HERTZ:
+        return found.young
     factor = found["stiffness_factor"] / 2 if found["slope_exponent"] == 1 else 1.0
     return factor * found.young
 
@@ -124,6 +137,23 @@ def _allowances(found: Found) -> list[str]:
     if young < _SOFTEST:
         return ["soft_particles yes"]
     return ["hard_particles yes"] if young > _HARDEST else []
+
+
+def _of_hertz(found: Found) -> list[str]:
+    """The properties of `model hertz`."""
+    sliding = tuple(found[n] for n in ("static_friction", "wall_friction", "platen_friction"))
+    of_pairs = {
+        _called("restitution"): (max(found["restitution"], 1.001 * _LEAST_RESTITUTION),) * TYPES,
+        _called("static_friction"): sliding,
+        _called("rolling_friction"): (found["rolling_friction"],) * TYPES,
+    }
+    if found.law == "hertz_cohesion":
+        of_pairs[_called("cohesion")] = (found["cohesion"], 0.0, 0.0)
+    return [
+        _property(_called("shear_modulus"), "peratomtype", [found.young] * TYPES),
+        _property(_called("poisson_ratio"), "peratomtype", [found["poisson_ratio"]] * TYPES),
+        *(_per_pair(name, values) for name, values in of_pairs.items()),
+    ]
 
 
 def _properties(found: Found) -> list[str]:
@@ -158,7 +188,7 @@ def _properties(found: Found) -> list[str]:
 
 def _called(name: str) -> str:
     """LIGGGHTS' property that a parameter decides."""
-    return CATALOGUE[name].names["LIGGGHTS"]
+    return EVERY[name].names["LIGGGHTS"]
 
 
 def _per_pair(name: str, with_type: tuple[float, ...]) -> str:
@@ -177,15 +207,20 @@ def _property(name: str, kind: str, values: list[float]) -> str:
 def _differences(found: Found) -> list[str]:
     """What the section does not carry over, and how walls are written."""
     chosen = model(found)
-    multiplier = found["tangential_multiplier"]
-    known = _SAME if found.conventions in OWN else _DIFFERENCES[chosen]
-    lines = [line.format(multiplier=multiplier, pressure=PRESSURE) for line in known]
     return [
         "What differs from the law that was calibrated (docs/export.md has the numbers):",
-        *lines,
-        *(_HERTZ if found["slope_exponent"] == 1.5 else ()),
-        *_EVERY,
+        *_told(found, chosen),
         "Types: 1 soil, 2 mould, 3 platen and base. Walls, for example:",
         f"  fix base all wall/gran model {chosen} primitive type 3 zplane 0.0",
         f"  fix mould all wall/gran model {chosen} primitive type 2 zcylinder 0.025 0. 0.",
     ]
+
+
+def _told(found: Found, chosen: str) -> list[str]:
+    """What differs, one line each."""
+    if found.law in HERTZ:
+        return [*_SAME, "- walls carry no cohesion, as in the calibration"]
+    multiplier = found["tangential_multiplier"]
+    known = _SAME if found.conventions in OWN else _DIFFERENCES[chosen]
+    lines = [line.format(multiplier=multiplier, pressure=PRESSURE) for line in known]
+    return [*lines, *(_HERTZ if found["slope_exponent"] == 1.5 else ()), *_EVERY]

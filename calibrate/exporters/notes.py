@@ -24,9 +24,10 @@ def warned(found: Found) -> list[str]:
 
 def heading(found: Found) -> list[str]:
     """Which soil, from where, what the fit warned of, for which particles."""
-    lines = [f"EEPA soil: {_one_line(found.soil)}", f"from {_one_line(found.origin)}"]
+    law = "EEPA" if found.law == DEFAULT else found.law
+    lines = [f"{law} soil: {_one_line(found.soil)}", f"from {_one_line(found.origin)}"]
     lines += [line for sentence in warned(found) for line in textwrap.wrap(sentence, 98)]
-    if found.conventions != DEFAULT:
+    if found.conventions not in (DEFAULT, found.law):
         lines.append(
             f"with the conventions {found.conventions}: tangential_multiplier and rolling_friction "
             "are LIGGGHTS', and mean other things elsewhere"
@@ -44,34 +45,42 @@ def uncertainty(found: Found) -> list[str]:
         for name in in_order(found.intervals)
         for low, high in [found.intervals[name]]
     ]
-    held = [name for name in UNITS if name not in found.intervals and name not in _NOT_EXPORTED]
+    said_above = (*found.intervals, *_NOT_EXPORTED)
+    held = [name for name in in_order(found.values) if name not in said_above]
     head = ["Fitted, with 95 % intervals:", *lines] if lines else ["Nothing here was fitted."]
     return [*head, "Held at stated values, without interval:", *textwrap.wrap(", ".join(held), 90)]
 
 
 def scale_up(found: Found) -> list[str]:
     """What to use for particles of another size."""
-    reference = found["reference_diameter"]
-    lines = [
-        f"Surface energy {found['surface_energy']:.5g} J/m^2 belongs to the reference diameter "
-        f"{1e6 * reference:.4g} um;",
-        f"between particles of diameter d use {found['surface_energy']:.5g} J/m^2 * d / "
-        f"{reference:.4g} m:",
-    ]
-    for share in _OTHER_SIZES:
-        size = share * found.diameter
-        energy = found["surface_energy"] * size / reference
-        lines.append(f"  d = {1e3 * size:.4g} mm: {energy:.5g} J/m^2{_interval_at(found, size)}")
     return [
-        *lines,
-        "The other parameters do not change with size (stiffness grows with the radius by itself),",
+        *_surface_energies(found),
+        f"The {'other ' if found.sized else ''}parameters do not change with size (stiffness grows "
+        "with the radius by itself),",
         "but the strength and stiffness of a bed still depend on the number of particles: run both",
         "tests at the new size before use.",
     ]
 
 
+def _surface_energies(found: Found) -> list[str]:
+    """The surface energy at several diameters; nothing where the law has none."""
+    if found.sized is None:
+        return []
+    reference, stated = found["reference_diameter"], found[found.sized]
+    lines = [
+        f"Surface energy {stated:.5g} J/m^2 belongs to the reference diameter "
+        f"{1e6 * reference:.4g} um;",
+        f"between particles of diameter d use {stated:.5g} J/m^2 * d / {reference:.4g} m:",
+    ]
+    for share in _OTHER_SIZES:
+        size = share * found.diameter
+        energy = stated * size / reference
+        lines.append(f"  d = {1e3 * size:.4g} mm: {energy:.5g} J/m^2{_interval_at(found, size)}")
+    return lines
+
+
 def _interval_at(found: Found, size: float) -> str:
-    interval = found.intervals.get("surface_energy")
+    interval = found.intervals.get(found.sized or "")
     if interval is None:
         return ""
     low, high = (end * size / found["reference_diameter"] for end in interval)

@@ -7,21 +7,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calibrate.core.errors import BadValue, InputError, shown
+from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
 from calibrate.inference.draws import read_draws
 from calibrate.inference.misfit import Miss, misses
 from calibrate.io.lab import Lab, load_lab
-from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, read_text
+from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, entry_of, read_text
 from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import soil_json
-from jdem.materials.catalogue import CATALOGUE
-from jdem.materials.conventions import CONVENTIONS, DEFAULT
+from jdem.materials.catalogue import EVERY, WHOLE, parameters_of
+from jdem.materials.contact_laws import BED_LAWS
+from jdem.materials.conventions import DEFAULT
 from jdem.packing import specimen as packing
 
 RESULT = "result.json"  # what `calibrate fit` writes into its folder
 
-UNITS = {name: entry.unit for name, entry in CATALOGUE.items()}
+UNITS = {name: entry.unit for name, entry in EVERY.items()}
+SURFACE_ENERGIES = ("surface_energy", "gamma")  # stated at the reference diameter
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,9 @@ class Found:
 
     `diameter` (m) is that of the particles that the export is for; `fitted_diameter` (m) the
     mean of the spheres of the calibration, None if not known; `origin` says in words where
-    the numbers come from; `conventions` whose contact law they are for; `warnings` what the fit
-    warned of, of which `missed` are the numbers that it did not meet.
+    the numbers come from; `conventions` whose contact law they are for, or which other law, as a
+    lab keeps it; `warnings` what the fit warned of, of which `missed` are the numbers that it did
+    not meet.
     """
 
     soil: str
@@ -48,14 +51,31 @@ class Found:
         return self.values[name]
 
     @property
+    def law(self) -> str:
+        """The contact law's name in a lab file."""
+        return self.conventions if self.conventions in WHOLE else DEFAULT
+
+    @property
+    def sized(self) -> str | None:
+        """The surface energy that its law has, by name; None where it has none."""
+        return next((name for name in SURFACE_ENERGIES if name in self.values), None)
+
+    @property
     def scale(self) -> float:
-        """Surface energy at `diameter` over the parameter surface_energy."""
+        """Surface energy at `diameter` over the parameter."""
         return self.diameter / self["reference_diameter"]
 
     @property
     def surface_energy(self) -> float:
         """Surface energy between particles of `diameter`, J/m^2."""
-        return self["surface_energy"] * self.scale
+        return self[self.sized or "surface_energy"] * self.scale
+
+    def check_law(self, known: Iterable[str], program: str) -> None:
+        """`InputError` where an export to a program does not know the soil's law."""
+        if self.law not in known:
+            problem = f"the law '{self.law}' is not exported to {program}"
+            repair = f"export it as csv or json, or calibrate with {' or '.join(known)}"
+            raise InputError(self.origin, "law", problem, repair)
 
     @property
     def young(self) -> float:
@@ -94,7 +114,7 @@ def find_draws(
     for number, soil in enumerate(known.spread(count), 1):
         origin = f"{folder}, soil {number} of {count} that the tests allow"
         every = soil_json(soil)
-        values = {name: every[name] for name in UNITS}
+        values = {name: every[name] for name in UNITS if name in every}
         about = str(known.tree.attrs["soil"]), origin, values, {}, math.nan, size
         one = Found(*about, str(known.tree.attrs["conventions"]))
         found.append(_sized(one, folder, changes, diameter))
@@ -103,6 +123,8 @@ def find_draws(
 
 def _sized(found: Found, path: Path, changes: dict[str, float], diameter: float | None) -> Found:
     """With changes in place of values, for particles of this diameter (m)."""
+    for name in changes:
+        entry_of(name, COMMAND_LINE, f"--set {name}", found.conventions)
     if changes:
         kept = {n: i for n, i in found.intervals.items() if n not in changes}
         origin = f"{found.origin}; set by hand: {', '.join(changes)}"
@@ -131,24 +153,28 @@ def _mean_diameter(lab: Lab) -> float:
 def _of_result(path: Path) -> Found:
     """The fitted parameters of a result.json."""
     result = _json(path)
-    parameters = _table(result, "parameters", path)
-    values = {name: _value(name, parameters.get(name), path) for name in UNITS}
+    parameters, law = _table(result, "parameters", path), _law(result, path)
+    values = {n: _value(n, parameters.get(n), path, law) for n in parameters_of(law)}
     found = _table(_table(result, "identifiability", path), "interval_95", path)
     intervals = {name: _interval(name, found[name], path) for name in UNITS if name in found}
     soil = str(result.get("soil", "soil"))
     origin = f"{path}, preset {result.get('preset', 'unknown')}"
-    conventions = result.get("conventions", DEFAULT)
-    if not isinstance(conventions, str) or conventions not in CONVENTIONS:
-        raise InputError(
-            str(path), "conventions", f"{shown(conventions)} is unknown", "run the fit again"
-        )
     diameter = _packing_diameter(path.parent, result.get("spheres"))
     missed = tuple(str(miss) for miss in _misses(result))
     warned = (*_sentences(result.get("warnings"), path), *missed)
     return Found(
-        soil, origin, values, intervals, math.nan, diameter, conventions,
+        soil, origin, values, intervals, math.nan, diameter, law,
         tuple(dict.fromkeys(warned)), missed,
     )  # fmt: skip
+
+
+def _law(result: dict, path: Path) -> str:
+    """The law of a result, or EEPA's conventions."""
+    field = "law" if "law" in result else "conventions"
+    name = result.get(field, DEFAULT)
+    if not isinstance(name, str) or name not in BED_LAWS:
+        raise InputError(str(path), field, f"{shown(name)} is unknown", "run the fit again")
+    return name
 
 
 def _misses(result: dict) -> list[Miss]:
@@ -209,13 +235,13 @@ def _table(content: dict, name: str, path: Path) -> dict:
     return table
 
 
-def _value(name: str, value: Any, path: Path) -> float:
-    """One parameter, refused where no contact law accepts it."""
+def _value(name: str, value: Any, path: Path, law: str) -> float:
+    """One parameter, refused where its law does not accept it."""
     if value is None:
         raise InputError(str(path), f"parameters.{name}", "missing", "run the fit again")
     if name in PARAMETER_UNITS:
-        return check_parameter(name, value, str(path), f"parameters.{name}")
-    accepted = CATALOGUE[name].accepted
+        return check_parameter(name, value, str(path), f"parameters.{name}", law)
+    accepted = EVERY[name].accepted
     if isinstance(value, bool) or not isinstance(value, int | float) or not accepted(value):
         problem = f"{shown(value)} is out of range"
         raise InputError(str(path), f"parameters.{name}", problem, "run the fit again")

@@ -4,7 +4,7 @@ import csv
 import io
 
 from calibrate.exporters.notes import heading, scale_up, warned
-from calibrate.exporters.source import UNITS, Found
+from calibrate.exporters.source import UNITS, Found, in_order
 
 NAME, FILE = "csv", "soil.csv"
 COLUMNS = ("parameter", "value", "unit", "low_95", "high_95", "fitted")
@@ -17,7 +17,7 @@ def text(found: Found) -> str:
     out.writelines(f"# {sentence}\n" for sentence in notes)
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for name, unit in UNITS.items():
+    for name in in_order(found.values):
         ends = found.intervals.get(name, ("", ""))
-        writer.writerow([name, f"{found[name]:.7g}", unit, *ends, name in found.intervals])
+        writer.writerow([name, f"{found[name]:.7g}", UNITS[name], *ends, name in found.intervals])
     return out.getvalue()

@@ -16,6 +16,7 @@ from calibrate.core.errors import InputError
 from calibrate.exporters.notes import PRESSURE, comment, heading, scale_up, uncertainty
 from calibrate.exporters.source import Found
 from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.conventions import DEFAULT
 
 NAME, FILE = "yade", "soil_yade.py"
 NAME, FILE = "yade", "soil_yade.py"
@@ -83,6 +84,7 @@ O.materials.append(soil_of(RADIUS, "soil"))
 
 def text(found: Found) -> str:
     """The material script; only slope exponent 1 has a law to go with."""
+    found.check_law((DEFAULT,), NAME)
     if found["slope_exponent"] != 1:
         raise InputError(
             "--to yade",

@@ -24,7 +24,7 @@ from calibrate.inference.fit import Descent, Fit, descend, finished, fit, joined
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
 from calibrate.inference.on_response import DIGITS, Solved
-from calibrate.inference.parameters import FACTORS, ensemble, space, to_digits
+from calibrate.inference.parameters import candidates, ensemble, space, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
 from calibrate.inference.slopes import SlopesOfSmallerBeds
@@ -42,10 +42,11 @@ from calibrate.simulation.specimens import (
     summary_json,
 )
 from calibrate.simulation.specimens import coarse as coarse_sentence
+from jdem.materials.conventions import DEFAULT
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.base import AbstractStrategy
 
-CANDIDATES = (*FACTORS, "shear_modulus")
+CANDIDATES = candidates(DEFAULT)  # of EEPA
 # Where large beds are dear: a residual of 0.3 deviations is a third of what packings leave open.
 THRIFTY = Settings(evaluations=10, patience=3, tolerance=0.3)
 EXPLORING = Settings(evaluations=12, patience=4, tolerance=0.3)  # small beds are cheap
@@ -196,7 +197,8 @@ class FitSetup:
     def screened(self) -> Screened:
         """Slopes of all features in every parameter that the lab file does not hold."""
         held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
-        every = space(self.lab, tuple(n for n in CANDIDATES if n not in held), self.base)
+        names = candidates(self.lab.particles.conventions)
+        every = space(self.lab, tuple(n for n in names if n not in held), self.base)
         what, start = "sensitivity of every parameter", to_digits(every.start())
         if self.coarse is not None and self.coarse.near:
             slopes = self.coarse.slopes(self.problem, every, start)

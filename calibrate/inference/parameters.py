@@ -21,9 +21,11 @@ from scipy.stats import truncnorm
 from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
 from calibrate.io.conventions import check_free
 from calibrate.io.lab import Lab
+from calibrate.io.labfile import PARAMETER_UNITS, entry_of
 from calibrate.io.soil import base_soil, with_values
 from jdem.core.parameter import Search as Range
-from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.catalogue import WHOLE, parameters_of
+from jdem.materials.conventions import DEFAULT
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.ensemble import Ensemble
 
@@ -37,16 +39,35 @@ FACTORS = (
     "tangential_multiplier",
 )
 
+ON_WALLS = ("wall_friction", "platen_friction")  # fitted only where a user names them
+
+
+def ranges(law: str) -> dict[str, Range]:
+    """Where a fit looks for the parameters of a law (a name that a lab keeps), by name."""
+    return {n: entry.search for n, entry in parameters_of(law).items() if entry.search is not None}
+
+
+def candidates(law: str) -> tuple[str, ...]:
+    """The parameters of a law that a fit chooses from."""
+    if law in WHOLE:
+        return tuple(name for name in ranges(law) if name not in ON_WALLS)
+    return (*FACTORS, "shear_modulus")
+
+
 # Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
-RANGES = {name: entry.search for name, entry in CATALOGUE.items() if entry.search is not None}
+RANGES = ranges(DEFAULT)
 
 
 def checked_free(names: Sequence[str], lab: Lab) -> tuple[str, ...]:
     """Names of parameters that are to be fitted, refused where one cannot be, or where the lab's
-    conventions hold it."""
+    law does not have it, or its conventions hold it."""
+    law = lab.particles.conventions
+    known = ranges(law)
     for name in names:
-        if name not in RANGES:
-            repair = suggestion(name, RANGES) or f"give some of {', '.join(RANGES)}"
+        if name not in known:
+            if name in PARAMETER_UNITS:
+                entry_of(name, COMMAND_LINE, "--free", law)
+            repair = suggestion(name, known) or f"give some of {', '.join(known)}"
             raise InputError(COMMAND_LINE, "--free", f"'{name}' cannot be fitted", repair)
     if not names or len(set(names)) < len(names):
         problem = "no name, or one name twice"
@@ -68,7 +89,8 @@ class Space:
 
     def start(self) -> np.ndarray:
         """The base soil's values of the free parameters."""
-        return np.array([float(getattr(self.base, name)) for name in self.names])
+        values = self.base.values()
+        return np.array([float(values[name]) for name in self.names])
 
     def soil(self, values) -> SoilParameters:
         """The base soil with the free parameters at `values`; differentiable."""
@@ -196,9 +218,12 @@ def probing_steps(space: Space) -> tuple[float, ...]:
 # rolling friction, such that do not act through the same term (docs/derivatives.md).
 DEALT = (
     "shear_modulus",
+    "yield_strength",
     "plasticity_ratio",
     "rolling_friction",
     "surface_energy",
+    "gamma",
+    "cohesion",
     "tangential_multiplier",
     "restitution",
     "tensile_exponent",
@@ -247,10 +272,10 @@ _EDGE = 1e-6  # keeps a start on a bound off infinity
 def space(lab: Lab, names: tuple[str, ...], base: SoilParameters | None = None) -> Space:
     """Free parameters with the lab file's bounds and priors where it states them."""
     base = base_soil(lab) if base is None else base
-    ranges = tuple(_range(lab, name) for name in names)
-    for name, bounds in zip(names, ranges, strict=True):
-        _check_inside(lab, name, float(getattr(base, name)), bounds)
-    return Space(names, ranges, base)
+    every, values = tuple(range_of(lab, name) for name in names), base.values()
+    for name, bounds in zip(names, every, strict=True):
+        _check_inside(lab, name, float(values[name]), bounds)
+    return Space(names, every, base)
 
 
 def _check_inside(lab: Lab, name: str, value: float, bounds: Range) -> None:
@@ -264,8 +289,9 @@ def _check_inside(lab: Lab, name: str, value: float, bounds: Range) -> None:
         )
 
 
-def _range(lab: Lab, name: str) -> Range:
-    default, choice = RANGES[name], lab.parameters.get(name)
+def range_of(lab: Lab, name: str) -> Range:
+    """Bounds and prior of a parameter, those of the lab file where it states them."""
+    default, choice = ranges(lab.particles.conventions)[name], lab.parameters.get(name)
     if choice is None:
         return default
     stated = (choice.low, choice.high, choice.prior_sd)

@@ -12,16 +12,24 @@ from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import Kind, positive_quantity, unit_factor
-from calibrate.io.conventions import check_free, check_values, held_by
+from calibrate.io.conventions import (
+    check_free,
+    check_needed,
+    check_values,
+    chosen,
+    held_by,
+)
 from calibrate.io.curves import read_curve, read_repeats
-from calibrate.io.labfile import check_parameter, read_toml, validated
+from calibrate.io.labfile import check_parameter, entry_of, read_toml, validated
 from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
-from calibrate.io.tables import LabTables, ParameterTable
+from calibrate.io.tables import LabTables, ParameterTable, ParticlesTable
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
 from calibrate.labtests.pair import Pair, pair_of
+from jdem.materials.catalogue import WHOLE
+from jdem.materials.contact_laws import BED_LAWS
 from jdem.materials.conventions import DEFAULT
 
 
@@ -29,12 +37,19 @@ from jdem.materials.conventions import DEFAULT
 class Particles:
     """How the soil is represented: surface energy is scaled by d/`reference_diameter` [m]
     (None: not given); Poisson's ratio; porosity of the bed of spheres (None: the usual one); whose
-    `conventions` the contact law follows."""
+    `conventions` the contact law follows, or which other law it is."""
 
     reference_diameter: float | None
     poisson_ratio: float
     porosity: float | None = None
     conventions: str = DEFAULT
+
+    @staticmethod
+    def of(table: ParticlesTable, file: str) -> "Particles":
+        """What a lab file states; `InputError` for a law that there is not."""
+        stated = "conventions" in table.model_fields_set
+        name = chosen(table.law, table.conventions, stated, file)
+        return Particles(table.reference_diameter, table.poisson_ratio, table.porosity, name)
 
 
 @dataclass(frozen=True)
@@ -135,6 +150,10 @@ class Lab:
 
     def following(self, conventions: str, field: str = "--conventions") -> "Lab":
         """The lab with conventions by name; what these hold is held, in named sets too."""
+        own = self.particles.conventions
+        if own in WHOLE:
+            problem = f"the lab file's law is '{own}', and only '{DEFAULT}' has conventions"
+            raise InputError(self.file, field, problem, "leave them out")
         held = held_by(conventions, self.file, field)
         choices = {n: ParameterChoice(v, None, None, None, False) for n, v in held.items()}
         return replace(
@@ -178,6 +197,8 @@ def load_lab(path: str | Path) -> Lab:
     tables = validated(LabTables, raw, file)
     stated = stated_tests(tables, file)
     _check_something_measured(stated, file)
+    particles = Particles.of(tables.particles, file)
+    law = particles.conventions if particles.conventions in BED_LAWS else DEFAULT
     cylinders = _cylinders(stated, tables.specimen.cylinder())
     _check_protocols(stated, cylinders, file)
     lab = Lab(
@@ -190,9 +211,9 @@ def load_lab(path: str | Path) -> Lab:
         tests=stated.tests,
         targets=_targets(stated, cylinders, Path(path), usual),
         curves=_curves(stated, cylinders, Path(path), usual),
-        particles=Particles(**dict(tables.particles)),
-        parameters={n: _choice(n, table, file) for n, table in tables.parameters.items()},
-        named_sets={n: _named_set(n, table, file) for n, table in tables.named_sets.items()},
+        particles=particles,
+        parameters={n: _choice(n, table, file, law) for n, table in tables.parameters.items()},
+        named_sets={n: _named_set(n, table, file, law) for n, table in tables.named_sets.items()},
     )
     usual.finish()
     return _as_its_conventions(lab)
@@ -207,7 +228,11 @@ def _accepted(raw: dict[str, Any]) -> list[str]:
 def _as_its_conventions(lab: Lab) -> Lab:
     """The lab with what its own conventions hold; refused where it states or frees that."""
     name, choices = lab.particles.conventions, lab.parameters
-    check_values(name, {n: c.value for n, c in choices.items()}, lab.file, "parameters.")
+    values = {n: c.value for n, c in choices.items()}
+    if name in WHOLE:
+        check_needed(name, values, lab.file)
+        return lab
+    check_values(name, values, lab.file, "parameters.")
     check_free(name, [n for n, c in choices.items() if c.free], lab.file, "parameters.")
     return lab.following(name, "particles.conventions")
 
@@ -359,12 +384,13 @@ def _cylinders(stated: StatedTests, first: Cylinder) -> list[Cylinder]:
     return found
 
 
-def _choice(name: str, table: ParameterTable, file: str) -> ParameterChoice:
+def _choice(name: str, table: ParameterTable, file: str, law: str) -> ParameterChoice:
     """One entry of [parameters] with its numbers checked and in order."""
     field = f"parameters.{name}"
-    value = _number_if_given(name, table.value, file, field)
-    low = _number_if_given(name, table.low, file, f"{field}.low")
-    high = _number_if_given(name, table.high, file, f"{field}.high")
+    entry_of(name, file, field, law)
+    value = _number_if_given(name, table.value, file, field, law)
+    low = _number_if_given(name, table.low, file, f"{field}.low", law)
+    high = _number_if_given(name, table.high, file, f"{field}.high", law)
     given = [number for number in (low, value, high) if number is not None]
     if given != sorted(given) or (low is not None and low == high):
         repair = "make low <= value <= high, and low < high"
@@ -372,12 +398,12 @@ def _choice(name: str, table: ParameterTable, file: str) -> ParameterChoice:
     return ParameterChoice(value, low, high, table.prior_sd, table.free)
 
 
-def _number_if_given(name: str, value: Any, file: str, field: str) -> float | None:
+def _number_if_given(name: str, value: Any, file: str, field: str, law: str) -> float | None:
     """`check_parameter`, or None for a value that is not in the file."""
-    return check_parameter(name, value, file, field) if value is not None else None
+    return check_parameter(name, value, file, field, law) if value is not None else None
 
 
-def _named_set(set_name: str, values: dict[str, Any], file: str) -> dict[str, float]:
+def _named_set(set_name: str, values: dict[str, Any], file: str, law: str) -> dict[str, float]:
     """One of [named_sets], in SI."""
     field = f"named_sets.{set_name}"
-    return {n: check_parameter(n, value, file, f"{field}.{n}") for n, value in values.items()}
+    return {n: check_parameter(n, x, file, f"{field}.{n}", law) for n, x in values.items()}

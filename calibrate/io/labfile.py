@@ -1,4 +1,4 @@
-"""Reading a lab file, and the parameter values that a contact law accepts.
+"""Reading a lab file, and the parameters and values that its contact law accepts.
 
 A lab file is TOML; `calibrate.io.tables` says which tables it has.  Whatever is wrong with it
 becomes one `InputError` that names file, field and repair.  `calibrate.io.stated` finds its tests,
@@ -15,36 +15,49 @@ from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import number_or_quantity
-from jdem.materials.catalogue import CATALOGUE
+from jdem.core.parameter import Parameter
+from jdem.materials.catalogue import EVERY, parameters_of
+from jdem.materials.conventions import CONVENTIONS, DEFAULT
 
 Checked = TypeVar("Checked", bound=BaseModel)
-_FREE = {name: entry for name, entry in CATALOGUE.items() if entry.free}
+_FREE = {name: entry for name, entry in EVERY.items() if entry.free}
 
-# Parameter names and the SI unit of each ("" for a pure number).
+# Parameter names of all laws and the SI unit of each ("" for a pure number).
 PARAMETER_UNITS: dict[str, str] = {name: entry.unit for name, entry in _FREE.items()}
 
-# For each parameter: does the law accept this value (in SI), and what to say when it does not.
+# For each parameter: does its law accept this value (in SI), and what to say when it does not.
 PARAMETER_RANGES: dict[str, tuple[Callable[[float], bool], str]] = {
     name: (entry.accepted, entry.repair) for name, entry in _FREE.items()
 }
 
 
-def check_parameter(name: str, value: Any, file: str, field: str) -> float:
-    """The value of parameter `name` in SI units, refused if no contact law accepts it.
+def entry_of(name: str, file: str, field: str, law: str = DEFAULT) -> Parameter:
+    """What is known of a parameter that a user sets, refused where the law (a name of
+    `jdem.materials.contact_laws.BED_LAWS`) does not have it; `file` and `field` are where it is
+    written."""
+    known = {each: entry for each, entry in parameters_of(law).items() if entry.free}
+    if name in known:
+        return known[name]
+    if name not in _FREE:
+        raise InputError(file, field, f"unknown parameter {shown(name)}", suggestion(name, known))
+    called = DEFAULT if law in CONVENTIONS else law
+    problem = f"the law '{called}' has no {name}"
+    raise InputError(file, field, problem, f"leave it out; it has {', '.join(known)}")
+
+
+def check_parameter(name: str, value: Any, file: str, field: str, law: str = DEFAULT) -> float:
+    """The value of parameter `name` in SI units, refused if the law does not accept it.
 
     `value` is a number, or a string with or without a unit; without one it is in the SI unit
     of `PARAMETER_UNITS`.  `file` and `field` are where the user wrote it, for the `InputError`.
     """
-    if name not in PARAMETER_UNITS:
-        repair = suggestion(name, PARAMETER_UNITS)
-        raise InputError(file, field, f"unknown parameter {shown(name)}", repair)
-    accepted, repair = PARAMETER_RANGES[name]
+    entry = entry_of(name, file, field, law)
     try:
-        number = number_or_quantity(value, PARAMETER_UNITS[name])
+        number = number_or_quantity(value, entry.unit)
     except BadValue as bad:
-        raise InputError(file, field, bad.problem, repair) from None
-    if not accepted(number):
-        raise InputError(file, field, f"{name} {value} is out of range", repair)
+        raise InputError(file, field, bad.problem, entry.repair) from None
+    if not entry.accepted(number):
+        raise InputError(file, field, f"{name} {value} is out of range", entry.repair)
     return number
 
 

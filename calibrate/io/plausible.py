@@ -29,7 +29,7 @@ from calibrate.labtests.base import AbstractLabTest, Observable
 from calibrate.labtests.composite import PLAIN, TYPES
 from calibrate.labtests.measured import Curve, CurveTable, Cylinder, SpecimenTable, TargetTable
 from calibrate.labtests.protocol import StepTable
-from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.catalogue import EVERY
 
 UNUSUAL = 30.0  # times beyond where a fit looks for a parameter
 SLENDER = (0.1, 8.0)  # height over diameter
@@ -46,6 +46,7 @@ UNITS = {  # of each kind, the likeliest first
     "": ("%",),
     "J": ("J", "mJ", "kJ"),
     "J/m^2": ("J/m^2", "mJ/m^2"),
+    "J/m^3": ("J/m^3", "kJ/m^3"),
 }
 BY_SIZE = {STRESS: FORCE, STRAIN: LENGTH}  # what counts by the specimen's size
 
@@ -189,7 +190,7 @@ class Plausibility:
 
     def _parameters(self, raw: Mapping[str, Any]) -> None:
         """Values and bounds of parameters that have a unit and that a fit may look for."""
-        for name, entry in CATALOGUE.items():
+        for name, entry in EVERY.items():
             if entry.search is None or entry.unit not in UNITS or not entry.unit:
                 continue
             kind = Kind(entry.label, entry.unit, entry.repair)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from calibrate.io.lab import Lab
-from jdem.materials.conventions import CONVENTIONS
+from jdem.materials.catalogue import needed_by, soil_of
 from jdem.materials.soil import SoilParameters
 
 
@@ -27,10 +27,11 @@ def with_values(soil: SoilParameters, values: Mapping[str, float]) -> SoilParame
 
 
 def base_soil(lab: Lab) -> SoilParameters:
-    """The soil that a lab file describes: defaults, its particles, its parameters."""
-    soil = SoilParameters(conventions=CONVENTIONS[lab.particles.conventions])
-    soil = with_values(soil, {"poisson_ratio": lab.particles.poisson_ratio})
-    if lab.particles.reference_diameter is not None:
-        soil = with_values(soil, {"reference_diameter": lab.particles.reference_diameter})
+    """The soil that a lab file describes: its law, defaults, its particles, its parameters."""
+    law, particles = lab.particles.conventions, lab.particles
     chosen = {n: c.value for n, c in lab.parameters.items() if c.value is not None}
+    soil = soil_of(law, **{name: chosen[name] for name in needed_by(law)})
+    soil = with_values(soil, {"poisson_ratio": particles.poisson_ratio})
+    if particles.reference_diameter is not None:
+        soil = with_values(soil, {"reference_diameter": particles.reference_diameter})
     return with_values(soil, chosen)

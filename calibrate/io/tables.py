@@ -36,12 +36,13 @@ class SoilTable(AbstractTable):
 
 
 class ParticlesTable(AbstractTable):
-    """How the soil is represented; the reference diameter in m, the porosity that of the bed;
-    conventions by name (`calibrate.io.conventions`)."""
+    """How the soil is represented; the reference diameter in m, the porosity that of the bed; law
+    and conventions by name (`calibrate.io.conventions`)."""
 
     reference_diameter: Annotated[Length | None, Range(LENGTH, "0.1 um", "20 mm")] = None
     poisson_ratio: float = Field(default=0.3, ge=0, lt=0.5)
     porosity: float | None = Field(default=None, gt=0, lt=1)
+    law: str = DEFAULT
     conventions: str = DEFAULT
 
 

@@ -15,12 +15,14 @@ import numpy as np
 
 from calibrate.core.errors import InputError
 from calibrate.io.lab import Lab
+from calibrate.io.soil import base_soil, with_values
 from calibrate.labtests.base import Pace
 from calibrate.labtests.measured import Cylinder
-from jdem.engine.bed import Numerics
+from jdem.engine.bed import Numerics, reach_of
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.bare_machine import BareMachine
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
+from jdem.materials.catalogue import parameters_of
 from jdem.packing.specimen import Specimen
 
 
@@ -43,6 +45,7 @@ class Preset:
 
 
 NARROWEST = 3.0  # spheres across a specimen
+SPARE = 1.05  # of the gap across which contacts act
 
 # Rates in the mould keep the inertial number at 200 N below 1e-3 (50 mm by 100 mm specimen).
 PRESETS = {
@@ -73,7 +76,30 @@ def virtual_lab(
     numerics = numerics_for(filled, dtype=preset.dtype) if numerics is None else numerics
     pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
     apparatus = tuple(test.machine(tested.cylinder, pace) for test in tested.tests)
-    return VirtualLab.of(filled, TestSequence(apparatus), numerics)
+    return VirtualLab.of(filled, TestSequence(apparatus), numerics, reach=_reach(lab, filled))
+
+
+def _reach(lab: Lab, filled: Specimen) -> float:
+    """The gap (m) across which contacts of the lab's law act: the stickiest and the softest ones
+    that its values, bounds and named sets allow, and a little more, as sizes are drawn."""
+    soil, size = base_soil(lab), (2 * filled.mean_radius(), filled.max_radius())
+    if reach_of(soil, *size) == 0.0:
+        return 0.0
+    softest = min(_allowed(lab, "shear_modulus"))
+    ends = {"gamma": max(_allowed(lab, "gamma")), "shear_modulus": softest}
+    return SPARE * reach_of(with_values(soil, ends), *size)
+
+
+def _allowed(lab: Lab, name: str) -> list[float]:
+    """The values of a parameter that the lab file states, and the bounds of a fit."""
+    choice, search = lab.parameters.get(name), parameters_of(lab.particles.conventions)[name].search
+    stated = [choice.low, choice.value, choice.high] if choice else []
+    found = [value for value in stated if value is not None]
+    found += [values[name] for values in lab.named_sets.values() if name in values]
+    if search is not None and not (choice and choice.free is False):
+        found += [search.low] if choice is None or choice.low is None else []
+        found += [search.high] if choice is None or choice.high is None else []
+    return [*found, float(base_soil(lab).values()[name])]
 
 
 def bare_machine(lab: Lab) -> BareMachine | None:

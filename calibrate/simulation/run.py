@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.labtests.composite import names_observed
+from jdem.engine.bed import reach_of
 from jdem.engine.segment import CELL
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -133,6 +134,8 @@ def _inertial_number(lab: VirtualLab, packing: Packing) -> float:
 
 def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: Outcome) -> str:
     """Why the outcome is no result; "" if it is one."""
+    if lost := _lost_contacts(lab, packing, soil):
+        return lost
     if not bool(outcome.failed) and _integration_error(outcome) < UNSTABLE:
         return ""
     for find in (_bad_input(packing, soil), _bad_numerics(lab, outcome), _bad_course(lab, outcome)):
@@ -141,6 +144,19 @@ def _failure(lab: VirtualLab, packing: Packing, soil: SoilParameters, outcome: O
     forces = [test.required_force for test in lab.tests.apparatus]
     force = max((float(force) for force in forces if force is not None), default=np.nan)
     return f"the platen did not reach {force:.0f} N within its stroke: the soil is too soft"
+
+
+def _lost_contacts(lab: VirtualLab, packing: Packing, soil: SoilParameters) -> str:
+    """Whether lists may have lost contacts that still pulled; "" if they cannot have."""
+    largest = float(np.max(packing.spheres.radius))
+    needed, listed = reach_of(soil, float(packing.mean_diameter()), largest), lab.grid.reach
+    if needed <= listed:
+        return ""
+    return (
+        f"contacts act across gaps up to {1e6 * needed:.3g} um, but pairs were listed up to "
+        f"{1e6 * listed:.3g} um: a value beyond the bounds of the lab file; give its parameters "
+        "low and high that enclose it"
+    )
 
 
 def _bad_input(packing: Packing, soil: SoilParameters) -> str:

@@ -11,8 +11,9 @@ from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder
 from calibrate.core.progress import AbstractProgress, for_terminal
-from calibrate.io.conventions import check_values
+from calibrate.io.conventions import check_values, origin
 from calibrate.io.lab import Lab, LabLike, lab_of
+from calibrate.io.labfile import check_parameter
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import specimens
 from calibrate.simulation.batches import InBatches
@@ -58,11 +59,16 @@ class Session:
         """The same session in single precision (float32)."""
         return replace(self, preset=replace(self.preset, dtype="float32"))
 
-    def soil(self, values: Mapping[str, float]) -> SoilParameters:
-        """The soil that the lab file describes with these values (SI) in place of its own;
-        `InputError` where the lab's conventions leave others."""
-        check_values(self.lab.particles.conventions, values, COMMAND_LINE, "--set ")
-        return with_values(base_soil(self.lab), values)
+    def soil(self, values: Mapping[str, float | str] | None) -> SoilParameters:
+        """The soil that the lab file describes with these values (SI, or with a unit) in place of
+        its own; `InputError` where the lab's law does not have them, or leaves others."""
+        law = self.lab.particles.conventions
+        numbers = {
+            name: check_parameter(name, value, COMMAND_LINE, f"--set {name}", law)
+            for name, value in (values or {}).items()
+        }
+        check_values(law, numbers, COMMAND_LINE, "--set ")
+        return with_values(base_soil(self.lab), numbers)
 
     def campaign(self, out: Path, preparation: SoilParameters | None = None) -> AbstractCampaign:
         """Simulations of this session; beds settle with the soil of `preparation`, or with a
@@ -113,12 +119,12 @@ def made_by() -> dict:
 
 
 def origin_of(session: Session) -> dict:
-    """What made a result from a laboratory's data: `made_by`, soil, conventions, preset and
-    precision."""
+    """What made a result from a laboratory's data: `made_by`, soil, law or conventions, preset
+    and precision."""
     preset, lab = session.preset, session.lab
     return {
         "soil": lab.name,
-        "conventions": lab.particles.conventions,
+        **origin(lab.particles.conventions),
         "preset": preset.name,
         "dtype": preset.dtype,
         **made_by(),

@@ -91,7 +91,9 @@ def law_of(name: str, values: Values | None) -> Law:
     """The law of this name with these parameters, checked; an `InputError` says what is wrong."""
     given = dict(values or {})
     if name in CONVENTIONS:
-        numbers = {k: check_parameter(k, v, COMMAND_LINE, f"--set {k}") for k, v in given.items()}
+        numbers = {
+            k: check_parameter(k, v, COMMAND_LINE, f"--set {k}", name) for k, v in given.items()
+        }
         conventions.check_values(name, numbers, COMMAND_LINE, "--set ")
         return Law(name, {**conventions.held_by(name, COMMAND_LINE, "--law"), **numbers}, {})
     if name not in CONTACT_LAWS:

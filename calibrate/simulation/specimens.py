@@ -16,6 +16,7 @@ from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign, BareCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
 from calibrate.simulation.run import LEAST_ACROSS, Run
+from jdem.materials.catalogue import own_values
 from jdem.materials.soil import SoilParameters
 
 SCATTER_PACKINGS = 8  # from which one packing's scatter is estimated
@@ -273,5 +274,5 @@ def check_some_sound(runs: Sequence[Run], which: str = "packings", result: objec
 
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:
-    """All parameters by name, SI."""
-    return {name: float(value) for name, value in soil.values().items()}
+    """All parameters of the soil's law by name, SI."""
+    return {name: float(value) for name, value in own_values(soil).items()}

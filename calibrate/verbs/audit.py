@@ -16,14 +16,14 @@ from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.audit import RESPONSE, Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.parameters import FACTORS, space
+from calibrate.inference.parameters import candidates, space
 from calibrate.records.audit import AuditRecord
 from calibrate.reports.audit import passed
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import soil_json
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractRecordedResult, line, listed, parameter_values, verb
+from calibrate.verbs.base import AbstractRecordedResult, line, listed, verb
 from jdem.materials.soil import SoilParameters
 
 
@@ -128,8 +128,8 @@ def audit(
     """
     folder, names = Path(out), checked_strategies(listed(strategies))
     session = Session.open(lab, preset, folder, dask, batch=batch).resized(spheres)
-    base = session.soil(parameter_values(values))
-    audited = space(session.lab, (*FACTORS, "shear_modulus"), base)
+    base = session.soil(values)
+    audited = space(session.lab, candidates(session.lab.particles.conventions), base)
     seeds = range(100 * seed, 100 * seed + packings)
     campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
     work = campaign(folder)

@@ -8,8 +8,9 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from calibrate.core.errors import InputError
-from calibrate.inference.parameters import RANGES
+from calibrate.inference.parameters import ranges
 from calibrate.inference.problem import Problem, begun_late, pose
+from calibrate.io.conventions import origin, said
 from calibrate.io.lab import Lab, lab_of
 from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.io.soil import base_soil
@@ -50,6 +51,7 @@ class CheckResult(AbstractResult):
             given = f"{_count(test['curves'], 'curve')}, {_count(len(test['targets']), 'target')}"
             yield line(f"{test['name']}: {size}, {given}")
         yield self._numbers()
+        yield line(f"contacts follow {said(self.lab.particles.conventions)}")
         yield self._parameters()
         yield line(_freed(found["free"], len(found["numbers"])))
         yield line(f"calibrate diagnose {found['diagnosis']}")
@@ -110,13 +112,14 @@ def check(lab: options.LabFile = None) -> CheckResult:
     """
     read = lab_of(lab)
     problem, soil = pose(read), base_soil(read)
-    chosen = read.parameters
+    chosen, law = read.parameters, read.particles.conventions
     content = {
         "soil": read.name,
         "file": read.file,
         "tests": [_test(read, test) for test in read.tests],
         "numbers": _compared(read, problem),
-        "parameters": {name: float(getattr(soil, name)) for name in RANGES},
+        **origin(law),
+        "parameters": {name: float(soil.values()[name]) for name in ranges(law)},
         "free": [name for name, choice in chosen.items() if choice.free],
         "held": [name for name, choice in chosen.items() if choice.free is False],
         "diagnosis": _diagnosis(read),

@@ -11,7 +11,7 @@ from calibrate.records.study import StudyRecord
 from calibrate.reports import study as report
 from calibrate.simulation.session import Session
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractRecordedResult, parameter_values, verb
+from calibrate.verbs.base import AbstractRecordedResult, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,7 +74,7 @@ def doe(
     """
     folder = Path(out)
     session = Session.open(lab, preset, folder, dask, batch=batch).on_soil()
-    base = session.soil(parameter_values(values))
+    base = session.soil(values)
     done = design(session.lab, session.preset, base, seed, session.campaign(folder))
     found = DoeResult(done, folder, report.write(session, done))
     found.save_figures()

@@ -16,7 +16,7 @@ from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, Explored, calibrate, explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.parameters import RANGES, checked_free
+from calibrate.inference.parameters import checked_free, ranges
 from calibrate.inference.prediction import prediction_json, prediction_sentences
 from calibrate.inference.resolutions import Coarse
 from calibrate.inference.verified import parts, predicted
@@ -33,7 +33,6 @@ from calibrate.verbs.base import (
     AbstractResult,
     line,
     listed,
-    parameter_values,
     verb,
 )
 from jdem.materials.soil import SoilParameters
@@ -126,7 +125,7 @@ class FitResult(AbstractRecordedResult[FitRecord]):
             f"stopped: {found.stopped}; {len(found.history)} evaluations, "
             f"{found.simulations} simulations in this start"
         )
-        held = [name for name in RANGES if name not in self.free]
+        held = [name for name in ranges(self.lab.particles.conventions) if name not in self.free]
         yield "held at their starting values: " + ", ".join(held)
         for direction in found.identifiability.directions:
             weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
@@ -276,7 +275,7 @@ def fit(
     whole = Session.open(lab, preset, folder, dask, conventions)
     fitted_on, held_back = parts(whole.lab, listed(tests or ()), listed(verify or ()))
     session = replace(whole, lab=fitted_on)
-    base = session.soil(parameter_values(values))
+    base = session.soil(values)
     names = None if free is None else checked_free(listed(free), session.lab)
     preparation = base if prepare_with_soil else None
     work = session.campaign(folder, preparation)

@@ -28,6 +28,7 @@ from calibrate.discrepancy.library.simulate import (
     reference_run,
     run_points,
 )
+from calibrate.io.conventions import check_eepa
 from calibrate.io.lab import Lab, lab_of
 from calibrate.io.soil import base_soil
 from calibrate.simulation.session import place_of
@@ -114,6 +115,7 @@ def make_library(
     """
     measured = lab_of(lab)
     measured.pair()  # refuses other tests than those of a library
+    check_eepa(measured.particles.conventions, measured.file)
     larger = None if onto is None else Path(onto)
     if conventions is not None:
         return _beside(larger, conventions, measured, batch)

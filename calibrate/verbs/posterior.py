@@ -28,7 +28,7 @@ from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.session import Session, origin_of
 from calibrate.simulation.specimens import Seeds, measured_json
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,7 +166,7 @@ def posterior(
         >>> known.parameters["shear_modulus"]["low"], known.parameters["shear_modulus"]["high"]
     """
     session = Session.open(lab, preset, Path(out), dask, conventions)
-    base = session.soil(parameter_values(values))
+    base = session.soil(values)
     work = session.campaign(session.out, base if prepare_with_soil else None)
     response, why = served(session.lab, session.preset, None, base, work)
     if response is None:

@@ -22,7 +22,7 @@ from calibrate.simulation import specimens
 from calibrate.simulation.run import Run
 from calibrate.simulation.session import Session, origin_of
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,7 +132,7 @@ def simulate(
     session = Session.open(lab, preset, folder, dask, conventions)
     if single:
         session = session.in_single_precision()
-    soil = session.soil(parameter_values(values))
+    soil = session.soil(values)
     work = session.campaign(folder, soil if prepare_with_soil else None)
     content, runs = specimens.simulate(session.lab, session.preset, soil, seed, work)
     return kept(session, content, runs)

@@ -12,7 +12,7 @@ from calibrate.core.files import make_folder, write_json
 from calibrate.figures.bed import bed_animation
 from calibrate.simulation.session import Session
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractDrawnResult, line, parameter_values, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
 from calibrate.view.contacts import Contacts, contacts_of
 from calibrate.view.frames import Frame
 from calibrate.view.frames import frames as states
@@ -77,7 +77,7 @@ def view(
     folder = Path(out)
     session = Session.open(lab, preset, folder)
     make_folder(folder / "vtk")
-    soil = session.soil(parameter_values(values))
+    soil = session.soil(values)
     work = session.campaign_of_one(folder)
     (packing,) = work.packings([seed])
     roomier = work.lab.roomier(work.specimen)

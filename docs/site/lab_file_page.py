@@ -12,12 +12,13 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from calibrate.core.units import Kind, Range
-from calibrate.inference.calibration import CANDIDATES
-from calibrate.inference.parameters import RANGES
+from calibrate.inference.parameters import candidates
+from calibrate.io.conventions import LAWS
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS
 from calibrate.io.tables import LabTables
 from calibrate.labtests.composite import TYPES
-from jdem.materials.catalogue import CATALOGUE
+from jdem.materials.catalogue import CATALOGUE, EVERY, parameters_of
+from jdem.materials.contact_laws import CONTACT_LAWS
 from jdem.materials.soil import SoilParameters
 
 HEAD = """# Lab file
@@ -116,11 +117,14 @@ MEANING = {
     "StressColumn.unit": "of the column",
     "VoidRatioColumn.initial": "initial void ratio e0; default: the first row",
     "CurveTable.delimiter": "between cells of a row",
-    "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated; default: 80 um",
+    "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated (default: "
+    "80 um), or `gamma` (5 mm)",
     "ParticlesTable.poisson_ratio": "of the particles",
     "TargetTable.published_error": "relative error of a published simulation, for comparison",
     "ParticlesTable.porosity": "of the bed of spheres; default: usual for their size",
-    "ParticlesTable.conventions": "of the contact law: eepa, liggghts or liggghts_history",
+    "ParticlesTable.law": "the contact law: eepa, hertz_mindlin, hertz_cohesion, "
+    "hysteretic_cohesion or jkr",
+    "ParticlesTable.conventions": "of the law eepa: eepa, liggghts or liggghts_history",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",
@@ -281,29 +285,41 @@ def _parameters() -> str:
         "",
         "Names for `[parameters]`, `[named_sets.NAME]` and `--set`. A plain number is in the unit",
         "given here. Bounds and prior are those of a fit where the lab file gives none; a",
-        "parameter without bounds cannot be fitted.",
+        "parameter without bounds cannot be fitted. A law takes its own parameters alone.",
         "",
-        "| name | unit | accepted | bounds of a fit | prior sd of ln p |",
-        "| --- | --- | --- | --- | --- |",
+        "| name | laws | unit | accepted | bounds of a fit | prior sd of ln p |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     for name, unit in PARAMETER_UNITS.items():
-        bounds = RANGES.get(name)
+        bounds = EVERY[name].search
         span = f"{bounds.low:g} to {bounds.high:g}" if bounds else ""
         width = f"{bounds.prior_sd:g}" if bounds else ""
         accepted = PARAMETER_RANGES[name][1].removeprefix("give ")
-        lines.append(f"| `{name}` | {unit or '1'} | {accepted} | {span} | {width} |")
+        cells = f"`{name}`", _laws_of(name), unit or "1", accepted, span, width
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
 
+def _laws_of(name: str) -> str:
+    """Which laws have a parameter."""
+    found = [law for law in LAWS if name in parameters_of(law)]
+    return "all" if len(found) == len(LAWS) else ", ".join(found)
+
+
 def catalogue_rows() -> list[str]:
-    """The table of docs/parameters.md, which a test compares with it: every parameter of a soil."""
-    start, rows = SoilParameters(), []
-    for name, entry in CATALOGUE.items():
+    """The table of docs/parameters.md, which a test compares with it: every parameter of EEPA, and
+    those that other laws have beside."""
+    start, rows = SoilParameters().values(), []
+    usual = {n: x for each in CONTACT_LAWS.values() for n, x in each.defaults.items()}
+    own = {name: entry for name, entry in EVERY.items() if name not in CATALOGUE}
+    for name, entry in {**CATALOGUE, **own}.items():
         found = entry.search
         bounds = f"{found.low:g} to {found.high:g}" if found else ""
         width = f"{found.prior_sd:g}" if found else ""
-        fitted = "yes" if name in CANDIDATES else "if named" if found else "no"
-        value, called = f"{float(getattr(start, name)):.5g}", entry.names
+        chosen = any(name in candidates(law) for law in LAWS)
+        fitted = "yes" if chosen else "if named" if found else "no"
+        given = start.get(name, usual.get(name))
+        value, called = "" if given is None else f"{float(given):.5g}", entry.names
         edem = called.get("EDEM", "").rpartition(" / ")[2]
         cells = (f"`{name}`", entry.label, entry.unit or "1", value, bounds, width, fitted, edem)
         rows.append("| " + " | ".join((*cells, called.get("LIGGGHTS", ""))) + " |")

@@ -13,7 +13,7 @@ from jdem.bodies.spheres import Spheres
 from jdem.boundaries.composite import CELL_SURFACES, PLATEN
 from jdem.core.fusion import fenced, once
 from jdem.core.kernel import in_blocks
-from jdem.core.quantity import cast
+from jdem.core.quantity import Real, cast
 from jdem.core.smooth import Smoothing
 from jdem.engine.neighbors import Grid
 from jdem.engine.segment import Segment
@@ -78,6 +78,16 @@ def build_bed(
         follows=follows,
     )
     return cast(bed, jnp.dtype(numerics.dtype))
+
+
+def reach_of(soil: SoilParameters, mean_diameter: Real, largest: Real) -> float:
+    """The gap (m) across which contacts between a soil's spheres of this mean diameter act at
+    most, the largest radius being `largest` (m): lists must reach as far.
+
+    Walls are listed within the skin alone: JKR on walls (`wall_adhesion`) ends there at the latest.
+    """
+    law = particle_law(soil, jnp.asarray(mean_diameter), Smoothing())
+    return float(law.reach(jnp.asarray(0.5 * largest)))
 
 
 def friction_of_walls(soil: SoilParameters, surfaces: tuple[str, ...]) -> Array:

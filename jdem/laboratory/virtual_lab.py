@@ -138,8 +138,11 @@ class VirtualLab(eqx.Module):
         tests: TestSequence,
         numerics: Numerics,
         effects: Sequence[AbstractEffect] = (),
+        reach: float = 0.0,
     ) -> "VirtualLab":
-        reach = max((e.reach(2 * specimen.max_radius()) for e in effects), default=0.0)
+        """A laboratory for a specimen; `reach` (m) is the gap across which the contact law acts
+        (`jdem.engine.bed.reach_of`)."""
+        reach = max([reach, *(e.reach(2 * specimen.max_radius()) for e in effects)])
         touched = sum(tool.area for tool in tests.tools)
         spreads = max(test.spreads for test in tests.apparatus)
         grid = specimen.grid(numerics, reach=reach, touched=touched, spreads=spreads)
@@ -155,7 +158,8 @@ class VirtualLab(eqx.Module):
             wall_layer=1.5 * self.numerics.wall_layer,
             per_cell=self.numerics.per_cell + 4,
         )
-        larger = VirtualLab.of(specimen, self.tests.sampled(3), numerics, self.effects)
+        tests, reach = self.tests.sampled(3), self.grid.reach
+        larger = VirtualLab.of(specimen, tests, numerics, self.effects, reach)
         return replace(larger, derivative=self.derivative)
 
     def time_step(self, packing: Packing, soil: SoilParameters) -> Array:

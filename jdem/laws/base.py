@@ -40,6 +40,10 @@ class AbstractNormalLaw(eqx.Module):
         """The dashpot's share of critical damping, for the time step: 0 unless said so."""
         return 0.0
 
+    def reach(self, radius: Array) -> Real:
+        """The gap (m) across which it acts at effective radius R* (m): 0 unless said so."""
+        return 0.0
+
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""
         return ()
@@ -98,6 +102,11 @@ class AbstractContactLaw(eqx.Module):
     def longest_step(self, mass: Array, radius: Array) -> Array:
         """Longest time step (s) at which two bodies in contact are stable, of effective mass m*
         (kg) and radius R* (m)."""
+
+    def reach(self, radius: Array) -> Real:
+        """The gap (m) across which the bodies act on each other at effective radius R* (m), up to
+        which lists must hold them: 0 unless said so."""
+        return 0.0
 
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""

@@ -64,6 +64,10 @@ class ContactLaw(AbstractContactLaw):
             longest_step(mass * SLIPPING, sliding, self.tangential.damping_ratio() / SLIPPING**0.5),
         )
 
+    def reach(self, radius):
+        """That of the normal force."""
+        return self.normal.reach(radius)
+
     def memory(self, shape, dtype):
         parts = (self.normal, self.tangential, self.rolling)
         return ContactMemory(*[part.memory(shape, dtype) for part in parts])

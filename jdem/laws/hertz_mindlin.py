@@ -67,7 +67,9 @@ class LinearCohesion(AbstractNormalLaw):
     """The law `inner` and -k_c A; cohesion is k_c in J/m3.
 
     Friction feels what `inner` says, or with `felt` the whole force (LIGGGHTS'
-    `tangential_reduce on`).
+    `tangential_reduce on`).  A bed does not say which sphere is the smaller: both count as 2 R*,
+    which makes A too large by 2e-4 for radii that differ by 35 % at an overlap of 2 % of R*, and by
+    8e-3 on a plane.
     """
 
     inner: AbstractNormalLaw
@@ -85,6 +87,9 @@ class LinearCohesion(AbstractNormalLaw):
 
     def damping_ratio(self):
         return self.inner.damping_ratio()
+
+    def reach(self, radius):
+        return self.inner.reach(radius)
 
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)

@@ -117,6 +117,7 @@ PARAMETERS = (
         unit="Pa",
         accepted=POSITIVE,
         repair='give a positive value, such as "10 MPa"',
+        # As stiff as shear moduli of 1 to 60 MPa and more make EEPA: K1 = 5 Y R* for 2 E* R*.
         search=Search(1e6, 1e8, 1.0),
         names={"EDEM": "Hysteretic Spring soil - soil / Yield Strength"},
     ),
@@ -127,8 +128,13 @@ PARAMETERS = (
         unit="J/m^3",
         accepted=NOT_NEGATIVE,
         repair='give 0 or a positive value, such as "1e5 J/m^3"',
+        # A contact 1 % of d deep pulls with k_c pi/200 on d^2: 16 Pa to 8 kPa, and more as it
+        # deepens.  From 5/(2 pi) of a low yield strength on, spheres sink into each other.
         search=Search(1e3, 5e5, 1.0),
-        names={"EDEM": "Linear Cohesion soil - soil / Energy Density"},
+        names={
+            "EDEM": "Linear Cohesion soil - soil / Energy Density",
+            "LIGGGHTS": "cohesionEnergyDensity",
+        },
     ),
     Parameter(
         name="damping_factor",

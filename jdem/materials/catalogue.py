@@ -1,15 +1,19 @@
-"""The catalogue of parameters: every entry of every law, by name, and the normal laws by name.
+"""The catalogue of parameters: every entry of every law, by name, and which law has which.
 
 A law's entries stand in its own file; those of walls, which have no law of their own, stand
-here.  A new normal law is one file in `jdem/laws` and one line in LAWS.  Whatever lists, reads,
-bounds or exports parameters takes it from here.
+here.  A new normal law is one file in `jdem/laws` and one line in LAWS; a law that stands in the
+place of all of EEPA is one of `contact_laws.BED_LAWS`.  Whatever lists, reads, bounds or exports
+parameters takes it from here.
 """
 
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, as_quantity
 from jdem.laws import eepa, friction, hysteretic
+from jdem.materials.contact_laws import ATTRACTING, BED_LAWS, CONTACT_LAWS, SIZED
+from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import NormalLaw, SoilParameters
 from jdem.mechanics import dashpot, elasticity
 
@@ -77,6 +81,10 @@ _ORDER = (  # of tables; what is not named here comes after it
     "static_friction",
     "rolling_friction",
     "surface_energy",
+    "gamma",
+    "cohesion",
+    "yield_strength",
+    "damping_factor",
     "plasticity_ratio",
     "tensile_exponent",
     "tangential_multiplier",
@@ -96,12 +104,95 @@ def catalogue(law: str = "eepa") -> dict[str, Parameter]:
     shared = (dashpot, friction, elasticity)
     entries = [*LAWS[law].parameters, *WALLS, *SIZES]
     entries += [entry for module in shared for entry in module.PARAMETERS]
+    return _in_order(entries)
+
+
+def _in_order(entries: Iterable[Parameter]) -> dict[str, Parameter]:
+    """Entries by name, in the order of tables."""
     found = {entry.name: entry for entry in entries}
     known = [name for name in _ORDER if name in found]
     return {name: found[name] for name in [*known, *(n for n in found if n not in _ORDER)]}
 
 
 CATALOGUE = catalogue()
+
+
+# ---------------------------------------------------------------- whole laws
+
+WHOLE = tuple(name for name in BED_LAWS if name not in CONVENTIONS)  # in the place of all of EEPA
+# At which gamma is stated unless said otherwise: publications have spheres of 2 to 10 mm.
+REFERENCE_DIAMETER = 5e-3  # m
+SOIL = SoilParameters.__dataclass_fields__  # what every soil has a value of
+
+
+def parameters_of(law: str) -> dict[str, Parameter]:
+    """All entries of a soil that follows a law of `BED_LAWS`, by name: EEPA's in any of its
+    conventions, or a whole law's own and those of walls."""
+    if law in CONVENTIONS:
+        return CATALOGUE
+    own = [*CONTACT_LAWS[law].parameters]
+    names = [entry.name for entry in own]
+    own += [CATALOGUE[n] for n in ("wall_friction", "platen_friction")]
+    if "yield_strength" not in names:  # which stands for the elastic constants
+        own += [CATALOGUE[n] for n in ("shear_modulus", "poisson_ratio")]
+    own += [CATALOGUE["wall_adhesion"]] * any(name in names for name in ATTRACTING)
+    own += [CATALOGUE["reference_diameter"]] * any(name in names for name in SIZED)
+    return _in_order(own)
+
+
+# All entries of all laws; one that EEPA has too is EEPA's.
+EVERY = _in_order(e for law in (*WHOLE, "eepa") for e in parameters_of(law).values())
+
+
+def needed_by(law: str) -> tuple[str, ...]:
+    """Parameters of a law of `BED_LAWS` that have no usual value."""
+    if law in CONVENTIONS:
+        return ()
+    return tuple(CONTACT_LAWS[law].missing({name: 0.0 for name in SOIL}))
+
+
+def soil_of(law: str, **values: Real) -> SoilParameters:
+    """A soil that follows a law.
+
+    Args:
+        law: a name of `BED_LAWS`.
+        values: parameters by name, SI; those that every soil has may be left out.
+
+    Returns:
+        The soil.  `gamma` is stated at `reference_diameter`, 5 mm unless given.
+
+    Raises:
+        ValueError: a parameter is not the law's, or one is missing.
+
+    Example:
+        >>> soil = soil_of("jkr", gamma=2.0, shear_modulus=5e6)
+    """
+    known, given = parameters_of(law), dict(values)
+    if strange := [name for name in given if name not in known]:
+        raise ValueError(f"{law} has no {strange[0]}; give some of {', '.join(known)}")
+    if missing := [name for name in needed_by(law) if name not in given]:
+        raise ValueError(f"{law} needs {missing[0]}; give a value")
+    if law in CONVENTIONS:
+        shared: dict[str, Any] = given
+        return SoilParameters(conventions=BED_LAWS[law], **shared)
+    usual = {name: x for name, x in CONTACT_LAWS[law].defaults.items() if name not in SOIL}
+    if "reference_diameter" in known:
+        usual = {**usual, "reference_diameter": REFERENCE_DIAMETER}
+    every = {**usual, **given}
+    further = {name: as_quantity(every.pop(name)) for name in known if name not in SOIL}
+    shared = every
+    return SoilParameters(conventions=BED_LAWS[law], further=further, **shared)
+
+
+def law_of(soil: SoilParameters) -> str | None:
+    """The name of a soil's law in `BED_LAWS`; None where it has none there."""
+    return next((name for name, build in BED_LAWS.items() if build is soil.conventions), None)
+
+
+def own_values(soil: SoilParameters) -> Mapping[str, Real]:
+    """A soil's parameters by name (SI), those alone that its law has."""
+    law, values = law_of(soil), soil.values()
+    return {name: values[name] for name in parameters_of(law)} if law in WHOLE else values
 
 
 def soil_with(law: str, **values: Real) -> SoilParameters:

@@ -205,15 +205,21 @@ def jkr_bed(parts: Parts) -> AbstractContactLaw:
 
 
 ATTRACTING = ("cohesion", "gamma")  # what `wall_adhesion` multiplies at walls
+SIZED = ("gamma",)  # what is stated at the reference diameter, and grows with the spheres
 NO_ADHESION = 1e-12  # of the soil's, where JKR needs some
 
 
 def _of_soil(name: str, parts: Parts) -> AbstractContactLaw:
-    """A law by name from what a soil states: G and Poisson's ratio, and the law's parameters."""
+    """A law by name from what a soil states: G and Poisson's ratio, and the law's parameters.
+
+    Strength of a packing goes with gamma/d (Rumpf 1962), so gamma grows with the spheres as EEPA's
+    surface energy does; then a bed of spheres of any size is the same but for its scale.
+    """
     law, values = CONTACT_LAWS[name], parts.values
     own = {entry.name: values[entry.name] for entry in law.parameters if entry.name in values}
     share = jnp.maximum(parts.adhesion, NO_ADHESION)
     own |= {each: share * own[each] for each in ATTRACTING if each in own}
+    own |= {each: parts.size * own[each] for each in SIZED if each in own}
     young = 2 * values["shear_modulus"] * (1 + values["poisson_ratio"])
     return law.law(Stated(young, values["poisson_ratio"], own, {}, parts.smoothing))
 

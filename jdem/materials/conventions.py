@@ -31,14 +31,16 @@ FRICTION_VISCOSITY = 0.3
 
 
 class Parts(NamedTuple):
-    """What a soil states: parameters by name (SI), normal law, elasticity, widths of roundings, and
-    how much of its adhesion acts (1 between spheres)."""
+    """What a soil states: parameters by name (SI), normal law, elasticity, widths of roundings,
+    how much of its adhesion acts (1 between spheres), and the spheres' mean diameter over that at
+    which surface energies are stated."""
 
     values: Mapping[str, Real]
     normal: AbstractNormalLaw
     stiffness: AbstractStiffness
     smoothing: Smoothing
     adhesion: Real = 1.0
+    size: Real = 1.0
 
 
 def eepa(parts: Parts) -> ContactLaw:

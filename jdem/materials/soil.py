@@ -57,7 +57,8 @@ class SoilParameters(eqx.Module):
     wall_friction and platen_friction belong to the mould and to the platens.
     slope_exponent (1 or 1.5) chooses the law, so it is static; so is `law`, the normal law, whose
     parameters beyond these are in `further`, by name; so are `conventions`, what stands beside the
-    normal law, or a whole law in its place (one of `jdem.materials.contact_laws.BED_LAWS`).
+    normal law, or a whole law in its place (one of `jdem.materials.contact_laws.BED_LAWS`, most
+    easily by `jdem.materials.catalogue.soil_of`), which reads its own parameters alone.
     """
 
     restitution: Real = quantity(0.322)
@@ -129,4 +130,5 @@ def _law(
 ) -> AbstractContactLaw:
     stiffness, values = elasticity(soil), soil.values()
     normal = soil.law.of(values, mean_diameter, adhesion, stiffness, smoothing)
-    return soil.conventions(Parts(values, normal, stiffness, smoothing, adhesion))
+    size = mean_diameter / soil.reference_diameter
+    return soil.conventions(Parts(values, normal, stiffness, smoothing, adhesion, size))

@@ -24,7 +24,7 @@ from jdem.bodies.spheres import Spheres
 from jdem.core.program import program
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
-from jdem.engine.bed import build_bed, sample_capacity, steps_per_sample
+from jdem.engine.bed import build_bed, reach_of, sample_capacity, steps_per_sample
 from jdem.engine.loop import Record, run, start
 from jdem.engine.schedule import AbstractSurroundings
 from jdem.engine.segment import LOWER, Segment, cell_segment, stack
@@ -221,7 +221,8 @@ def _advanced(
 ) -> Record:
     """The record of a programme; raises ValueError where a contact list was too small."""
     numerics = settling_numerics(2 * wanted.mean_radius())
-    bed = build_bed(packing.spheres, soil, wanted.grid(numerics), numerics)
+    reach = reach_of(soil, packing.mean_diameter(), wanted.max_radius())
+    bed = build_bed(packing.spheres, soil, wanted.grid(numerics, reach=reach), numerics)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     capacity = max(sample_capacity(each, numerics) for each in (_growth(), _levelling()))
     steps = steps_per_sample(bed, numerics)

@@ -18,7 +18,13 @@ import numpy as np
 from jdem.bodies.spheres import Spheres
 from jdem.core.program import program
 from jdem.core.vector import Vector
-from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
+from jdem.engine.bed import (
+    Numerics,
+    build_bed,
+    reach_of,
+    sample_capacity,
+    steps_per_sample,
+)
 from jdem.engine.loop import Record, run, start
 from jdem.engine.segment import LOWER, REMOVE, Segment, cell_segment, stack
 from jdem.materials.soil import SoilParameters
@@ -145,7 +151,8 @@ def _advanced(
     programme: Segment,
 ) -> Record:
     """The bed after a programme; raises ValueError where a contact list was too small."""
-    bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE), numerics)
+    reach = reach_of(soil, packing.mean_diameter(), specimen.max_radius())
+    bed = build_bed(packing.spheres, soil, specimen.grid(numerics, LOOSE, reach), numerics)
     state = start(bed, packing.position, packing.height, packing.mould_radius)
     record = _program()(bed, state, programme, steps_per_sample(bed, numerics), capacity)
     if bool(record.overflow_of(bed.grid)):

@@ -23,6 +23,7 @@ from calibrate.discrepancy.library.design import SHAPE_COLUMNS
 from calibrate.discrepancy.library.emulator import FeatureEmulator, fit_emulator
 from calibrate.discrepancy.library.lab_size import LabSize, SoilPrior
 from calibrate.discrepancy.library.run_library import Rows, RunLibrary, limits
+from calibrate.io.conventions import check_eepa
 from calibrate.io.lab import Lab
 from calibrate.response.response import (
     FURTHER,
@@ -81,6 +82,7 @@ class EmulatedLibrary:
     def _following(self, lab: Lab) -> "EmulatedLibrary":
         """That of the lab's conventions, made once."""
         wanted = lab.particles.conventions
+        check_eepa(wanted, lab.file)
         if wanted == DEFAULT or self.library.law is not None:
             return self
         if wanted not in self.library.other_laws:

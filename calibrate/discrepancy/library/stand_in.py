@@ -36,6 +36,7 @@ from calibrate.response.beds import Beds
 from calibrate.simulation.joint import AbstractCampaign
 from calibrate.simulation.resolution import Preset, specimen
 from calibrate.simulation.specimens import soil_json
+from jdem.materials.catalogue import WHOLE
 from jdem.materials.soil import SoilParameters
 
 POROUS = 0.005  # of porosity beyond its beds, up to which they still carry
@@ -44,6 +45,9 @@ POROUS = 0.005  # of porosity beyond its beds, up to which they still carry
 def why_not(lab: Lab, preset: Preset, free: Sequence[str] | None, base: SoilParameters) -> str:
     """Why the library cannot stand for a lab's simulations when these parameters are free (None:
     those of the lab file) and the others as in `base`, before it is read; "" where it can."""
+    law = lab.particles.conventions
+    if law in WHOLE:
+        return f"its runs are of the law 'eepa', and this lab's law is '{law}'"
     if not preset.grown:
         return f"the preset {preset.name} has coarse beds that fall, and the library's grow"
     stated = [name for name, choice in lab.parameters.items() if choice.free]

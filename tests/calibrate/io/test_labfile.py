@@ -18,7 +18,8 @@ from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS, check_parameter
 from calibrate.labtests.measured import Target
 from jdem.core.parameter import FRACTION, NOT_NEGATIVE, POSITIVE, Accepted
-from jdem.materials.catalogue import CATALOGUE, LAWS, catalogue
+from jdem.materials.catalogue import CATALOGUE, LAWS, WHOLE, catalogue, parameters_of
+from jdem.materials.conventions import DEFAULT
 from jdem.materials.soil import SoilParameters
 from tests import DATA
 
@@ -378,16 +379,18 @@ OUT_OF_RANGE = {
     "surface_energy": (-1,), "plasticity_ratio": (0, 1, "1"), "tensile_exponent": (0.4, 5.1),
     "tangential_multiplier": (0,), "shear_modulus": (0, "-1 Pa"), "pull_off_force": (1e-3,),
     "slope_exponent": (1.2,), "wall_friction": (-1,), "platen_friction": (-1,),
+    "gamma": (0, "-1 J/m^2"), "cohesion": (-1,), "yield_strength": (0,), "damping_factor": (1.1,),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PARAMETER_UNITS)
 def test_every_parameter_has_a_range(name):
+    law = next(law for law in (DEFAULT, *WHOLE) if name in parameters_of(law))
     for value in (*OUT_OF_RANGE[name], float("nan"), float("inf"), True, None, "abc", 10**400):
         with pytest.raises(
             InputError, match=f"^cli: field '--set': .*; {PARAMETER_RANGES[name][1][:6]}"
         ):
-            check_parameter(name, value, "cli", "--set")
+            check_parameter(name, value, "cli", "--set", law)
 
 
 def test_suggestion_names_the_nearest_or_all():
