@@ -208,7 +208,7 @@ TESTS = {
 
 @cache
 def data() -> dict[str, np.ndarray]:
-    """Beds (`cylinder_1`: (4, spheres), x, y, z and radius in 0.1 um) and what LIGGGHTS found, by
+    """Beds (`cylinder_1`: (4, spheres), x, y, z and radius in um) and what LIGGGHTS found, by
     number and law (`cone_1`: (beds,))."""
     with np.load(DATA) as found:
         return {name: found[name] for name in found.files}
@@ -216,7 +216,7 @@ def data() -> dict[str, np.ndarray]:
 
 def packing(kind: str, bed: int) -> Packing:
     """The spheres of one bed, from their positions alone."""
-    *centres, radius = 1e-7 * data()[f"{kind}_{bed}"]
+    *centres, radius = 1e-6 * data()[f"{kind}_{bed}"]
     spheres = Spheres(radius, DENSITY * 4 / 3 * np.pi * radius**3)
     height, mould = float((centres[2] + radius).max()), MOULD if kind == "cylinder" else 2 * MOULD
     return Packing(Vector(*map(jnp.asarray, centres)), spheres, height, mould)

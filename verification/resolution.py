@@ -213,7 +213,8 @@ def main() -> None:
             runs = measured(each, spheres, chosen.folder)
             beds.setdefault(kind, {})[str(spheres)] = row(runs, lab.specimen.height)
         origin = reporting.provenance()
-        reporting.write_content("resolution", {**origin, "beds": beds})
+        kept = {k: {n: {**r, "curves": {}} for n, r in rows.items()} for k, rows in beds.items()}
+        reporting.write_content("resolution", {**origin, "beds": kept})  # curves are drawn alone
         reporting.write_section("resolution", markdown(beds, origin))
         picture(beds)
 
