@@ -12,6 +12,7 @@ Strength 0 gives the base model bit for bit, and every hook can be differentiate
 Errors of instruments are functions of the truth and add up, so their order does not matter.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -104,10 +105,15 @@ class AbstractEffect(eqx.Module):
         return jnp.zeros_like(force)
 
 
+FORCES = ("gamma", "cohesion", "yield_strength")  # of other laws; forces go in proportion to them
+
+
 def with_contacts_scaled(soil: SoilParameters, factor: Array) -> SoilParameters:
     """The soil with all contact forces (stiffness, adhesion, pull-off) times `factor`."""
-    return eqx.tree_at(
+    soil = eqx.tree_at(
         lambda s: (s.shear_modulus, s.surface_energy, s.pull_off_force),
         soil,
         (soil.shear_modulus * factor, soil.surface_energy * factor, soil.pull_off_force * factor),
     )
+    scaled = {n: x * factor if n in FORCES else x for n, x in soil.further.items()}
+    return replace(soil, further=scaled) if scaled else soil

@@ -11,6 +11,7 @@ from jdem.apparatus.pair import SpherePair
 from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
+from jdem.effects.base import with_contacts_scaled
 from jdem.engine.bed import Numerics, plan_grid, reach_of
 from jdem.engine.loop import run
 from jdem.engine.segment import Segment, stack
@@ -130,6 +131,13 @@ def test_a_bed_of_larger_spheres_is_the_same_but_for_its_scale(law):
     made = soil(law)
     assert np.any(forces(made, 1.0) != 0)
     assert forces(made, 3.0) == pytest.approx(forces(made, 1.0), rel=1e-9, abs=1e-12)
+
+
+@every_law
+def test_effects_scale_all_forces_of_the_law(law):
+    """At the same displacements, whatever the law's parameters are called."""
+    harder = with_contacts_scaled(soil(law), jnp.asarray(1.7))
+    assert forces(harder, 1.0) == pytest.approx(1.7 * forces(soil(law), 1.0), rel=1e-9)
 
 
 def test_gamma_is_stated_at_the_reference_diameter():
