@@ -15,6 +15,8 @@ from jdem.effects.base import with_contacts_scaled
 from jdem.engine.bed import Numerics, plan_grid, reach_of
 from jdem.engine.loop import run
 from jdem.engine.segment import Segment, stack
+from jdem.laws.composite import ContactLaw
+from jdem.laws.jkr import JKR
 from jdem.materials.catalogue import (
     EVERY,
     REFERENCE_DIAMETER,
@@ -119,7 +121,7 @@ def forces(made, scale):
     pair, zero = SpherePair(jnp.asarray(scale * RADIUS)), jnp.asarray(0.0)
     history, found = law.memory((), float), []
     for share in (0.0, 1e-3, 2e-2, 5e-3, -1e-4):
-        contact = pair.contact(jnp.asarray(share * scale * RADIUS), zero, jnp.asarray(1e-6))
+        contact = pair.contact(jnp.asarray(share * scale * RADIUS), zero, 1e-6)
         force, history = law.force(contact, history)
         found.append(float(force.normal.hysteretic) / scale**2)
     return np.array(found)
@@ -143,6 +145,7 @@ def test_effects_scale_all_forces_of_the_law(law):
 def test_gamma_is_stated_at_the_reference_diameter():
     """Pull-off 3 pi gamma R*, of two spheres 5 mm wide."""
     law = particle_law(soil("jkr"), jnp.asarray(REFERENCE_DIAMETER), Smoothing())
+    assert isinstance(law, ContactLaw) and isinstance(law.normal, JKR)
     most = law.normal.stiffness.pull_off(jnp.asarray(REFERENCE_DIAMETER / 4))
     assert float(most) == pytest.approx(3 * np.pi * NEEDED["gamma"] * REFERENCE_DIAMETER / 4)
 
