@@ -26,11 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.files import write_json
-from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.base import AbstractApparatus, Tool
 from jdem.apparatus.direct_shear import SIDEWAYS, DirectShear
 from jdem.apparatus.penetration import Penetration, cone, plate
 from jdem.apparatus.repose import LiftedCylinder, tube
-from jdem.apparatus.tool import Tool
 from jdem.apparatus.vane import VaneShear, vane, vane_constant
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.base import UP
@@ -150,7 +149,7 @@ def square_box(
     ]
     area = 4 * side * plane
     made = [
-        Mesh.from_triangles(np.array(faces), axis=axis, shell=True, name=name)
+        Mesh.from_triangles(np.array(faces), axis=axis, two_sided=True, name=name)
         for faces, axis, name in ((lower, SIDEWAYS, "lower half"), (upper, UP, "upper half"))
     ]
     return (Tool("lower", made[0], area, "mould"),), (Tool("upper", made[1], 2 * area, "mould"),)

@@ -9,6 +9,7 @@ this normal distribution and simulated (`calibrate.inference.prediction`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from calibrate.inference.calibration import Calibrated
 from calibrate.inference.identifiability import assess
 from calibrate.inference.prediction import Prediction, by_runs
 from calibrate.io.lab import Lab
+from calibrate.labtests.composite import names_of
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.materials.soil import SoilParameters
 
@@ -57,4 +59,22 @@ def parts(lab: Lab, tests: Sequence[str], verify: Sequence[str]) -> tuple[Lab, L
         problem = f"{both[0]} is in both"
         raise InputError(COMMAND_LINE, "--verify", problem, "take it out of one of them")
     used = tests or [name for name in known if name not in verify]
-    return lab.of_tests(used, "--tests"), lab.of_tests(verify, "--verify") if verify else None
+    return _of_tests(lab, used, "--tests"), _of_tests(lab, verify, "--verify") if verify else None
+
+
+def _of_tests(lab: Lab, names: Sequence[str], option: str) -> Lab:
+    """The tests of these names, with what was measured in them; tests before them on the same
+    specimen stay too, with nothing measured.  `InputError` where nothing is measured."""
+    kept = [test for test in lab.without_soil() if test.called in names]
+    for each in lab.specimens():
+        last = max((k for k, test in enumerate(each.tests) if test.called in names), default=-1)
+        kept += each.tests[: last + 1]
+    kept.sort(key=lab.tests.index)
+    before, now = names_of(lab.tests), names_of(kept)
+    called = {before[key][0]: now[key][0] for key in now if key[0] in names}
+    targets = {called[name]: target for name, target in lab.targets.items() if name in called}
+    curves = tuple(curve for curve in lab.curves if curve.test in names)
+    if not (targets or curves):
+        problem = f"nothing is measured in {' and '.join(names)}"
+        raise InputError(lab.file, option, problem, "name a test with a target or a curve")
+    return replace(lab, tests=tuple(kept), targets=targets, curves=curves)

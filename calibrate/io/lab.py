@@ -117,26 +117,6 @@ class Lab:
         tests = tuple(test for test in self.tests if test.with_soil)
         return replace(self, tests=tests, targets=targets, curves=curves)
 
-    def of_tests(self, names: Sequence[str], option: str) -> "Lab":
-        """The tests of these names, with what was measured in them; tests before them on the same
-        specimen stay too, with nothing measured.  `InputError` where nothing is measured."""
-        kept: list[AbstractLabTest] = [t for t in self.without_soil() if t.called in names]
-        for each in self.specimens():
-            last = max((k for k, t in enumerate(each.tests) if t.called in names), default=-1)
-            kept += each.tests[: last + 1]
-        kept.sort(key=self.tests.index)
-        called = names_of(self.tests)
-        own = [name for (test, _), (name, _) in called.items() if test in names]
-        targets = {name: target for name, target in self.targets.items() if name in own}
-        curves = tuple(curve for curve in self.curves if curve.test in names)
-        if not (targets or curves):
-            problem = f"nothing is measured in {' and '.join(names)}"
-            raise InputError(self.file, option, problem, "name a test with a target or a curve")
-        renamed = {old: names_of(kept)[key][0] for key, (old, _) in called.items()
-                   if key in names_of(kept)}  # fmt: skip
-        found = {renamed[name]: target for name, target in targets.items()}
-        return replace(self, tests=tuple(kept), targets=found, curves=curves)
-
     def pair(self) -> Pair:
         """The two tests of the diagnosis; `InputError` where the lab has others on soil."""
         try:

@@ -15,9 +15,8 @@ from calibrate.core.units import STRESS, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.penetration import BEYOND, DEPTH, PUSHED, TOOL, check_room
-from jdem.apparatus.base import AbstractApparatus
+from jdem.apparatus.base import AbstractApparatus, Tool
 from jdem.apparatus.penetration import MeanPressure, Penetration
-from jdem.apparatus.tool import Tool
 from jdem.boundaries.base import DOWN, point
 from jdem.boundaries.sphere import Sphere
 

@@ -13,10 +13,10 @@ import typer
 from rich.console import RenderableType
 from rich.table import Table
 
-from calibrate.core.errors import COMMAND_LINE, InputError, shown, suggestion
+from calibrate.core.errors import COMMAND_LINE, CalibrationError, InputError, shown, suggestion
 from calibrate.core.files import write_json, write_text
 from calibrate.verbs import options
-from calibrate.verbs.base import AbstractResult, line, verb
+from calibrate.verbs.base import AbstractDrawnResult, line, verb
 from calibrate.verbs.simulate import SimulationResult, simulate
 
 
@@ -40,7 +40,7 @@ def examples() -> Mapping[str, Example]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExampleResult(AbstractResult):
+class ExampleResult(AbstractDrawnResult):
     """One example, run; or the list of all.
 
     Attributes:
@@ -49,7 +49,8 @@ class ExampleResult(AbstractResult):
         simulated: what `calibrate simulate` found; None for the list.
     """
 
-    files = ("lab.toml", "result.json", "curves.png")
+    verb = "simulate"
+    files = ("lab.toml", "result.json")
     folder: Path
     content: dict
     simulated: SimulationResult | None = None
@@ -66,8 +67,15 @@ class ExampleResult(AbstractResult):
         yield from self.simulated.words()
         yield line(f"reference: {self.content['reference']}")
 
+    @property
+    def drawn(self) -> tuple:
+        """That of the simulation."""
+        if self.simulated is None:
+            raise CalibrationError("a list of examples has no picture")
+        return self.simulated.drawn
+
     def written(self) -> tuple[str, ...]:
-        return () if self.simulated is None else self.files
+        return () if self.simulated is None else (*self.files, "curves.png")
 
 
 def _listed(rows: list[dict]) -> Table:

@@ -71,7 +71,7 @@ class SimulationResult(AbstractDrawnResult):
         found = self.content
         if len(self.failures) < len(self.runs):
             yield observables_table(self.lab, {"simulated": found})
-        if found["together"]:
+        if found.get("together"):
             said = (f"{name} {value:.4g}" for name, value in found["together"].items())
             yield line(f"tests together: {', '.join(said)}")
         yield from warned_of_observables(found)

@@ -17,8 +17,19 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import RESPONSE, AbstractApparatus, Movement, Reading, Readings, curve_of
-from jdem.apparatus.tool import FORCE, PLACE, Channel, Tool, machine_segment
+from jdem.apparatus.base import (
+    FORCE,
+    PLACE,
+    RESPONSE,
+    AbstractApparatus,
+    Channel,
+    Movement,
+    Reading,
+    Readings,
+    Tool,
+    curve_of,
+    machine_segment,
+)
 from jdem.boundaries.base import DOWN, UP, point
 from jdem.boundaries.composite import BASE, MOULD, PLATEN
 from jdem.boundaries.revolved import Revolved

@@ -18,8 +18,18 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus, Movement, Reading, Readings, curve_of
-from jdem.apparatus.tool import FORCE, PLACE, Channel, Tool, machine_segment
+from jdem.apparatus.base import (
+    FORCE,
+    PLACE,
+    AbstractApparatus,
+    Channel,
+    Movement,
+    Reading,
+    Readings,
+    Tool,
+    curve_of,
+    machine_segment,
+)
 from jdem.boundaries.base import DOWN, UP, point
 from jdem.boundaries.composite import MOULD, PLATEN
 from jdem.boundaries.revolved import Revolved

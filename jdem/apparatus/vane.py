@@ -18,8 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jdem.apparatus.base import RESPONSE, AbstractApparatus, Movement, Reading, Readings, curve_of
-from jdem.apparatus.tool import TORQUE, Channel, Tool, machine_segment
+from jdem.apparatus.base import (
+    RESPONSE,
+    TORQUE,
+    AbstractApparatus,
+    Channel,
+    Movement,
+    Reading,
+    Readings,
+    Tool,
+    curve_of,
+    machine_segment,
+)
 from jdem.boundaries.base import DOWN, UP
 from jdem.boundaries.composite import PLATEN
 from jdem.boundaries.mesh import Mesh

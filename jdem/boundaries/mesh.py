@@ -79,7 +79,7 @@ class Mesh(AbstractBoundary):
         reference: tuple[float, float, float] = (0.0, 0.0, 0.0),
         axis: Axis = UP,
         *,
-        shell: bool = False,
+        two_sided: bool = False,
         smooth_below: float = SMOOTH_BELOW,
         name: str = "the mesh",
         dtype=float,
@@ -87,13 +87,13 @@ class Mesh(AbstractBoundary):
         """At rest, from corners (faces, 3, 3) in m, counter-clockwise as seen from outside.
 
         It moves along `axis`, a unit vector, and turns about it through `reference` (m).  An open
-        surface has to be declared a `shell`: it has two sides.  Faces joined by kinks below
+        surface has to be declared `two_sided`: a shell.  Faces joined by kinks below
         `smooth_below` (degrees) form one patch.  `ValueError` names what is wrong with a mesh.
         """
         if abs(np.linalg.norm(axis) - 1) > 1e-9:
             raise ValueError(f"axis {axis} has to be of length 1")
         about = np.asarray(corners, float).reshape(-1, 3, 3) - np.asarray(reference, float)
-        form = TriangleSurface.of(about, shell=shell, smooth_below=smooth_below, name=name)
+        form = TriangleSurface.of(about, two_sided=two_sided, smooth_below=smooth_below, name=name)
         place = Vector(*(jnp.asarray(part, dtype) for part in reference))
         return Mesh._of(place, axis, form)
 
@@ -121,7 +121,7 @@ class Mesh(AbstractBoundary):
         local = self._local(jax.lax.stop_gradient(position))
         kind, row = self._feature(local, self._closest_of_all(local))
         seen = self.touched(position, 4 * row + kind)
-        if self.form.shell:
+        if self.form.two_sided:
             return seen
         sign = jnp.where(self._outside(local, kind, row), 1.0, -1.0)
         sign = jnp.where(kind == FACE, 1.0, sign)
@@ -138,7 +138,7 @@ class Mesh(AbstractBoundary):
         corner, edge, _, normal, *_ = self._rows(row, position.x.dtype)
         offset = local - corner
         height = offset.dot(normal)
-        if self.form.shell:
+        if self.form.two_sided:
             normal, height = normal * jnp.where(height < 0, -1.0, 1.0), jnp.abs(height)
         off_edge = offset - edge * offset.dot(edge)
         apart = _chosen(kind == VERTEX, offset, off_edge)
@@ -265,7 +265,7 @@ class Mesh(AbstractBoundary):
         edge = (of_edge == ALWAYS) | ((of_edge == IF_IN_CONE) & beyond)
         vertex = (of_vertex == ALWAYS) | ((of_vertex == IF_IN_CONE) & in_cone)
         counts = (kind == FACE) | ((kind == EDGE) & edge) | ((kind == VERTEX) & vertex)
-        return counts if self.form.shell else counts & self._outside(local, kind, row)
+        return counts if self.form.two_sided else counts & self._outside(local, kind, row)
 
     def _in_cone(self, offset: Vector, place: Array) -> Array:
         """Whether an offset from a vertex points away from all edges there."""

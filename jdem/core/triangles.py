@@ -39,13 +39,13 @@ class TriangleSurface:
     name: str
     corners: np.ndarray
     patch: np.ndarray
-    shell: bool
+    two_sided: bool
 
     @staticmethod
     def of(
         corners: np.ndarray,
         *,
-        shell: bool = False,
+        two_sided: bool = False,
         smooth_below: float = SMOOTH_BELOW,
         name: str = "the mesh",
     ) -> "TriangleSurface":
@@ -56,8 +56,8 @@ class TriangleSurface:
         corners = np.array(corners, float).reshape(-1, 3, 3) + 0.0  # no -0
         _check_triangles(corners, name)
         edges = _edges(corners)
-        _check_edges(corners, edges, shell, name)
-        return TriangleSurface(name, corners, _patches(corners, edges, smooth_below), shell)
+        _check_edges(corners, edges, two_sided, name)
+        return TriangleSurface(name, corners, _patches(corners, edges, smooth_below), two_sided)
 
     @property
     def faces(self) -> int:
@@ -163,7 +163,7 @@ class TriangleSurface:
 
     @cached_property
     def _digest(self) -> bytes:
-        parts = (self.corners.tobytes(), self.patch.tobytes(), bytes([self.shell]))
+        parts = (self.corners.tobytes(), self.patch.tobytes(), bytes([self.two_sided]))
         return hashlib.sha256(b"".join(parts)).digest()
 
     def __hash__(self) -> int:
@@ -173,7 +173,7 @@ class TriangleSurface:
         return type(other) is TriangleSurface and self._digest == other._digest
 
     def __repr__(self) -> str:
-        kind = "shell" if self.shell else "solid"
+        kind = "shell" if self.two_sided else "solid"
         return f"TriangleSurface({kind}, {self.faces} faces, {self._digest.hex()[:12]})"
 
 
@@ -271,18 +271,18 @@ def _check_triangles(corners: np.ndarray, name: str) -> None:
     _refuse(name, count[which.reshape(-1)] > 1, "there more than once", "keep one of each")
 
 
-def _check_edges(corners: np.ndarray, edges: _Edges, shell: bool, name: str) -> None:
+def _check_edges(corners: np.ndarray, edges: _Edges, two_sided: bool, name: str) -> None:
     """Two faces at an edge (one, of a shell), which agree about what is outside."""
     crowded = "at edges of more than two"
     _refuse_rows(name, edges.uses > 2, crowded, "keep two at each edge, or separate the parts")
     open_edges = edges.uses == 1
-    if not shell:
-        closing = "close it, or declare it a shell (shell=True)"
+    if not two_sided:
+        closing = "close it, or declare it a shell (two_sided=True)"
         _refuse_rows(name, open_edges, "at the edges of holes", closing)
     same = (edges.other >= 0) & (edges.vertex == edges.vertex[edges.other])
     agreeing = "orient all faces alike (`unify normals`)"
     _refuse_rows(name, same, "turned against their neighbours", agreeing)
-    if shell:
+    if two_sided:
         splitting = "give both faces the vertex (repair T-junctions)"
         _refuse_rows(name, _split(corners, edges), "at edges split by a vertex", splitting)
     elif (volume := _volume(corners)) <= 0:

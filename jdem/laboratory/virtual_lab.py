@@ -12,8 +12,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.apparatus.base import AbstractApparatus, Movement, Reading, Readings
-from jdem.apparatus.tool import Tool, around, numbered
+from jdem.apparatus.base import (
+    AbstractApparatus,
+    Movement,
+    Reading,
+    Readings,
+    Tool,
+    around,
+    numbered,
+)
 from jdem.boundaries.composite import CELL_SURFACES, Boundaries, cell
 from jdem.core.quantity import cast, check_precision
 from jdem.effects.base import AbstractEffect

@@ -35,9 +35,8 @@ from jdem.core.quantity import Real, quantity
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractNormalLaw, AbstractTangentialLaw
-from jdem.laws.liggghts import TOGETHER
 from jdem.mechanics.contact import Contact, NormalForce, lens_area
-from jdem.mechanics.dashpot import HERTZIAN, damping_ratio, hertzian_dashpot
+from jdem.mechanics.dashpot import HERTZIAN, TOGETHER, damping_ratio, hertzian_dashpot
 from jdem.mechanics.elasticity import HertzStiffness
 
 

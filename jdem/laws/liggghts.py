@@ -42,13 +42,8 @@ from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractNormalLaw, AbstractRollingLaw, AbstractTangentialLaw
 from jdem.mechanics.contact import Contact, NormalForce
-from jdem.mechanics.dashpot import damping_ratio, dashpot_constant
+from jdem.mechanics.dashpot import TOGETHER, damping_ratio, dashpot_constant
 from jdem.mechanics.elasticity import AbstractStiffness
-
-# A sphere's dashpots add up, its frequencies as their squares: n contacts brake its spin n times
-# as fast as one and swing sqrt(n) times as fast.  The safety of time steps reckons with the latter.
-# With 1.5 single spheres of 2000 still blew up.
-TOGETHER = 2.5
 
 
 class LudingSpring(AbstractTangentialLaw):

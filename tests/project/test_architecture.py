@@ -96,6 +96,7 @@ ORDER = {
         "prior",
         "recovery",
         "calibration",
+        "reference_beds",
         "resolution",
         "sizes",
         "snap",

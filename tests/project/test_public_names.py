@@ -36,7 +36,7 @@ def of(case):
 
 
 def test_a_user_meets_few_names():
-    assert 20 <= len(calibrate.__all__) <= 30
+    assert 20 <= len(calibrate.__all__) <= 32
     assert 40 <= len(jdem.__all__) <= 50
     assert set(calibrate.__all__) <= set(dir(calibrate)) and set(jdem.__all__) <= set(dir(jdem))
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jdem.apparatus.base import TORQUE, Channel, machine_segment, numbered
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.penetration import (
     MeanPressure,
@@ -17,7 +18,6 @@ from jdem.apparatus.penetration import (
     cone_length,
     plate,
 )
-from jdem.apparatus.tool import TORQUE, Channel, machine_segment, numbered
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.base import DOWN, FAR, UP, along, point
 from jdem.boundaries.revolved import Revolved

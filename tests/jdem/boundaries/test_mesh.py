@@ -121,7 +121,7 @@ def grid_of(cells, jitter=0.0, half=0.03):
 
 
 def shell(name, **given):
-    return Mesh.from_triangles(KEPT[f"corners/{name}"], shell=True, **given)
+    return Mesh.from_triangles(KEPT[f"corners/{name}"], two_sided=True, **given)
 
 
 PLANES = {
@@ -137,7 +137,7 @@ FLOOR = Plane.at(point(0, 0, 0, float), UP)
 def test_a_tessellated_plane_is_the_plane(name):
     """Anywhere, above edges and vertices too, with friction, on both sides of the shell."""
     corners, rng = PLANES[name], np.random.default_rng(0)
-    mesh = Mesh.from_triangles(corners, shell=True)
+    mesh = Mesh.from_triangles(corners, two_sided=True)
     assert (mesh.parts, mesh.faces) == (1, len(corners))
     inner = corners[np.abs(corners).max(axis=(1, 2)) < 0.02].reshape(-1, 3)
     chosen = inner[rng.choice(len(inner), 60)] if len(inner) else np.zeros((60, 3))
@@ -189,7 +189,7 @@ def moved_by(bed, boundaries, place, velocity, duration, spin=0.0, every=500):
 )
 def test_a_sphere_slides_and_rolls_on_it_as_on_the_plane(name, place, velocity):
     """At last with 5/7 of its first speed; the lists are rebuilt on the way."""
-    mesh = Mesh.from_triangles(PLANES[name], shell=True)
+    mesh = Mesh.from_triangles(PLANES[name], two_sided=True)
     bed = bed_of(1, 1, friction=0.3, restitution=0.3, gravity=9.81)
     found, _ = moved_by(bed, (mesh,), place, velocity, 0.06)
     expected, _ = moved_by(bed, (FLOOR,), place, velocity, 0.06)
@@ -343,7 +343,7 @@ def test_a_cone_in_many_triangles_is_the_cone():
 def test_friction_survives_the_facets_of_a_turning_drum():
     """A rough drum carries a sphere up; its flat facets do as the smooth cylinder does."""
     radius, spin = 0.02, 4.0
-    mesh = Mesh.from_triangles(tube(360, radius, inward=True), shell=True)
+    mesh = Mesh.from_triangles(tube(360, radius, inward=True), two_sided=True)
     drum = Cylinder.at(point(0, 0, 0, float), UP, radius)
     bed = bed_of(1, 1, friction=0.6, restitution=0.3)
     place, velocity = [radius - 0.999 * RADIUS, 0, 0], [0.3, 0.0, 0.0]
@@ -420,7 +420,7 @@ def waves(cells=20):
 @pytest.mark.parametrize("smooth_below", [20.0, 5.0])
 def test_lists_know_every_face_that_can_be_touched_before_the_next_rebuild(smooth_below):
     """Forces from lists made before a motion shorter than the skin are those from new lists."""
-    mesh = Mesh.from_triangles(waves(), shell=True, smooth_below=smooth_below)
+    mesh = Mesh.from_triangles(waves(), two_sided=True, smooth_below=smooth_below)
     rng = np.random.default_rng(6)
     places = rng.uniform(-0.012, 0.012, (200, 3))
     places[:, 2] = RADIUS * rng.uniform(0.9, 1.5, 200)
@@ -439,7 +439,7 @@ def test_lists_know_every_face_that_can_be_touched_before_the_next_rebuild(smoot
 
 
 def test_too_little_room_for_faces_is_reported():
-    mesh = Mesh.from_triangles(PLANES["5000"], shell=True)
+    mesh = Mesh.from_triangles(PLANES["5000"], two_sided=True)
     bed = bed_of(1, 1, faces=4)
     demand = lists(bed, (mesh,), vector([[0, 0, RADIUS]]))[2]
     need = int(demand.faces)
@@ -483,7 +483,7 @@ def test_derivatives_are_those_of_finite_differences_and_never_nan():
 @pytest.mark.slow
 def test_derivatives_pass_through_the_loop():
     """Of the place after rolling over edges, with respect to the first speed."""
-    mesh = Mesh.from_triangles(PLANES["288 irregular"], shell=True)
+    mesh = Mesh.from_triangles(PLANES["288 irregular"], two_sided=True)
     bed = bed_of(1, 1, friction=0.3, restitution=0.3, gravity=9.81)
 
     def rolled(boundaries, speed):
@@ -539,7 +539,7 @@ BAD = {
     "twice": (np.concatenate([SOLID, SOLID[:1]]), {}, "there more than once"),
     "not finite": (SPOILT, {}, "not finite"),
     "empty": (SOLID[:0], {}, "no triangle"),
-    "a vertex within an edge": (SPLIT, {"shell": True}, "split by a vertex"),
+    "a vertex within an edge": (SPLIT, {"two_sided": True}, "split by a vertex"),
 }
 
 
