@@ -10,7 +10,7 @@ import pytest
 from jdem.physics import PHYSICS
 from tests import ROOT
 from verification import __main__ as engine
-from verification import quick, reporting
+from verification import quick, reference_beds, reporting
 from verification.reporting import Cell, Row, Script
 from verification.rows import README, ROWS, SCRIPTS, SURE
 
@@ -328,3 +328,11 @@ def test_footers_have_command_day_and_physics():
     origin = reporting.provenance()
     [found] = re.findall(reporting.MADE, reporting.footer(origin))
     assert found == (origin["date"], origin["command"], str(PHYSICS))
+
+
+@pytest.mark.slow
+def test_a_plate_is_as_hard_as_another_code_says(tmp_path):
+    """On two of the six beds; a time step that forgot how many dashpots a sphere has gave half."""
+    found = [reference_beds.simulated("plate", 1, bed, 1.0, tmp_path)["plate"] for bed in (1, 2)]
+    ratio = sum(found) / reference_beds.data()["plate_1"][:2].sum()
+    assert 0.8 < ratio < 1.6
