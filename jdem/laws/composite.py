@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jdem.core.quantity import Real, quantity
@@ -32,7 +33,8 @@ class ContactLaw(AbstractContactLaw):
     """normal -> tangential (needs the load) and rolling (needs the load).
 
     The tangential spring's stiffness is `tangential_multiplier` times that of
-    `shear` (k1 at n = 1, 8 G* sqrt(R* d) at n = 1.5).
+    `shear` (k1 at n = 1, 8 G* sqrt(R* d) at n = 1.5).  deepest (-) is the overlap over R* up to
+    which the time step reckons with its growth.
     """
 
     normal: AbstractNormalLaw
@@ -40,6 +42,7 @@ class ContactLaw(AbstractContactLaw):
     tangential: AbstractTangentialLaw
     rolling: AbstractRollingLaw
     tangential_multiplier: Real = quantity(1.0)
+    deepest: float = eqx.field(static=True, default=DEEPEST)
 
     def force(self, contact: Contact, history: ContactMemory):
         normal, plastic = self.normal.force(contact, history.normal)
@@ -58,7 +61,7 @@ class ContactLaw(AbstractContactLaw):
         A force at the surface of a sphere turns it too, so that slip sees less inertia:
         1/m_t = 1/m* (1 + m r^2/I) = 7/2 1/m*.
         """
-        sliding = self.tangential_multiplier * self.shear.tangential(radius, DEEPEST * radius)
+        sliding = self.tangential_multiplier * self.shear.tangential(radius, self.deepest * radius)
         return jnp.minimum(
             longest_step(mass, self.normal.stiffness_bound(radius), self.normal.damping_ratio()),
             longest_step(mass * SLIPPING, sliding, self.tangential.damping_ratio() / SLIPPING**0.5),

@@ -37,7 +37,7 @@ from jdem.core.vector import Vector
 from jdem.laws.base import AbstractNormalLaw, AbstractTangentialLaw
 from jdem.mechanics.contact import Contact, NormalForce, lens_area
 from jdem.mechanics.dashpot import HERTZIAN, TOGETHER, damping_ratio, hertzian_dashpot
-from jdem.mechanics.elasticity import HertzStiffness
+from jdem.mechanics.elasticity import DEEP, HertzStiffness
 
 
 class Hertz(AbstractNormalLaw):
@@ -56,7 +56,9 @@ class Hertz(AbstractNormalLaw):
         return NormalForce(elastic, viscous, smooth.absolute(elastic + viscous, 0.0)), history
 
     def stiffness_bound(self, radius):
-        return self.stiffness.bound(radius)
+        """At the overlap DEEP R*: soil of 30 MPa comes there at 100 kPa, and beds that reckoned
+        with one of 0.01 R* were a seventh too weak, with a closed balance of energy."""
+        return self.stiffness.damping_stiffness(radius, DEEP * radius)
 
     def damping_ratio(self):
         return HERTZIAN * damping_ratio(jnp.log(self.restitution))

@@ -31,7 +31,7 @@ from jdem.core.quantity import Real, quantity
 from jdem.laws.base import AbstractNormalLaw
 from jdem.mechanics.contact import Contact, NormalForce
 from jdem.mechanics.dashpot import HERTZIAN, damping_ratio, hertzian_dashpot
-from jdem.mechanics.elasticity import AbstractStiffness, HertzStiffness
+from jdem.mechanics.elasticity import DEEP, AbstractStiffness, HertzStiffness
 
 NEWTON = 8  # steps; the worst start needs seven to the last digit
 
@@ -96,7 +96,7 @@ class JKRStiffness(AbstractStiffness):
 
     def bound(self, radius):
         """The slope df_n/dd = 2 E* a (s^3 - 3)/(s^3 - 1) stays below 2 E* a."""
-        return self.damping_stiffness(radius, 0.01 * radius)
+        return self.damping_stiffness(radius, DEEP * radius)
 
     def pull_off(self, radius):
         """F_c = 3/2 pi w R*, N."""

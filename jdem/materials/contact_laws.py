@@ -27,6 +27,7 @@ from jdem.laws.liggghts import RollingSpring
 from jdem.materials.conventions import CONVENTIONS, Parts
 from jdem.mechanics import dashpot
 from jdem.mechanics.elasticity import (
+    DEEP,
     AbstractStiffness,
     HertzStiffness,
     LinearStiffness,
@@ -136,6 +137,7 @@ def _with_springs(
         shear=shear,
         tangential=MindlinSpring(kept, values["restitution"], smoothing),
         rolling=RollingSpring(shear, values["rolling_friction"], smoothing),
+        deepest=DEEP,
     )
 
 

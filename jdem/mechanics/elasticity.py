@@ -87,6 +87,11 @@ class EdinburghStiffness(AbstractLinear):
         return self.normal(radius) * square_root(overlap / radius)
 
 
+DEEP = (
+    0.16  # overlap over R* up to which time steps of Hertzian beds are stable: soft soil in a box
+)
+
+
 class HertzStiffness(AbstractStiffness):
     """n = 1.5, k1 = 4/3 E* sqrt(R*); tangential 8 G* sqrt(R* d) (Mindlin)."""
 
