@@ -223,9 +223,30 @@ def packing(kind: str, bed: int) -> Packing:
     return Packing(Vector(*map(jnp.asarray, centres)), spheres, height, mould)
 
 
+def known() -> list[tuple[str, int]]:
+    """Tests and laws of which LIGGGHTS' numbers are there."""
+    firsts = {test: next(iter(asked.numbers)) for test, asked in TESTS.items()}
+    return [(test, law) for test in TESTS for law in LAWS if f"{firsts[test]}_{law}" in data()]
+
+
+def beds_of(test: str, law: int) -> range:
+    """Numbers of the beds of a test."""
+    return range(1, len(data()[f"{next(iter(TESTS[test].numbers))}_{law}"]) + 1)
+
+
+def _kept_at(test: str, law: int, bed: int, step: float, folder: Path) -> Path:
+    return reporting.kept("reference_beds", folder) / f"{test}_{law}_{bed}_{step:g}.json"
+
+
+def _is_kept(test: str, law: int, folder: Path) -> bool:
+    """Whether all runs of a test were made before."""
+    runs = [(bed, 1.0) for bed in beds_of(test, law)] + [(1, SMALLER)]
+    return all(_kept_at(test, law, *run, folder).exists() for run in runs)
+
+
 def simulated(test: str, law: int, bed: int, step: float, folder: Path) -> dict[str, float]:
     """The numbers of one run, kept; `step` is its time step over the usual one."""
-    path = reporting.kept("reference_beds", folder) / f"{test}_{law}_{bed}_{step:g}.json"
+    path = _kept_at(test, law, bed, step, folder)
     if not path.exists():
         write_json(path, _run(test, law, bed, step))
     return json.loads(path.read_text(encoding="utf-8"))
@@ -284,8 +305,7 @@ class Row:
 
 def rows_of(test: str, law: int) -> list[Row]:
     """Those of one test under one law; its beds are simulated."""
-    beds = range(1, len(data()[f"{next(iter(TESTS[test].numbers))}_{law}"]) + 1)
-    runs = [simulated(test, law, bed, 1.0, reporting.CACHE) for bed in beds]
+    runs = [simulated(test, law, bed, 1.0, reporting.CACHE) for bed in beds_of(test, law)]
     smaller = simulated(test, law, 1, SMALLER, reporting.CACHE)
     return [
         Row(
@@ -321,9 +341,8 @@ def main() -> None:
     chosen = parser.parse_args()
     reporting.configure()
     rows = []
-    for test in chosen.tests:
-        known = [law for law in chosen.laws if f"{next(iter(TESTS[test].numbers))}_{law}" in data()]
-        for law in known:
+    for test, law in known():
+        if (test in chosen.tests and law in chosen.laws) or _is_kept(test, law, reporting.CACHE):
             rows += rows_of(test, law)
             reporting.write_page("reference_beds", markdown(rows, reporting.provenance()))
 
