@@ -21,6 +21,7 @@ from calibrate.view.contacts import Contacts
 from calibrate.view.frames import Frame
 from jdem.boundaries.base import FAR
 from jdem.boundaries.composite import MOULD
+from jdem.engine.segment import CELL
 
 LOAD_COLOURS = "YlGnBu"
 CUT = "cut along the axis; lines: contacts near it, dark in compression, orange in tension"
@@ -95,7 +96,7 @@ def _bed(axis: Axes, frame: Frame, touching: Contacts, top: float, window) -> No
 
 
 def _walls(axis: Axes, frame: Frame) -> None:
-    """Base, platen and mould where they stand; walls that were taken away are not drawn."""
+    """Base, platen, mould and tools where they stand; what was taken away is not drawn."""
     radius = 1e3 * float(frame.state.boundaries[MOULD].size)
     height = 1e3 * float(frame.state.platen_height)
     width = 1e3 * float(np.abs(np.asarray(frame.state.motion.position.x)).max()) + 8
@@ -105,6 +106,10 @@ def _walls(axis: Axes, frame: Frame) -> None:
     if radius < 1e3 * FAR / 2:
         for side in (-radius, radius):
             axis.plot([side, side], [0, 1.2 * max(height, 1.0)], color="0.5", lw=1.5)
+    for tool in frame.state.boundaries[CELL:]:
+        for place in (1e3 * np.asarray(line) for line in tool.outline()):
+            if np.abs(place).max() < 1e3 * FAR / 2:
+                axis.plot(*place.T, color="0.2", lw=2)
 
 
 def _load_scale(contacts: list[Contacts], frame: Frame) -> float:

@@ -17,7 +17,7 @@ from calibrate.core.errors import CalibrationError
 from jdem.core.program import program
 from jdem.core.quantity import cast
 from jdem.engine.bed import build_bed, steps_per_sample
-from jdem.engine.loop import Record, run, start
+from jdem.engine.loop import Record, begun, run
 from jdem.engine.segment import KEEP, Segment, stack
 from jdem.engine.step import Bed, BedState
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -29,7 +29,8 @@ PIECE = 8  # samples between frames, to begin with
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The bed at one moment: the machine's movement by name, time (s), force on the platen (N)."""
+    """The bed at one moment: the machine's movement by name, time (s), force (N) on the platen,
+    or on the tool that moves."""
 
     movement: str
     time: float
@@ -70,7 +71,7 @@ def _frames(
     for frame, is_last in pieces.run():
         kept.append(frame)
         if is_last:
-            say(f"{frame.movement}: {frame.time:.3f} s, platen {frame.platen_force:.0f} N")
+            say(f"{frame.movement}: {frame.time:.3f} s, {frame.platen_force:.0f} N")
         if len(kept) > 2 * most:
             kept = _thinned(kept)
             pieces.samples *= 2
@@ -89,11 +90,12 @@ class _Pieces:
     def __init__(self, lab: VirtualLab, packing: Packing, soil: SoilParameters):
         dtype = jnp.dtype(lab.numerics.dtype)
         self.lab = lab
-        self.bed = build_bed(packing.spheres, soil, lab.grid, lab.numerics)
+        surfaces = lab.tests.surfaces
+        self.bed = build_bed(packing.spheres, soil, lab.grid, lab.numerics, surfaces=surfaces)
         self.steps = steps_per_sample(self.bed, lab.numerics)
         self.interval = float(self.steps * self.bed.time_step)
         position = cast(packing.position, dtype)
-        self.state = start(self.bed, position, packing.height, packing.mould_radius)
+        self.state = begun(self.bed, position, lab.boundaries(packing, dtype))
         self.samples = PIECE
         self.loop = program(run)
 
@@ -116,7 +118,7 @@ class _Pieces:
             segment = replace(segment, placed=jnp.full_like(segment.placed, KEEP))
 
     def _advance(self, segment: Segment) -> tuple[float, float]:
-        """Runs one piece; mean force on the platen in its last sample (N), its duration (s)."""
+        """Runs one piece; the load cell's mean reading in its last sample (N), its duration (s)."""
         programme = cast(stack([segment]), jnp.dtype(self.lab.numerics.dtype))
         before = float(self.state.time)
         record: Record = self.loop(self.bed, self.state, programme, self.steps, self.lab.capacity)
@@ -124,7 +126,7 @@ class _Pieces:
             raise _FullError(record.explain_overflow(self.bed.grid))
         self.state = record.state
         last = int(np.flatnonzero(np.asarray(record.samples.segment) >= 0)[-1])
-        force = float(record.samples.platen_force[last])
+        force = float(record.samples.reading[last])
         if not np.isfinite(force):
             raise CalibrationError("a number is not finite: a parameter is extreme")
         return force, float(self.state.time) - before

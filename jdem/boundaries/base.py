@@ -129,6 +129,11 @@ class AbstractBoundary(eqx.Module):
         there."""
         return None
 
+    def outline(self) -> list[Array]:
+        """Lines (points, 2) in x and z, m, in which it cuts the plane y = 0, for pictures: none,
+        unless said so."""
+        return []
+
     def near(self, position: Vector, radius: Array, gap: float) -> Array:
         """Whether spheres come within `gap` (m) of it, shape (N,)."""
         return self.distance(position) - radius < gap

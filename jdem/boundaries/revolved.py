@@ -102,6 +102,14 @@ class Revolved(AbstractBoundary):
         way = jnp.where(jnp.isfinite(first), first, 0.0)
         return self._at(self.reference + times(self.axis, way))
 
+    def outline(self) -> list[Array]:
+        """Of a surface about z: both sides of the line."""
+        if abs(self.about[2]) != 1.0:
+            return []
+        height = self.reference.z + self.about[2] * self.line[:, 1]
+        sides = [self.reference.x + sign * self.line[:, 0] for sign in (1, -1)]
+        return [jnp.stack([side, height], axis=1) for side in sides]
+
     def travelled(self, since: Self) -> Array:
         return jnp.abs(along(self.axis, self.reference - since.reference))
 

@@ -73,6 +73,11 @@ class Sphere(AbstractBoundary):
         height = jnp.where(jnp.any(met), first, along(self.axis, self.reference))
         return self._as(across(self.axis, self.reference) + times(self.axis, height), self.radius)
 
+    def outline(self) -> list[Array]:
+        turn = jnp.linspace(0.0, 2 * jnp.pi, 61)
+        place = (self.reference.x + self.radius * jnp.cos(turn), self.radius * jnp.sin(turn))
+        return [jnp.stack([place[0], self.reference.z + place[1]], axis=1)]
+
     def travelled(self, since: Self) -> Array:
         shift = self.reference - since.reference
         return smooth.norm(shift) + jnp.abs(self.radius - since.radius)

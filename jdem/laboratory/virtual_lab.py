@@ -187,7 +187,7 @@ class VirtualLab(eqx.Module):
         around = self._surroundings(packing, soil)
         bed = around.bed(bed, jnp.asarray(0), around.begin(dtype))
         position = cast(packing.position, dtype)
-        state = begun(bed, position, self._boundaries(packing, position.x.dtype))
+        state = begun(bed, position, self.boundaries(packing, position.x.dtype))
         programme = cast(self._programme(), dtype)
         record = run(bed, state, programme, steps, self.capacity, around, self.derivative)
         window = 0.0 if self.derivative is None else self.derivative.window
@@ -199,7 +199,7 @@ class VirtualLab(eqx.Module):
             packing = effect.packing(packing)
         return packing
 
-    def _boundaries(self, packing: Packing, dtype) -> Boundaries:
+    def boundaries(self, packing: Packing, dtype) -> Boundaries:
         """The testing cell around the packing, and all tools, which are away."""
         tools = cast([tool.boundary for tool in self.tests.tools], dtype)
         around = cell(packing.height, packing.mould_radius, dtype)
