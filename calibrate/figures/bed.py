@@ -25,11 +25,13 @@ from jdem.engine.segment import CELL
 
 LOAD_COLOURS = "YlGnBu"
 CUT = "cut along the axis; lines: contacts near it, dark in compression, orange in tension"
-SHOWN = ("loading", "resting", "crushing")  # movements whose ends are drawn
+TOOLS = ("pushing", "turning", "shearing", "lifting")
+SHOWN = ("loading", "resting", "crushing", *TOOLS)  # movements whose ends are drawn
 
 
 def bed_figure(frames: list[Frame], contacts: list[Contacts]) -> Figure:
-    """The bed at the end of loading, of the rest, and of crushing, cut through its axis."""
+    """The bed at the end of loading, of the rest, and of crushing or of a tool's way, cut through
+    its axis."""
     shown = moments(frames)
     figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 5), layout="constrained")
     top = _load_scale([contacts[number] for number in shown], frames[0])
