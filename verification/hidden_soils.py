@@ -13,8 +13,8 @@ one is held back.  Of each soil:
     python -m verification.hidden_soils                   some four hours of a core
     python -m verification.hidden_soils --soils 0 1 2
 
-Runs are kept in results/benchmarks; a second call resumes.  Writes a section of
-verification/results/posterior.md after each soil.
+Soils that verification/results/hidden_soils.json holds are not made again; runs are kept in
+results/benchmarks.  Writes a section of verification/results/posterior.md after each soil.
 """
 
 import argparse
@@ -271,8 +271,8 @@ def main() -> None:
     shape = (SOILS, len(question.space.names))
     hidden = question.prior.rvs(shape, np.random.default_rng(22))
     prior = Prior.of(question, density, chosen.drawn)
-    entries = reporting.earlier("hidden_soils", "entries")
     for number in chosen.soils:
+        entries = reporting.earlier("hidden_soils", "entries")
         if str(number) not in entries:
             found = entry(number, hidden[number], prior, question, reporting.CACHE)
             entries[str(number)] = found
