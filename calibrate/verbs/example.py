@@ -119,7 +119,7 @@ def example(
         CalibrationError: every packing failed.
 
     Example:
-        >>> calibrate.example("direct_shear").observables
+        >>> [row["name"] for row in calibrate.example().content["examples"]]
     """
     known = examples()
     if name is None:
