@@ -22,7 +22,7 @@ from calibrate.verbs.simulate import SimulationResult, simulate
 
 @dataclass(frozen=True)
 class Example:
-    """What it shows, the minutes that it takes on two cores, the preset that it is run at, what is
+    """What it shows, an estimate of its minutes on two cores, the preset that it is run at, what is
     public of the study that it follows, and the text of its lab file."""
 
     what: str
@@ -79,7 +79,7 @@ class ExampleResult(AbstractDrawnResult):
 
 
 def _listed(rows: list[dict]) -> Table:
-    table = Table("example", "what it shows", "minutes")
+    table = Table("example", "what it shows", "minutes, about")
     for row in rows:
         table.add_row(row["name"], row["what"], f"{row['minutes']:g}")
     return table
