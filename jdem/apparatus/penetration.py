@@ -40,6 +40,7 @@ from jdem.observables import AbstractGauge, Curve, displacement_at
 
 SHAFT = 0.2  # m; length of a cone's shaft, which no test uses up
 REST = 0.05  # s, simulated, without the platen
+SHORT = 0.02  # of a range of depths, which may be missing at its end
 
 
 class Penetration(AbstractApparatus):
@@ -164,7 +165,8 @@ def _tool(name: str, line: Sequence[tuple[float, float]], area: float) -> Tool:
 
 
 class MeanPressure(AbstractGauge):
-    """Mean force between two depths (m) over `area` (m2), Pa: the cone index."""
+    """Mean force between two depths (m) over `area` (m2), Pa: the cone index; NaN where the tool
+    did not come that far."""
 
     area: Real = quantity()
     low: Real = quantity(0.0)
@@ -177,7 +179,9 @@ class MeanPressure(AbstractGauge):
         work = jnp.concatenate([jnp.zeros_like(parts[:1]), jnp.cumsum(parts)])
         ends = jnp.stack([jnp.asarray(end, work.dtype) for end in (self.low, self.high)])
         from_low, to_high = jnp.interp(ends, known.displacement, work)
-        return (to_high - from_low) / ((self.high - self.low) * self.area)
+        short = self.high - jnp.max(known.displacement) > SHORT * (self.high - self.low)
+        mean = (to_high - from_low) / ((self.high - self.low) * self.area)
+        return jnp.where(short, jnp.nan, mean)
 
 
 class PressureAt(AbstractGauge):

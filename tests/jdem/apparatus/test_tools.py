@@ -186,4 +186,6 @@ def test_pressures_are_read_between_and_at_depths():
     assert float(mean) == pytest.approx(100 * 0.015 / 2e-4)
     there = PressureAt(area=2e-4, depth=0.02, window=1e-3).of(curve, jnp.zeros(81))
     assert float(there) == pytest.approx(100 * 0.02 / 2e-4)
+    beyond = MeanPressure(area=2e-4, low=0.02, high=0.04).of(curve, jnp.zeros(81))
+    assert np.isnan(float(beyond))  # and not the mean of what there is
     assert float(along(DOWN, at([0.0, 0.0, -2.0]))[0]) == 2.0
