@@ -234,7 +234,9 @@ def test_tools_that_cannot_be_are_named_with_their_repair(tmp_path, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "tests", [CONE, PLATE, SHEAR, REPOSE], ids=["cone", "plate", "box", "heap"]
+    "tests",
+    [CONE, PLATE, SHEAR, REPOSE, VANE, BALL],
+    ids=["cone", "plate", "box", "heap", "vane", "ball"],
 )
 def test_a_tool_in_a_bed_gives_numbers_with_their_order(tmp_path, tests):
     """More friction makes the soil harder, or the heap steeper."""
