@@ -20,7 +20,6 @@ from jdem.engine.segment import Segment
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters, particle_law, wall_law
 
-MOST_SPHERES = 46_000
 ON_TOOLS = 2.0  # contacts with a tool on an area of d^2 that are listed at most
 PAIRS_GROW = 4  # power of the listing distance with which the number of listed pairs grows
 
@@ -144,8 +143,6 @@ def plan_grid(
     (m) is the gap across which forces act; `touched` (m2) is what tools add to the cell's walls;
     cells cover `spreads` times the width.
     """
-    if count > MOST_SPHERES:
-        raise ValueError(f"{count} spheres: pair keys are 32-bit, use at most {MOST_SPHERES}")
     skin = numerics.skin * 2 * mean_radius
     cell = 2 * max_radius + skin + reach
     room = numerics.pairs_per_sphere

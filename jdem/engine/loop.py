@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.bodies.spheres import Motion, kinetic_energy
-from jdem.boundaries.composite import BASE, LOADS, MOULD, PLATEN, Boundaries, cell
+from jdem.boundaries.composite import BASE, LOADS, MOULD, PLATEN, Boundaries, cell, part_count
 from jdem.core.fusion import fenced
 from jdem.core.kernel import together
 from jdem.engine.energy import Ledger
@@ -103,11 +103,12 @@ def begun(bed: Bed, position, boundaries: Boundaries) -> BedState:
     """A bed at rest between any boundaries, without any contact history."""
     dtype, count = position.x.dtype, len(boundaries)
     zero = jnp.zeros((), dtype)
-    walls = ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law)
+    spheres, parts = bed.spheres.count, part_count(boundaries)
+    walls = ContactList.empty(bed.grid.wall_contacts, dtype, bed.wall_law, spheres * parts)
     return BedState(
         motion=Motion.at_rest(position),
         boundaries=boundaries,
-        pairs=ContactList.empty(bed.grid.pairs, dtype, bed.particle_law),
+        pairs=ContactList.empty(bed.grid.pairs, dtype, bed.particle_law, spheres**2),
         wall_contacts=replace(walls, faces=no_faces(bed.grid, boundaries)),
         loads=jnp.zeros((count, LOADS), dtype),
         energy=Ledger.zeros(count, dtype),

@@ -3,8 +3,9 @@
 Candidates come from a grid of cells as wide as the largest sphere plus the skin, and
 are packed into a list sorted by a unique key.  On a rebuild each new entry takes over
 the history of the old entry with the same key.  A list that is too small is reported
-with the capacity that would do; it is never silent.  Keys are 32-bit: up to 46 000
-spheres.  Of boundaries made of faces, those near each sphere are listed too (`FaceList`).
+with the capacity that would do; it is never silent.  Keys have 32 bits where these are enough,
+to 46 340 spheres, and 64 beyond.  Of boundaries made of faces, those near each sphere are listed
+too (`FaceList`).
 """
 
 from dataclasses import replace
@@ -114,10 +115,11 @@ class ContactList(eqx.Module):
         return most_used(jnp.sum(self.alive > 0).astype(jnp.int32))
 
     @staticmethod
-    def empty(capacity: int, dtype, law: AbstractContactLaw) -> "ContactList":
-        """Without entries, for contacts that follow `law`."""
-        zero = jnp.zeros(capacity, jnp.int32)
-        key = jnp.full(capacity, _NO_KEY, jnp.int32)
+    def empty(capacity: int, dtype, law: AbstractContactLaw, kinds: int = 0) -> "ContactList":
+        """Without entries, for contacts that follow `law`, of so many that can be told apart:
+        the number of spheres times that of what they may touch."""
+        zero, kind = jnp.zeros(capacity, jnp.int32), _key_type(kinds)
+        key = jnp.full(capacity, _no_key(kind), kind)
         alive = jnp.zeros(capacity, dtype)
         return ContactList(key, zero, zero, alive, law.memory(capacity, dtype))
 
@@ -148,7 +150,14 @@ class Demand(eqx.Module):
         )
 
 
-_NO_KEY = np.iinfo(np.int32).max
+def _key_type(kinds: int) -> type[np.signedinteger]:
+    """Integers that tell so many entries apart, and none of them from `_no_key`."""
+    return np.int32 if kinds < np.iinfo(np.int32).max else np.int64
+
+
+def _no_key(kind) -> int:
+    """The key of unused entries: the largest, so that they stand at the end."""
+    return np.iinfo(kind).max
 
 
 def rebuild(
@@ -228,15 +237,13 @@ def _wall_contacts(
     found = [boundary.listing(position, radius, room) for boundary in boundaries]
     parts = [f.part + first for f, first in zip(found, first_parts(boundaries), strict=True)]
     stride = part_count(boundaries)
-    if bodies.count * stride >= _NO_KEY:
-        raise ValueError(
-            f"{bodies.count} spheres and {stride} parts of boundaries: keys are 32-bit; take a "
-            "mesh of fewer patches, or a larger smooth_below"
-        )
     candidates = (jnp.concatenate([f.sphere for f in found]), jnp.concatenate(parts))
     near = jnp.concatenate([f.near for f in found])
     contacts, count = _packed(candidates, near, stride, grid.wall_contacts, old)
-    keys = [f.sphere * stride + part for f, part in zip(found, parts, strict=True)]
+    keys = [
+        _keys((f.sphere, part), stride, contacts.key.dtype)
+        for f, part in zip(found, parts, strict=True)
+    ]
     faces = tuple(
         None if f.faces is None else FaceList.of(f, key, contacts.key)
         for f, key in zip(found, keys, strict=True)
@@ -255,22 +262,29 @@ def _near_boundaries(grid: Grid, bodies: AbstractBodies, boundaries: Boundaries,
     return (first.ravel(), second.ravel()), valid.ravel()
 
 
+def _keys(entries, stride, kind):
+    """Of entries (first, second): integers of a kind that has room for them."""
+    first, second = entries
+    return first.astype(kind) * stride + second.astype(kind)
+
+
 def _packed(candidates, valid, stride, capacity, old: ContactList):
     """Valid candidates sorted by key in a list of fixed length, and how many there were."""
-    first, second = candidates
-    key = jnp.where(valid, first * stride + second, _NO_KEY).astype(jnp.int32)
+    kind = old.key.dtype
+    none = _no_key(kind)
+    key = jnp.where(valid, _keys(candidates, stride, kind), none)
     count = jnp.sum(valid).astype(jnp.int32)
     slot = jnp.where(valid, jnp.cumsum(valid) - 1, capacity)
-    packed = jnp.full(capacity, _NO_KEY, jnp.int32).at[slot].set(key, mode="drop")
+    packed = jnp.full(capacity, none, kind).at[slot].set(key, mode="drop")
     key = jnp.sort(packed)
-    alive = (key != _NO_KEY).astype(old.alive.dtype)
-    used = jnp.where(key != _NO_KEY, key, 0)
-    history = inherited(key, old)
-    return ContactList(key, used // stride, used % stride, alive, history), count
+    alive = (key != none).astype(old.alive.dtype)
+    used = jnp.where(key != none, key, 0)
+    first, second = (part.astype(jnp.int32) for part in (used // stride, used % stride))
+    return ContactList(key, first, second, alive, inherited(key, old)), count
 
 
 def inherited(key, old: ContactList) -> Memory:
     """Histories of the old entries with the same keys, zero for new entries."""
     place = jnp.clip(jnp.searchsorted(old.key, key), 0, old.key.shape[0] - 1)
-    same = (old.key[place] == key) & (key != _NO_KEY)
+    same = (old.key[place] == key) & (key != _no_key(key.dtype))
     return jax.tree.map(lambda leaf: jnp.where(same, leaf[place], 0), old.history)

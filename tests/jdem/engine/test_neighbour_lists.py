@@ -146,3 +146,37 @@ def test_rebuilding_twice_changes_nothing():
     again = listed(grid, cloud(3), once)[:2]
     for a, b in zip(jax.tree.leaves(once), jax.tree.leaves(list(again)), strict=True):
         assert np.array_equal(a, b)
+
+
+def test_wide_keys_list_the_same_and_carry_history():
+    """Lists of beds beyond 46 340 spheres, made here of a few."""
+    grid = cloud_grid()
+    sizes = (grid.pairs, grid.wall_contacts)
+    wide = [ContactList.empty(n, float, Keeper(), 2**40) for n in sizes]
+    found = []
+    for lists in (empty_lists(grid), wide):
+        before = [marked(c) for c in listed(grid, cloud(1), lists)[:2]]
+        found.append((before, listed(grid, cloud(1, jitter=1e-3), before)[:2]))
+    for narrow, broad in zip(*found, strict=True):
+        for one, other in zip(narrow, broad, strict=True):
+            assert (one.key.dtype, other.key.dtype) == (jnp.int32, jnp.int64)
+            assert entries(one) == entries(other)
+
+
+def test_fifty_thousand_spheres_are_told_apart():
+    """37^3 spheres on a cubic lattice, all but touching: each has its neighbours along the axes."""
+    side, pitch = 37, 2.01 * RADIUS
+    place = np.stack(np.meshgrid(*3 * [np.arange(side)], indexing="ij"), -1).reshape(-1, 3)
+    spheres, pairs = spheres_of(side**3), 3 * side**2 * (side - 1)
+    skin = 0.1 * RADIUS
+    grid = Grid((45, 45, 45), 9, pairs + 5, 2 * side**2 + 5, 2 * RADIUS + skin, skin)
+    walls = cell(1.0, 1.0, float)
+    bed = [ContactList.empty(n, float, Keeper(), side**6) for n in (grid.pairs, grid.wall_contacts)]
+    at = Vector.from_rows(jnp.asarray(place * pitch + [0, 0, 1.01 * RADIUS]))
+    found, base, demand = relisted(grid, spheres, walls, at, *bed)
+    assert not demand.exceeds(grid)
+    assert {first for first, _ in entries(base)} == set(np.flatnonzero(place[:, 2] == 0).tolist())
+    listed_pairs = np.array(list(entries(found)))
+    steps = place[listed_pairs[:, 1]] - place[listed_pairs[:, 0]]
+    assert len(steps) == pairs
+    assert np.all(np.abs(steps).sum(axis=1) == 1)
