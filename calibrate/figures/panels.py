@@ -67,7 +67,7 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
     for name in shown.drawn:
         if name in measured.targets:
             _target_force(axis, measured.targets[name], name)
-    axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=shown.title)
+    axis.set(xlabel=shown.axes[0], ylabel=shown.axes[1], title=shown.title)
 
 
 def from_seating(displacement_mm: ArrayLike, force_n: ArrayLike) -> np.ndarray:

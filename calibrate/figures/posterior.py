@@ -11,6 +11,7 @@ from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 from calibrate.figures.panels import compression, from_seating
 from calibrate.figures.style import DARK, LIGHT, MIDDLE, marked, pretty
 from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.labtests.base import AXES
 from calibrate.records.base import Curve, Measured
 
 PAIRED = 4  # parameters that are shown in pairs, at most
@@ -136,7 +137,8 @@ def prediction_figure(content: dict) -> Figure:
             if each["test"] == test:
                 way, force = _placed(curve, each)
                 axis.plot(way, force, "-", color=MIDDLE, lw=1, label="measured")
-        axis.set(xlabel="displacement (mm)", ylabel="force (N)", title=test)
+        along, up = content["measured"].get("tests", {}).get(test, {}).get("axes", AXES)
+        axis.set(xlabel=along, ylabel=up, title=test)
         axis.set_xlim(left=0)
         axis.set_ylim(bottom=0)
     entries = marked(axes[0])

@@ -33,6 +33,7 @@ class BallTest(AbstractLabTest):
     type_name = "ball_penetration"
     title = "ball penetration"
     observables = (RESISTANCE,)
+    axes = ("depth of the ball's middle (mm)", "force (N)")
     shape = "stiffens"
     in_mould = True
 

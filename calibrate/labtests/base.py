@@ -50,6 +50,7 @@ from jdem.apparatus.base import AbstractApparatus, Gauged
 from jdem.apparatus.protocol import Protocol
 from jdem.observables import AbstractGauge
 
+AXES = ("displacement (mm)", "force (N)")  # of curves
 STROKE = 0.35  # largest compression that is simulated, as a share of the height
 LONGEST_NAME = 60
 _STRANGE = re.compile(r"[^\w .+-]")
@@ -166,7 +167,8 @@ class AbstractLabTest(AbstractTable):
     `name` is unique among the tests of a lab, by default the type; `specimen` is a specimen of its
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
-    further: what is read off its curve as well where a target asks for it; plain: its table may
+    further: what is read off its curve as well where a target asks for it; axes: what its curve's
+    columns are, for figures; plain: its table may
     stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
     says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
     in_mould: a tool's, which needs the soil in its mould, leaves it disturbed, and follows no
@@ -177,6 +179,7 @@ class AbstractLabTest(AbstractTable):
     title: ClassVar[str]
     observables: ClassVar[tuple[Observable, ...]]
     further: ClassVar[tuple[Observable, ...]] = ()
+    axes: ClassVar[tuple[str, str]] = AXES
     plain: ClassVar[bool] = False
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True

@@ -46,6 +46,7 @@ class DirectShearTest(AbstractLabTest):
     type_name = "direct_shear"
     title = "direct shear"
     observables = (PEAK, RESIDUAL, ON_PLANE)
+    axes = ("shear displacement (mm)", "shear force (N)")
     shape = "softens"
     in_mould = True
 

@@ -64,6 +64,7 @@ class ConeTest(AbstractLabTest):
     type_name = "cone_penetration"
     title = "cone penetration"
     observables = (CONE_INDEX,)
+    axes = ("depth of the cone's base (mm)", "force on the cone (N)")
     shape = "stiffens"
     in_mould = True
 
@@ -113,6 +114,7 @@ class PlateTest(AbstractLabTest):
     type_name = "plate_sinkage"
     title = "plate sinkage"
     observables = (SINKAGE_PRESSURE,)
+    axes = ("sinkage (mm)", "force on the plate (N)")
     shape = "stiffens"
     in_mould = True
 

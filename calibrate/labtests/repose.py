@@ -42,6 +42,7 @@ class ReposeTest(AbstractLabTest):
     type_name = "repose_angle"
     title = "repose angle"
     observables = (REPOSE, BY_HEIGHT, BY_TOP, HEAP)
+    axes = ("lift of the cylinder (mm)", "force on the cylinder (N)")
     in_mould = True
 
     rate: Annotated[Speed, Range(SPEED, "0.5 mm/s", "0.5 m/s")] = 0.01

@@ -44,6 +44,7 @@ class VaneTest(AbstractLabTest):
     type_name = "vane_shear"
     title = "vane shear"
     observables = (PEAK, RESIDUAL, STRENGTH)
+    axes = ("way of the blades' rim (mm)", "force at the rim (N)")
     shape = "softens"
     in_mould = True
 

@@ -21,6 +21,7 @@ from pydantic_core import ErrorDetails
 from calibrate.core.errors import BadValue, InputError, shown
 from calibrate.core.files import as_json
 from calibrate.io.labfile import PARAMETER_UNITS, read_file
+from calibrate.labtests.base import AXES
 
 LARGEST = 1e150  # larger numbers count as not known; squares of these are finite
 RUN_AGAIN = "run the command that wrote it again (finished simulations are on disk)"
@@ -98,12 +99,13 @@ class Target(Record):
 
 
 class TestShown(Record):
-    """What figures have to know of a test: its title, the forces (N) that they mark, the
-    observables that they show as forces."""
+    """What figures have to know of a test: its title, what its curve's columns are, the forces (N)
+    that they mark, the observables that they show as forces."""
 
     __test__ = False  # for pytest
 
     title: str
+    axes: tuple[str, str] = AXES
     guides_n: list[Number] = []
     drawn: list[Observable] = []
 

@@ -261,6 +261,7 @@ def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
     return {
         "type": test.type_name,
         "title": f"{test.title}{own}",
+        "axes": list(test.axes),
         "guides_n": list(test.guides()),
         "drawn": drawn,
     }

@@ -161,9 +161,11 @@ def test_few_soils_make_wider_intervals_and_failed_ones_are_left_out():
 def test_the_picture_has_a_panel_for_each_test_and_every_label_once():
     content = prediction_json(predicted(), {})
     curve = {"test": "unconfined", "displacement_mm": [0, 1, 2], "force_n": [0, 90, 150]}
-    content["measured"] = {"curves": [curve, curve], "targets": {}}
+    tests = {"unconfined": {"axes": ["lift (mm)", "drag (N)"]}}
+    content["measured"] = {"curves": [curve, curve], "targets": {}, "tests": tests}
     figure = prediction_figure(content)
     assert [axis.get_title() for axis in figure.axes] == ["confined", "unconfined"]
+    assert [axis.get_xlabel() for axis in figure.axes] == ["displacement (mm)", "lift (mm)"]
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert sorted(labels) == ["90 % of means", "90 % of specimens", "expected", "measured"]
 

@@ -11,9 +11,11 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from calibrate.core.errors import InputError
 from calibrate.core.progress import Silent
+from calibrate.figures.panels import compression
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.problem import pose
 from calibrate.inference.verified import parts
@@ -25,9 +27,10 @@ from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.repose import ReposeTest
 from calibrate.labtests.unconfined import FAILURE_STRAIN
+from calibrate.records.base import Measured, record
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
-from calibrate.simulation.specimens import campaign, simulate
+from calibrate.simulation.specimens import campaign, measured_json, simulate
 from calibrate.verbs.example import examples
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -230,6 +233,14 @@ def test_tools_that_cannot_be_are_named_with_their_repair(tmp_path, name):
         lab_of(tmp_path, tests)
     text = str(error.value).replace("'", "")
     assert re.search(said, text), text
+
+
+def test_figures_say_what_a_tool_is_pushed_or_turned_by(tmp_path):
+    axis = Figure().subplots()
+    for tests, along, up in ((VANE, "blades' rim (mm)", "at the rim (N)"), (CONE, "depth", "cone")):
+        lab = lab_of(tmp_path, tests)
+        compression(axis, lab.tests[0].called, [], record(Measured, measured_json(lab)))
+        assert along in axis.get_xlabel() and up in axis.get_ylabel()
 
 
 @pytest.mark.slow
