@@ -69,5 +69,6 @@ class BallTest(AbstractLabTest):
             nominal_rate=self.rate,
             stroke=self.deepest,
             datum=radius,
+            width=self.diameter,
             name=self.called,
         )

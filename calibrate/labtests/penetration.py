@@ -103,6 +103,7 @@ class ConeTest(AbstractLabTest):
             nominal_rate=self.rate,
             stroke=self.deepest,
             datum=cone_length(self.diameter, self.angle),
+            width=self.diameter,
             name=self.called,
         )
 
@@ -139,6 +140,7 @@ class PlateTest(AbstractLabTest):
             nominal_rate=self.rate,
             stroke=self.deepest(cylinder),
             seating_force=SEATING * area,
+            width=self.diameter,
             name=self.called,
         )
 

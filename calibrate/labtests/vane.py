@@ -81,5 +81,6 @@ class VaneTest(AbstractLabTest):
             servo_width=RESTING * 2 * self.diameter * self.thickness,
             rim=self.diameter / 2,
             peak_rows=rows,
+            width=self.diameter,
             name=self.called,
         )

@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Iterator
+from math import isnan
 
 from rich.table import Table
 from rich.text import Text
@@ -18,10 +19,11 @@ def course(result: dict) -> str:
     quality = result["quality"]
     if not quality["spheres"]:
         return "no test has soil in it"
-    speed = result["particle_steps_per_s"] / 1e6
+    speed, inertia = result["particle_steps_per_s"] / 1e6, quality["inertial_number"]
     return (
         f"{quality['spheres_across']:.1f} spheres across, porosity {quality['porosity']:.2f}, "
-        f"inertial number {quality['inertial_number']:.1e}, {speed:.2f} M particle-steps/s per run"
+        + ("" if inertia is None or isnan(inertia) else f"inertial number {inertia:.1e}, ")
+        + f"{speed:.2f} M particle-steps/s per run"
     )
 
 

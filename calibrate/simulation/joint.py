@@ -22,7 +22,7 @@ from jdem.laboratory.bare_machine import BareMachine
 
 # How the checks of several runs become one; the largest counts of those that are not named.
 COMBINED = {name: np.sum for name in ("steps", "runtime_s", "repeats", "platen_work_j")}
-COMBINED |= {"spheres_across": np.min, "time_step_s": np.min}
+COMBINED |= dict.fromkeys(("spheres_across", "tool_across", "time_step_s"), np.min)
 
 
 class AbstractCampaign(Protocol):

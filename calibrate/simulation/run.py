@@ -32,9 +32,11 @@ QUALITY = (
     "runtime_s",
     "repeats",
     "spheres_across",
+    "tool_across",
     "porosity",
 )
 LEAST_ACROSS = 8.0  # spheres; below, the grains are a large part of the specimen (7.5 to 20 in use)
+LEAST_AT_TOOL = 5.0  # spheres; below, forces are those of chains (tips slip between them below 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ def summary(
     rest = np.flatnonzero(np.isin(np.asarray(record.samples.segment), rests[-1:]))
     kinetic = np.asarray(record.samples.kinetic_energy)
     quality = {
-        "inertial_number": _inertial_number(lab, packing),
+        "inertial_number": _inertial_number(lab, packing, outcome),
         "overflow": float(bool(record.overflow_of(lab.grid))),
         "energy_balance": _integration_error(outcome),
         "kinetic_energy_after_rest_j": float(kinetic[rest[-1]]) if rest.size else np.nan,
@@ -86,6 +88,7 @@ def summary(
         "spheres": float(packing.spheres.count),
         "runtime_s": seconds,
         "repeats": 0.0,
+        "tool_across": _tool_across(lab, packing),
         **resolution_of(packing),
     }
     return Run(
@@ -108,9 +111,14 @@ def resolution_of(packing: Packing) -> dict[str, float]:
 
 def completed(run: Run, packing: Packing) -> Run:
     """The run with its bed's resolution, which entries of earlier caches do not hold."""
-    if "porosity" in run.quality:
-        return run
-    return replace(run, quality={**run.quality, **resolution_of(packing)})
+    known = {"tool_across": np.nan} | run.quality
+    return replace(run, quality=known if "porosity" in known else known | resolution_of(packing))
+
+
+def _tool_across(lab: VirtualLab, packing: Packing) -> float:
+    """Width of the narrowest tool over the spheres' mean diameter; NaN without one."""
+    widths = [test.width for test in lab.tests.apparatus if test.width]
+    return min(widths, default=np.nan) / float(packing.mean_diameter())
 
 
 def repeated(run: Run, before: Run) -> Run:
@@ -119,16 +127,22 @@ def repeated(run: Run, before: Run) -> Run:
     return replace(run, quality=run.quality | {"repeats": 1.0, "runtime_s": both})
 
 
-def _inertial_number(lab: VirtualLab, packing: Packing) -> float:
-    """The largest of all tests that state a force for it; NaN if none does."""
+def _inertial_number(lab: VirtualLab, packing: Packing, outcome: Outcome) -> float:
+    """The largest of all tests that state it: of the specimen at a force, or of the soil at a tool;
+    NaN if none does."""
     area = np.pi * float(packing.mould_radius) ** 2
     density = float(packing.bulk_density() / packing.solid_fraction())
-    size = (packing.height, packing.mean_diameter(), density)
+    diameter = packing.mean_diameter()
+    size = (packing.height, diameter, density)
     found = [
         float(inertial_number(test.simulated_rate, *size, float(test.reference_force) / area))
         for test in lab.tests.apparatus
         if test.reference_force is not None
     ]
+    for test in lab.tests.apparatus:
+        at_tool = test.sheared(outcome.observables[test.name], diameter)
+        if at_tool is not None and at_tool[1] > 0:
+            found.append(float(inertial_number(at_tool[0], 1.0, diameter, density, at_tool[1])))
     return max(found, default=np.nan)
 
 

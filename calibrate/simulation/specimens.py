@@ -15,7 +15,7 @@ from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign, BareCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
-from calibrate.simulation.run import LEAST_ACROSS, Run
+from calibrate.simulation.run import LEAST_ACROSS, LEAST_AT_TOOL, Run
 from jdem.materials.catalogue import own_values
 from jdem.materials.soil import SoilParameters
 
@@ -137,18 +137,25 @@ def _shown(lab: Lab, test: AbstractLabTest, run: Run) -> Shown:
     return Shown(lab.cylinder_of(test.called), run.curves[test.called], numbers)
 
 
-OVER_PACKINGS = {"spheres_across": np.mean, "porosity": np.mean, "repeats": np.sum}
+ACROSS = ("spheres_across", "tool_across", "porosity")
+OVER_PACKINGS = dict.fromkeys(ACROSS, np.mean) | {"repeats": np.sum}
+COARSE = {  # of a quality: of what, its least value, what follows
+    "spheres_across": (
+        "the specimen", LEAST_ACROSS, "numbers and scatter depend on the size of the spheres"
+    ),
+    "tool_across": ("a tool", LEAST_AT_TOOL, "a few chains of spheres carry it"),
+}  # fmt: skip
 
 
 def coarse(quality: dict) -> str:
-    """One sentence where the specimen is too few spheres across; "" where it is not."""
-    across = quality.get("spheres_across", float("nan"))
-    if not across < LEAST_ACROSS:
-        return ""
-    return (
-        f"the specimen is {across:.1f} spheres across, below {LEAST_ACROSS:.0f}: numbers and "
-        "scatter depend on the size of the spheres; give a finer --preset for results"
-    )
+    """Where the specimen, or a tool, is too few spheres across; "" where it is not."""
+    sentences = [
+        f"{what} is {across:.1f} spheres across, below {least:.0f}: {so}; give a finer --preset "
+        "for results"
+        for name, (what, least, so) in COARSE.items()
+        if (across := quality.get(name, np.nan)) is not None and across < least
+    ]
+    return "; ".join(sentences)
 
 
 def quality_json(runs: Sequence[Run]) -> dict:
@@ -159,6 +166,8 @@ def quality_json(runs: Sequence[Run]) -> dict:
         for name in runs[0].quality
         if name not in ("runtime_s", "steps", "overflow")
     }
+    if np.isnan(worst.get("tool_across", 0.0)):  # no test has a tool
+        del worst["tool_across"]
     return {**worst, "overflow": any(run.quality["overflow"] > 0 for run in runs)}
 
 

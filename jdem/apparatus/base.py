@@ -192,6 +192,16 @@ class AbstractApparatus(eqx.Module):
         """Force (N) at which the inertial number of loading is stated, None if there is none."""
         return None
 
+    @property
+    def width(self) -> float:
+        """Of the tool, m; 0 where there is none, or where it is not known."""
+        return 0.0
+
+    def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real] | None:
+        """Shear rate (1/s) and pressure (Pa) of soil of this mean diameter (m) where a tool moves
+        it, of which the inertial number is made; None where none is stated."""
+        return None
+
     @abc.abstractmethod
     def at_rate(self, factor: float) -> "AbstractApparatus":
         """The same test simulated `factor` times as fast."""
@@ -258,6 +268,13 @@ class Gauged(AbstractApparatus):
     @property
     def reference_force(self) -> Real | None:
         return self.test.reference_force
+
+    @property
+    def width(self) -> float:
+        return self.test.width
+
+    def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real] | None:
+        return self.test.sheared(observables, diameter)
 
     def at_rate(self, factor: float) -> "Gauged":
         gauges = tuple(gauge.sampled(1 / factor) for gauge in self.gauges)

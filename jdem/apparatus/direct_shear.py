@@ -40,6 +40,7 @@ from jdem.observables import crushing_force, running_mean
 SIDEWAYS = (1.0, 0.0, 0.0)  # where the lower half goes
 SETTLING = 0.03  # s, simulated, in which the lid's force comes to rest
 AT_END = 0.2  # of the travel, over which the residual stress is a mean
+BAND = 10.0  # diameters; usual height of a shear band
 PEAK_WIDTH = 0.02  # of the lid's force, over which the peak is rounded
 
 
@@ -117,6 +118,9 @@ class DirectShear(AbstractApparatus):
     @property
     def required_force(self) -> Real:
         return self.normal_force
+
+    def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real]:
+        return self.simulated_rate / (BAND * diameter), observables["plane_stress"]
 
     def at_rate(self, factor: float) -> "DirectShear":
         return replace(self, simulated_rate=self.simulated_rate * factor).sampled(1 / factor)

@@ -48,7 +48,8 @@ class Penetration(AbstractApparatus):
 
     The first of `parts` is what is lowered and whose force is the curve's; the others go with it
     and are recorded as channels by name.  datum (m) is taken off the depth; seating_force in N;
-    resting_damping (1/s) acts in `rest` (s), before the tool comes.  gauges are the observables.
+    resting_damping (1/s) acts in `rest` (s), before the tool comes.  gauges are the observables,
+    the first a pressure: with the tool's `width` (m), 0 if not known, it gives the inertial number.
     """
 
     parts: tuple[Tool, ...]
@@ -60,6 +61,7 @@ class Penetration(AbstractApparatus):
     rest: Real = quantity(REST)
     resting_damping: Real = quantity(500.0)
     seating_force: float = eqx.field(static=True, default=0.0)
+    width: float = eqx.field(static=True, default=0.0)
     name: str = eqx.field(static=True, default="penetration")
 
     def movements(self) -> list[Movement]:
@@ -99,6 +101,11 @@ class Penetration(AbstractApparatus):
         """The upward force (N) on each further part, called like it."""
         rest = enumerate(self.parts[1:], start=CELL + 1)
         return tuple(Channel(part.name, FORCE, (number,), UP) for number, part in rest)
+
+    def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real] | None:
+        if not (self.width and self.gauges):
+            return None
+        return self.simulated_rate / self.width, observables[self.gauges[0].name]
 
     def at_rate(self, factor: float) -> "Penetration":
         gauges = tuple(gauge.sampled(1 / factor) for gauge in self.gauges)

@@ -49,8 +49,9 @@ class VaneShear(AbstractApparatus):
 
     constant (m3) is K.  The vane rests within servo_width (N) of no axial force; resting_damping
     (1/s) acts before the insertion.  The peak is that of the torque averaged over peak_rows
-    samples.  The curve is the angle (rad) and the torque (N m), or with a `rim` (m) the way of a
-    point at that radius and the force there that has the torque.
+    samples; `width` (m) is the vane's, 0 if not known.  The curve is the angle (rad) and the torque
+    (N m), or with a `rim` (m) the way of a point at that radius and the force there that has the
+    torque.
     """
 
     vane: Tool
@@ -66,6 +67,7 @@ class VaneShear(AbstractApparatus):
     response: Real = quantity(RESPONSE)
     rim: Real = quantity(1.0)
     peak_rows: int = eqx.field(static=True, default=7)
+    width: float = eqx.field(static=True, default=0.0)
     name: str = eqx.field(static=True, default="vane_shear")
 
     def movements(self) -> list[Movement]:
@@ -108,6 +110,9 @@ class VaneShear(AbstractApparatus):
     @property
     def force(self) -> Channel:
         return Channel("torque", TORQUE, (CELL,), UP)
+
+    def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real]:
+        return self.simulated_rate, observables["vane_strength"]
 
     def at_rate(self, factor: float) -> "VaneShear":
         faster = replace(

@@ -117,7 +117,7 @@ class JKRStiffness(AbstractStiffness):
     def relative_radius(self, radius, overlap):
         """s = sqrt(a/a_t); beyond tear-off its value there."""
         gap = self.relative_gap(radius, overlap)
-        return relative_root(jnp.maximum(gap, torn(gap.dtype)))
+        return once(relative_root(jnp.maximum(gap, torn(gap.dtype))))
 
     def contact_radius(self, radius, overlap):
         """a, m."""
@@ -139,7 +139,7 @@ class JKR(AbstractNormalLaw):
         gap = self.stiffness.relative_gap(radius, overlap)
         holds = (history > 0) & (gap > torn(gap.dtype))
         touching = jnp.where((overlap > 0) | holds, jnp.ones_like(overlap), 0.0)
-        root = once(self.stiffness.relative_radius(radius, overlap))
+        root = self.stiffness.relative_radius(radius, overlap)
         cube, most = root**3, self.stiffness.pull_off(radius)
         repulsive = most * cube * cube / 9
         elastic = repulsive - most * cube * (2 / 3)

@@ -255,10 +255,16 @@ def test_a_tool_in_a_bed_gives_numbers_with_their_order(tmp_path, tests):
     small = Preset("small", 150, 0.2, 0.2, 1)
     work = campaign(lab, small, tmp_path, Silent())
     soils = [replace(base_soil(lab), static_friction=np.asarray(mu)) for mu in (0.05, 0.9)]
-    found = [simulate(lab, small, soil, 0, work)[0]["observables"] for soil in soils]
+    results = [simulate(lab, small, soil, 0, work)[0] for soil in soils]
+    found, quality = [each["observables"] for each in results], results[1]["quality"]
     (wanted,) = lab.targets
     assert 0 < found[0][wanted] < found[1][wanted]
     assert all(np.isfinite(value) for value in found[1].values())
+    assert (0 < quality["inertial_number"] < 1) if tests != REPOSE else True
+    width = getattr(lab.tests[0], "diameter", None)
+    assert quality.get("tool_across") == (
+        None if width is None else pytest.approx(width / 0.06 * quality["spheres_across"])
+    )
 
 
 def test_shear_tests_together_give_cohesion_and_friction():

@@ -448,7 +448,9 @@ def test_a_run_of_an_earlier_cache_states_its_resolution(tmp_path):
 
 def test_few_spheres_across_are_said():
     assert "4.6 spheres across" in coarse({"spheres_across": 4.6})
-    assert coarse({"spheres_across": 8.0}) == coarse({}) == ""
+    assert coarse({"spheres_across": 8.0, "tool_across": 5.0}) == coarse({}) == ""
+    both = coarse({"spheres_across": 7.0, "tool_across": 2.5})
+    assert "specimen is 7.0" in both and "tool is 2.5 spheres across, below 5" in both
 
 
 def test_a_session_in_single_precision_simulates_in_it(tmp_path):

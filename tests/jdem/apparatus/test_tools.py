@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jdem.apparatus.base import TORQUE, Channel, machine_segment, numbered
+from jdem.apparatus.base import TORQUE, Channel, Gauged, machine_segment, numbered
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.penetration import (
     MeanPressure,
@@ -102,6 +102,17 @@ def squeezed(stroke):
 @pytest.fixture(scope="module")
 def pressed():
     return one_sphere((squeezed(4e-5),))
+
+
+def test_the_inertial_number_of_a_tool_is_that_of_the_soil_it_shears():
+    """A plate at 0.5 mm/s, 20 mm wide: 0.025 1/s; the first gauge's pressure."""
+    plain = squeezed(1e-3)
+    assert plain.sheared({"cone_index": 5e3}, 1e-3) is None
+    known = replace(plain, width=0.02)
+    assert known.sheared({"cone_index": 5e3}, 1e-3) == (pytest.approx(0.025), 5e3)
+    gauged = Gauged.of(known.at_rate(2.0), ())
+    assert gauged.width == 0.02
+    assert gauged.sheared({"cone_index": 5e3}, 1e-3)[0] == pytest.approx(0.05)
 
 
 HERTZ = 4 / 3 * 12e6 / 0.7 * np.sqrt(RADIUS)  # N/m^1.5 of a sphere on a plane
