@@ -129,6 +129,16 @@ class Observable:
 
 
 @dataclass(frozen=True)
+class Recorded:
+    """What a test records beside its curve: `source` is its name in the apparatus, `name` in
+    results, which ends in its unit, and `scale` takes it there from SI."""
+
+    source: str
+    name: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
 class Pace:
     """How a simulation moves: platen speeds (m/s) with the specimen in its mould, and free; the
     time (s) between samples."""
@@ -168,7 +178,7 @@ class AbstractLabTest(AbstractTable):
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
     further: what is read off its curve as well where a target asks for it; axes: what its curve's
-    columns are, for figures; plain: its table may
+    columns are, for figures; channels: what is recorded beside them; plain: its table may
     stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
     says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
     in_mould: a tool's, which needs the soil in its mould, leaves it disturbed, and follows no
@@ -180,6 +190,7 @@ class AbstractLabTest(AbstractTable):
     observables: ClassVar[tuple[Observable, ...]]
     further: ClassVar[tuple[Observable, ...]] = ()
     axes: ClassVar[tuple[str, str]] = AXES
+    channels: ClassVar[tuple[Recorded, ...]] = ()
     plain: ClassVar[bool] = False
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from calibrate.labtests.ball import BallTest
-from calibrate.labtests.base import AbstractLabTest, Observable
+from calibrate.labtests.base import AbstractLabTest, Observable, Recorded
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.machine import MachineTest
@@ -34,6 +34,7 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
 }  # fmt: skip
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
 OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.every()}  # by source
+CHANNELS = {c.source: c for kind in TYPES.values() for c in kind.channels}  # by source
 BY_NAME = {o.name: o for o in OBSERVABLES.values()}
 
 # Of observables, given as (test, source): names in results, and factors there.
@@ -64,6 +65,11 @@ def names_of(tests: Iterable[AbstractLabTest]) -> Called:
 def names_observed(tests: Iterable[AbstractApparatus]) -> Called:
     """The same for virtual tests."""
     return names((test.name, source) for test in tests for source in test.observables)
+
+
+def channel(source: str) -> Recorded:
+    """What a recorded channel is called in results; one that no type of test knows stays in SI."""
+    return CHANNELS.get(source, Recorded(source, source))
 
 
 def described(name: str) -> Observable:

@@ -16,7 +16,7 @@ from pydantic import model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed, Stress, required
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Shown
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded, Shown
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.unconfined import still_rises
 from jdem.apparatus.base import AbstractApparatus
@@ -47,6 +47,11 @@ class DirectShearTest(AbstractLabTest):
     title = "direct shear"
     observables = (PEAK, RESIDUAL, ON_PLANE)
     axes = ("shear displacement (mm)", "shear force (N)")
+    channels = (
+        Recorded("plane_force", "plane_force_n"),
+        Recorded("lid_force", "lid_force_n"),
+        Recorded("lid_height", "lid_height_mm", 1e3),
+    )
     shape = "softens"
     in_mould = True
 

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded
 from calibrate.labtests.measured import Cylinder
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.penetration import (
@@ -65,6 +65,7 @@ class ConeTest(AbstractLabTest):
     title = "cone penetration"
     observables = (CONE_INDEX,)
     axes = ("depth of the cone's base (mm)", "force on the cone (N)")
+    channels = (Recorded("shaft", "shaft_force_n"),)
     shape = "stiffens"
     in_mould = True
 

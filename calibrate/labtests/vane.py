@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Rotation, Speed
 from calibrate.core.units import ROTATION, STRESS, TORQUE, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.penetration import DEPTH, PUSHED, TOOL, check_room
 from jdem.apparatus.base import AbstractApparatus
@@ -45,6 +45,10 @@ class VaneTest(AbstractLabTest):
     title = "vane shear"
     observables = (PEAK, RESIDUAL, STRENGTH)
     axes = ("way of the blades' rim (mm)", "force at the rim (N)")
+    channels = (
+        Recorded("angle", "angle_deg", math.degrees(1.0)),
+        Recorded("torque", "torque_mnm", 1e3),
+    )
     shape = "softens"
     in_mould = True
 

@@ -134,13 +134,14 @@ class JointCampaign:
     def _joined(self, together: Sequence[Run]) -> Run:
         """The runs of one soil on all specimens as one."""
         called = names_observed(self.apparatus)
-        observables, curves = {}, {}
+        observables, curves, channels = {}, {}, {}
         for part, run in zip(self.all, together, strict=True):
             for which, (name, _) in names_observed(part.apparatus).items():
                 observables[called[which][0]] = run.observables[name]
             curves |= run.curves
+            channels |= run.channels
         failures = [run.failure for run in together if run.failure]
-        return Run(observables, curves, _worst(together), "; ".join(failures))
+        return Run(observables, curves, _worst(together), "; ".join(failures), channels)
 
 
 def _worst(together: Sequence[Run]) -> dict[str, float]:

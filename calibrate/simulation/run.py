@@ -4,14 +4,15 @@ A failure is one sentence that names the cause: a contact list that was too smal
 that was too large, a number that is not finite, a soil too soft to test, a machine that gave up.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from calibrate.labtests.composite import names_observed
+from calibrate.labtests.composite import channel, names_observed
 from jdem.engine.bed import reach_of
 from jdem.engine.segment import CELL
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
@@ -44,13 +45,15 @@ class Run:
     """One finished simulation in the units of the observables.
 
     Curves by test are arrays (points, 2) of displacement (mm) and force (N).  `failure` is empty
-    or one sentence; a failed run keeps its place and its numbers.
+    or one sentence; a failed run keeps its place and its numbers.  channels, by test and name with
+    unit, are (points,): what the test records beside its curve.
     """
 
     observables: dict[str, float]
     curves: dict[str, np.ndarray]
     quality: dict[str, float]
     failure: str = ""
+    channels: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
 Soils = Sequence[SoilParameters]
@@ -99,6 +102,11 @@ def summary(
         curves={name: points_of(curve) for name, curve in outcome.curves.items()},
         quality=quality,
         failure=_failure(lab, packing, soil, outcome),
+        channels={
+            name: _channels_of(outcome.curves[name], found)
+            for name, found in outcome.channels.items()
+            if found
+        },
     )
 
 
@@ -217,6 +225,13 @@ def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
     if not all(np.isfinite(leaf) for leaf in jax.tree.leaves(outcome.observables)):
         return "a number of the result is not finite: the tests took an unforeseen course"
     return ""
+
+
+def _channels_of(curve: Curve, found: Mapping[str, Array]) -> dict[str, np.ndarray]:
+    """What was recorded at the rows that count, by name with unit."""
+    rows = np.asarray(curve.valid) > 0
+    called = {channel(source): values for source, values in found.items()}
+    return {c.name: (c.scale * np.asarray(v))[rows].astype(float) for c, v in called.items()}
 
 
 def points_of(curve: Curve) -> np.ndarray:

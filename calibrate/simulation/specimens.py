@@ -185,9 +185,10 @@ def rates_json(work: AbstractCampaign) -> dict:
 
 
 def curves_json(run: Run) -> dict:
-    """A run's curves as lists."""
+    """A run's curves as lists, with what was recorded beside them."""
     return {
         name: {"displacement_mm": curve[:, 0].tolist(), "force_n": curve[:, 1].tolist()}
+        | {channel: values.tolist() for channel, values in run.channels.get(name, {}).items()}
         for name, curve in run.curves.items()
     }
 

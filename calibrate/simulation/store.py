@@ -34,6 +34,7 @@ from calibrate.simulation.run import Run
 from jdem.packing.specimen import Packing, load, save
 
 NETCDF = "h5netcdf"
+BESIDE = "|"  # between the names of a test and of what it records; no name of a test has it
 OBSERVED = "observable "  # before the names of observables among an entry's attributes
 POLL = 0.2  # s between looks at a lock that another process holds
 ABANDONED = 3600.0  # s; a part file older than this has no writer any more
@@ -194,8 +195,14 @@ def _explained(folder: Path) -> Iterator[None]:
 def _bytes_of(run: Run) -> bytes:
     import xarray as xr  # a second, which what simulates nothing does without
 
+    curves = {name: ((f"{name}_point", "column"), curve) for name, curve in run.curves.items()}
+    beside = {
+        f"{name}{BESIDE}{channel}": ((f"{name}_point",), values)
+        for name, found in run.channels.items()
+        for channel, values in found.items()
+    }
     data = xr.Dataset(
-        {name: ((f"{name}_point", "column"), curve) for name, curve in run.curves.items()},
+        curves | beside,
         coords={"column": ["displacement_mm", "force_n"]},
         attrs={
             **{f"{OBSERVED}{name}": value for name, value in run.observables.items()},
@@ -215,11 +222,17 @@ def _run_of(content: bytes, had_seal: bool) -> Run:
         pass  # what HDF5 cannot open makes h5netcdf complain on standard error
     with xr.open_dataset(io.BytesIO(content), engine=NETCDF) as data:
         attributes = {str(k): v for k, v in data.attrs.items()}
-        curves = {str(name): np.array(values.values) for name, values in data.items()}
+        stored = {str(name): np.array(values.values) for name, values in data.items()}
     if attributes.pop("sealed", 0.0) and not had_seal:
         raise ValueError("the seal is gone")
     failure = str(attributes.pop("failure"))
     observed = [name for name in attributes if name.startswith(OBSERVED)]
     observables = {n.removeprefix(OBSERVED): float(attributes.pop(n)) for n in observed}
     quality = {name: float(value) for name, value in attributes.items()}
-    return Run(observables, curves, quality, failure)
+    curves = {name: values for name, values in stored.items() if BESIDE not in name}
+    channels: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in stored.items():
+        test, there, channel = name.partition(BESIDE)
+        if there:
+            channels.setdefault(test, {})[channel] = values
+    return Run(observables, curves, quality, failure, channels)

@@ -63,6 +63,11 @@ class SimulationResult(AbstractDrawnResult):
         return [run.curves for run in self.runs]
 
     @property
+    def channels(self) -> list[dict[str, dict[str, np.ndarray]]]:
+        """Of each packing what tests record beside their curves, by test and name with unit."""
+        return [run.channels for run in self.runs]
+
+    @property
     def failures(self) -> list[str]:
         """Why packings failed; empty where none did."""
         return self.content["failures"]

@@ -97,7 +97,8 @@ class VaneShear(AbstractApparatus):
         at_rim = replace(
             curve, displacement=curve.displacement * self.rim, force=curve.force / self.rim
         )
-        return Reading(at_rim, found, jnp.isfinite(peak))
+        turned = {"angle": curve.displacement, "torque": curve.force}
+        return Reading(at_rim, found, jnp.isfinite(peak), turned)
 
     @property
     def observables(self) -> tuple[str, ...]:

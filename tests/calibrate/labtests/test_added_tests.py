@@ -261,6 +261,19 @@ def test_a_tool_in_a_bed_gives_numbers_with_their_order(tmp_path, tests):
     assert 0 < found[0][wanted] < found[1][wanted]
     assert all(np.isfinite(value) for value in found[1].values())
     assert (0 < quality["inertial_number"] < 1) if tests != REPOSE else True
+    ((_, curve),) = results[1]["curves"].items()
+    beside = set() if tests == CONE else {c.name for c in lab.tests[0].channels}  # without shaft
+    assert {*curve} == {"displacement_mm", "force_n"} | beside
+    assert len({len(column) for column in curve.values()}) == 1
+    if tests == VANE:  # D = 20 mm
+        np.testing.assert_allclose(curve["torque_mnm"], 10 * np.array(curve["force_n"]))
+        way = np.radians(curve["angle_deg"]) * 10
+        np.testing.assert_allclose(way, curve["displacement_mm"], atol=1e-9)
+    if tests == SHEAR:
+        peak = int(np.argmax(curve["force_n"]))
+        assert curve["plane_force_n"][peak] == pytest.approx(
+            found[1]["plane_stress_kpa"] * np.pi / 4 * 60**2 / 1e3, rel=0.1
+        )
     width = getattr(lab.tests[0], "diameter", None)
     assert quality.get("tool_across") == (
         None if width is None else pytest.approx(width / 0.06 * quality["spheres_across"])

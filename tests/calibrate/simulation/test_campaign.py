@@ -30,7 +30,7 @@ from calibrate.simulation import NETCDF, compiled, side_by_side, store
 from calibrate.simulation.batches import InBatches, _Queue
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.session import Session, place_of
-from calibrate.simulation.specimens import coarse, simulation_json
+from calibrate.simulation.specimens import coarse, curves_json, simulation_json
 from calibrate.simulation.store import LENGTH, sealed, unsealed
 from tests import ROOT
 from tests.support.formulas import BASE, tiny_campaign
@@ -444,6 +444,18 @@ def test_a_run_of_an_earlier_cache_states_its_resolution(tmp_path):
     assert again.quality["spheres_across"] == pytest.approx(across / diameter)
     porosity = 1 - solid / (np.pi / 4 * across**2 * height)
     assert again.quality["porosity"] == pytest.approx(porosity)
+
+
+def test_what_a_test_records_beside_its_curve_is_kept(tmp_path):
+    work = toy_campaign(tmp_path)
+    (run,) = work.runs(soils(1), [0], "run")[0]
+    key, (test, *_) = work.key(soils(1)[0], 0), run.curves
+    beside = {test: {"lid_force_n": np.arange(float(len(run.curves[test])))}}
+    work.store.keep_run(key, replace(run, channels=beside))
+    (again,) = work.runs(soils(1), [0], "run")[0]
+    assert {*again.curves} == {*run.curves} and {*again.channels} == {test}
+    np.testing.assert_array_equal(again.channels[test]["lid_force_n"], beside[test]["lid_force_n"])
+    assert curves_json(again)[test]["lid_force_n"][1] == 1.0
 
 
 def test_few_spheres_across_are_said():

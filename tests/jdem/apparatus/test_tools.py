@@ -10,6 +10,7 @@ import pytest
 
 from jdem.apparatus.base import TORQUE, Channel, Gauged, machine_segment, numbered
 from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.direct_shear import DirectShear, round_box
 from jdem.apparatus.penetration import (
     MeanPressure,
     Penetration,
@@ -78,7 +79,7 @@ def test_a_line_needs_two_points_on_its_side_of_the_axis():
 # ---------------------------------------------------------------- one sphere under a tool
 
 
-def one_sphere(test, height=0.02):
+def one_sphere(test, height=0.02, soil=PLAIN):
     """A sphere on the base of a wide mould, and what a test finds."""
     mass = 1830 * 4 / 3 * np.pi * RADIUS**3
     spheres = Spheres(jnp.asarray([RADIUS]), jnp.asarray([mass]))
@@ -86,7 +87,7 @@ def one_sphere(test, height=0.02):
     specimen = Specimen(diameter=0.06, height=height, count=64, porosity=0.4)
     numerics = Numerics(sample_time=2e-4, smoothing=Smoothing.sharp())
     lab = VirtualLab.of(specimen, TestSequence(test), numerics)
-    return eqx.filter_jit(VirtualLab.run)(lab, packing, PLAIN)
+    return eqx.filter_jit(VirtualLab.run)(lab, packing, soil)
 
 
 def squeezed(stroke):
@@ -137,6 +138,28 @@ def test_a_plate_on_one_sphere_follows_hertz(pressed):
     half = np.interp(2e-5, way, force) / area
     assert float(found["sinkage_pressure"]) == pytest.approx(half, rel=0.02)
     assert not bool(pressed.failed)
+
+
+@pytest.mark.parametrize(("rolling", "slides"), [(5.0, True), (0.1, False)])
+def test_a_box_reads_the_friction_of_a_block_and_the_resistance_of_a_roller(rolling, slides):
+    """One sphere between floor and lid, N on it.  If it cannot roll, it slides as a block: mu N.
+    Else both moments mu_r N R turn about arms R - d, d the overlap after Hertz:
+    T = mu_r N R/(R - d)."""
+    friction, force, travel = 0.3, 2.0, 1e-3
+    area = np.pi / 4 * 0.06**2
+    halves = round_box(0.06, 2 * RADIUS, RADIUS, 1e-3, 2 * travel)
+    box = DirectShear(
+        *halves, area=area, normal_force=force, stroke=travel, servo_width=0.15 * force, name="box"
+    )
+    of_walls = dict.fromkeys(("platen_friction", "wall_friction"), friction)
+    soil = replace(PLAIN, static_friction=friction, rolling_friction=rolling, **of_walls)
+    outcome = one_sphere((box,), 2 * RADIUS, soil)
+    overlap = (force / HERTZ) ** (2 / 3)
+    rolled = rolling * force * RADIUS / (RADIUS - overlap)
+    found = {name: float(x) * area for name, x in outcome.observables["box"].items()}
+    expected = friction * force if slides else rolled
+    assert found["residual_shear_stress"] == pytest.approx(expected, rel=2e-3)
+    assert found["plane_stress"] == pytest.approx(force + WEIGHT, rel=1e-3)
 
 
 def test_what_pushes_is_what_the_base_feels(pressed):
