@@ -88,6 +88,9 @@ def markdown(audits: dict[str, dict], spheres: int, packings: int, origin: dict)
         "packings a seed. Slopes per unit of ln p with standard errors. Passed: the reference's "
         "sign, within 15 % (H, mm) or 25 % (F, N) of it; slopes below three standard errors are "
         "not judged. What fits move alone is moved as in the reference, so it agrees.\n\n"
+        "The reference is a regression over steps of 20 %. Beside the library's slope at the point "
+        "stands its own regression over the same steps: it tells a response that bends from a "
+        "wrong one.\n\n"
     )
     sections = [_section(name, audits, packings) for name in STRATEGIES]
     return begin + "\n".join(sections) + reporting.footer(origin)
@@ -134,7 +137,8 @@ def pooled(audits: list[list[dict]]) -> list[dict]:
             f"{key}_se": float(np.sqrt(np.sum([row[f"{key}_se"] ** 2 for row in rows]))) / len(rows)
             for key in means
         }
-        named = {key: rows[0][key] for key in ("parameter", "observable")}
+        same = ("parameter", "observable", "chord")  # the library's does not know packings
+        named = {key: rows[0][key] for key in same if key in rows[0]}
         found.append(judged({**named, **means, **errors}))
     return found
 
@@ -148,11 +152,22 @@ def _table(found: list[dict]) -> str:
             f"{row['estimate']:.3g} ± {row['estimate_se']:.2g}",
             f"{100 * row['relative_error']:+.0f} %" if row["judged"] else "",
             _word(row),
+            *_over_the_steps_of(row),
         ]
         for row in sorted(found, key=lambda row: not row["judged"])
     ]
-    header = ("parameter", "of", "reference", "estimate", "differs by", "verdict")
-    return reporting.table(header, rows)
+    header = ["parameter", "of", "reference", "estimate", "differs by", "verdict"]
+    further = ["over the steps", "this differs by"] if "chord" in found[0] else []
+    return reporting.table([*header, *further], rows)
+
+
+def _over_the_steps_of(row: dict) -> list[str]:
+    """The library's own regression, and by how much it differs; empty of other strategies."""
+    if "chord" not in row:
+        return []
+    off = row["chord"] / row["reference"] - 1
+    known = row["judged"] and np.isfinite(row["chord"])
+    return [f"{row['chord']:.3g}", f"{100 * off:+.0f} %" if known else ""]
 
 
 def _word(row: dict) -> str:
@@ -172,15 +187,17 @@ def other_soils(count: int) -> list[dict[str, float]]:
     return [dict(zip(question.space.names, np.exp(row).tolist(), strict=True)) for row in logs]
 
 
+def _with_chords(rows: list[dict], chords: list[list[float]]) -> list[dict]:
+    """Rows of the library with its regressions (m, p)."""
+    places = np.ndindex(np.shape(chords))
+    return [{**row, "chord": chords[m][p]} for (m, p), row in zip(places, rows, strict=True)]
+
+
 def rows_of_other(values: dict[str, float], seeds: range, spheres: int, folder: Path) -> list[dict]:
     """The audit's rows of one soil that can be judged, with the library's regression."""
     base = with_values(base_soil(load_lab(bundled_lab())), values)
     found, chords = audited(spheres, seeds, folder, [RESPONSE], base)
-    rows = [
-        {**row, "chord": chords[m][p]}
-        for (m, p), row in zip(np.ndindex(np.shape(chords)), found.rows(RESPONSE), strict=True)
-    ]
-    return [row for row in rows if row["judged"]]
+    return [row for row in _with_chords(found.rows(RESPONSE), chords) if row["judged"]]
 
 
 def markdown_of_others(soils: list[dict], spheres: int, packings: int, origin: dict) -> str:
@@ -265,8 +282,10 @@ def main() -> None:
     audits: dict[str, dict] = {}
     for seed in chosen.seeds:
         seeds = range(100 * seed, 100 * seed + chosen.packings)
-        found, _ = audited(chosen.spheres, seeds, chosen.folder, list(STRATEGIES))
+        found, chords = audited(chosen.spheres, seeds, chosen.folder, list(STRATEGIES))
         whole = audit_json(found)
+        library = whole["strategies"][RESPONSE]
+        library["rows"] = _with_chords(library["rows"], chords)
         audits[str(seed)] = {name: part for name, part in whole.items() if name != "curves"}
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, whole)
