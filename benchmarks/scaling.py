@@ -1,0 +1,137 @@
+"""How the time of a step and the memory grow with the number of spheres, up to 200,000.
+
+Spheres of one size stand on a cubic lattice, pressed together by half a per cent, so that each has
+six neighbours, as in soil; they fill a cylinder as high as wide, and swing a little under gravity.
+Their numbers follow space, or are shuffled, as those of a grown bed are.  Each bed runs in a
+process of its own for so many steps that it takes some seconds; the second of two runs is timed, by
+the processor's clock, with the lists rebuilt as often as in a test.
+
+    python benchmarks/scaling.py                      some five minutes of a core
+    python benchmarks/scaling.py --spheres 2000 50000
+
+Writes a section of benchmarks/results/README.md.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import reporting
+from speed import SOIL, TIME_STEP, compiled_run, vector
+
+from jdem.bodies.spheres import Spheres
+from jdem.core.quantity import cast
+from jdem.engine.bed import Numerics, build_bed, plan_grid
+from jdem.engine.loop import start
+from jdem.engine.segment import cell_segment, stack
+
+COUNTS = (500, 2000, 10_000, 50_000, 100_000, 200_000)
+RADIUS, PRESSED = 2.5e-3, 0.995  # m; pitch of the lattice over the diameter
+WORK = 4e7  # particle-steps of a run
+EVERY = 16  # steps in a sampling interval
+HEADER = ("spheres", "order", "processor time of a step (ms)", "per sphere and step (ns)",
+          "contacts of a sphere", "memory (GiB)")  # fmt: skip
+
+
+def lattice(count: int, shuffled: bool) -> tuple[np.ndarray, float]:
+    """Centres (N, 3) of about so many spheres in a cylinder, and its radius, m."""
+    pitch = 2 * RADIUS * PRESSED
+    side = int(np.ceil((4 * count / np.pi) ** (1 / 3)))
+    grid = np.stack(np.meshgrid(*3 * [np.arange(side)], indexing="ij"), -1).reshape(-1, 3)
+    across = grid[:, :2] - (side - 1) / 2
+    inside = grid[np.hypot(*across.T) <= side / 2]
+    centres = (inside - [(side - 1) / 2, (side - 1) / 2, 0.0]) * pitch + [0, 0, PRESSED * RADIUS]
+    if shuffled:
+        np.random.default_rng(0).shuffle(centres)
+    return centres, (side / 2 + 1) * pitch
+
+
+def measured(count: int, shuffled: bool) -> dict:
+    """One bed in this process."""
+    centres, mould = lattice(count, shuffled)
+    spheres, dtype = len(centres), "float64"
+    height = float(centres[:, 2].max()) + PRESSED * RADIUS
+    extent = (2 * mould, 1.2 * height)
+    grid = plan_grid(spheres, RADIUS, RADIUS, extent, Numerics(wall_layer=9.0))
+    mass = np.full(spheres, 1830 * 4 / 3 * np.pi * RADIUS**3)
+    bodies = Spheres(jnp.full(spheres, RADIUS), jnp.asarray(mass))
+    bed = build_bed(bodies, SOIL, grid, Numerics(), jnp.asarray(TIME_STEP))
+    state = cast(start(bed, vector(centres), height, mould), jnp.dtype(dtype))
+    intervals = int(np.clip(WORK / spheres / EVERY, 4, 400))
+    still = cell_segment(damping=200.0, duration=(intervals - 0.5) * EVERY * TIME_STEP)
+    programme = cast(stack([still]), jnp.dtype(dtype))
+    compiled = compiled_run(bed, state, programme, EVERY, intervals)
+    record = jax.block_until_ready(compiled(bed, state, programme, jnp.asarray(EVERY)))
+    if bool(record.overflow_of(grid)):
+        raise SystemExit(record.explain_overflow(grid))
+    begun = time.process_time()
+    jax.block_until_ready(compiled(bed, state, programme, jnp.asarray(EVERY)))
+    spent = time.process_time() - begun
+    touching = float(np.sum(np.asarray(record.state.pairs.alive)))
+    return {
+        "spheres": spheres,
+        "order": "shuffled" if shuffled else "space",
+        "step_s": spent / (intervals * EVERY),
+        "contacts": 2 * touching / spheres,
+        "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def markdown(rows: list[dict], origin: dict) -> str:
+    """A row for each bed, then the power of the number of spheres."""
+    cells = [
+        [
+            f"{row['spheres']}", row["order"], f"{1e3 * row['step_s']:.3g}",
+            f"{1e9 * row['step_s'] / row['spheres']:.0f}", f"{row['contacts']:.1f}",
+            f"{row['memory_gib']:.2f}",
+        ]
+        for row in rows
+    ]  # fmt: skip
+    said = "".join(f"- {sentence}\n" for sentence in _powers(rows))
+    return (
+        "## Scaling\n\nOne process on one core; spheres on a lattice, listed neighbours counted as "
+        "contacts.\n\n" + reporting.table(HEADER, cells) + "\n" + said + reporting.footer(origin)
+    )
+
+
+def _powers(rows: list[dict]) -> list[str]:
+    found = []
+    for order in ("shuffled", "space"):
+        own = [row for row in rows if row["order"] == order]
+        if len(own) > 2:
+            counts, steps = (np.log([row[k] for row in own]) for k in ("spheres", "step_s"))
+            power = np.polyfit(counts, steps, 1)[0]
+            found.append(f"Numbered by {order}: the time of a step grows as N^{power:.2f}.")
+    return found
+
+
+def main() -> None:
+    plain = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
+    parser.add_argument("--spheres", nargs="+", type=int, default=list(COUNTS))
+    parser.add_argument("--orders", nargs="+", default=["shuffled", "space"])
+    parser.add_argument("--one", action="store_true", help="the first bed, as JSON")
+    chosen = parser.parse_args()
+    reporting.configure()
+    if chosen.one:
+        found = measured(chosen.spheres[0], chosen.orders[0] == "shuffled")
+        return print(json.dumps(found))
+    rows = []
+    for count in chosen.spheres:
+        for order in chosen.orders:
+            asked = [sys.executable, __file__, "--one", "--spheres", str(count), "--orders", order]
+            done = subprocess.run(asked, check=True, capture_output=True, text=True)
+            rows.append(json.loads(done.stdout.splitlines()[-1]))
+            print(rows[-1], flush=True)
+    origin = reporting.provenance()
+    reporting.write("scaling", {**origin, "rows": rows}, markdown(rows, origin))
+
+
+if __name__ == "__main__":
+    main()
