@@ -23,7 +23,8 @@ from calibrate.core.files import write_text
 from jdem.physics import PHYSICS
 from verification.quick import faults
 from verification.reporting import ROOT, Row, Script, table
-from verification.rows import README, ROWS, SCRIPTS
+from verification.rows import README, ROWS
+from verification.scripts import SCRIPTS
 
 HEADER = ("row", "page", "state", "made with physics", "on", "what the page says", "holds if",
           "script")  # fmt: skip

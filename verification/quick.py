@@ -27,7 +27,8 @@ from calibrate.io.lab import bundled_lab, load_lab
 from studies.liggghts import export_contact
 from verification import convergence, prior, recovery, reporting, resolution
 from verification.reporting import ROOT, Cell, Row
-from verification.rows import ROWS, SCRIPTS
+from verification.rows import ROWS
+from verification.scripts import SCRIPTS
 
 ERRORS = 3.0  # standard errors that a mean may differ by
 SPHERES, SPECIMENS = 500, 4

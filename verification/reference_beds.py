@@ -344,7 +344,7 @@ def main() -> None:
     for test, law in known():
         if (test in chosen.tests and law in chosen.laws) or _is_kept(test, law, reporting.CACHE):
             rows += rows_of(test, law)
-            reporting.write_page("reference_beds", markdown(rows, reporting.provenance()))
+            reporting.write_section("reference_beds", markdown(rows, reporting.provenance()))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """Sentences with measured numbers, what makes their numbers, and when they hold.
 
-`verification.__main__` makes them again, `verification.quick` repeats smaller forms.  Costs are
-minutes of one core from nothing."""
+`verification.__main__` makes them again with `verification.scripts`, `verification.quick` repeats
+smaller forms."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from verification.reporting import NUMBER, Cell, Numbers, Row, Script, only
+from verification.reporting import NUMBER, Cell, Numbers, Row, only
 
 README, SURE = "README.md", "docs/howto/how-sure.md"
 
@@ -36,57 +36,6 @@ PUBLISHED = "at most the publication's errors, 2.8 and 3.7 %, the force with a s
 def _as_published(n: Numbers) -> bool:
     return 0 <= n["depth"] <= 2.8 and 0 <= n["force"] <= 3.7 + min(n["error"], 3.0)
 
-
-RUN = "python -m verification."
-SCRIPTS = {
-    "export_contact": Script(
-        ("python -m studies.liggghts.export_contact",), 4, "export_contact", "",
-        "studies", needs=("liggghts", "yade"),
-    ),
-    "fuzz": Script((RUN + "fuzz",), 5, "reliability", "Malformed files", physics=False),
-    "convergence": Script((RUN + "convergence --packings 8",), 5, "convergence"),
-    "again": Script(
-        (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
-    ),
-    "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
-    "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
-    "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
-    "prior": Script((RUN + "prior",), 12, "prior"),
-    "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4"), 90, "audit"),
-    "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
-    "designs": Script((RUN + "designs",), 40, "designs"),
-    "kills": Script((RUN + "kills",), 40, "reliability", "Kills at random moments", physics=False),
-    "tangents": Script((RUN + "tangents",), 40, "tangents", "Growth of derivatives"),
-    "made_lab": Script((RUN + "made_lab",), 50, "made_lab"),
-    "calibration": Script((RUN + "calibration",), 50, "calibration"),
-    "resolution": Script((RUN + "resolution",), 50, "resolution", "Resolution"),
-    "whole_curves": Script((RUN + "whole_curves",), 50, "whole_curves"),
-    "recovery": Script((RUN + "recovery",), 60, "recovery"),
-    "sound_soils": Script((RUN + "sound_soils",), 60, "posterior", "Sound soils"),
-    "overdamped": Script(
-        tuple(f"{RUN}overdamped --spheres {n} --packings 8 --seed {seed}"
-              for n, seeds in ((500, (31, 41, 43, 44)), (1000, (42, 45))) for seed in seeds),
-        120, "overdamped",
-    ),
-    "fresh_packings": Script(
-        tuple(f"{RUN}fresh_packings --soils {soil} --seeds {seeds}"
-              for soil, seeds in (("wheat_after_rice", "0 1 2"), ("trumao", "0"))),
-        130, "fresh_packings",
-    ),
-    "sizes": Script(
-        (
-            RUN + "sizes --ways both",
-            RUN + "sizes --starts base --ways large small",
-            RUN + "sizes --soils wheat_after_rice --starts 'stiff, strong' --ways large",
-        ),
-        190, "sizes",
-    ),
-    "hidden_soils": Script((RUN + "hidden_soils",), 240, "posterior", "Hidden soils"),
-    "codes": Script(
-        ("python -m studies.liggghts.codes --soils wheat_after_rice trumao strong",),
-        240, "codes", "", "studies", needs=("liggghts",),
-    ),
-}  # fmt: skip
 
 WHEAT, TRUMAO = {"soil": "wheat_after_rice"}, {"soil": "trumao"}
 DEPTH, FORCE = {"observable": "depression depth (mm)"}, {"observable": "crushing force (N)"}
@@ -119,6 +68,10 @@ def _diagnosis(question: str, part: int = 0, column: str = "found") -> Cell:
 def _slope(of: str, parameter: str | re.Pattern, how=_largest) -> Cell:
     sets = {"under": re.compile(".*[Aa]s fits take them"), "after": re.compile("Packings of seed")}
     return Cell("audit", "differs by", {**sets, "of": of, "parameter": parameter}, how=how)
+
+
+def _hidden(line: str, part: int = 0) -> Cell:
+    return Cell("posterior", line=line, part=part)
 
 
 def _curve(test: str, part: int = 0, column: str = "error") -> Cell:
@@ -232,6 +185,25 @@ ROWS = (
         ("From three starts, all {inside:.0f} intervals contained the hidden value",),
         "recovery", {"inside": Cell("recovery", "hidden", {"inside": "yes"}, how=len)},
         "at least 17 of 18", lambda n: n["inside"] >= 17,
+    ),
+    Row(
+        "hidden soils", SURE,
+        ("All {met:.0f} fits met both numbers, with at most {runs:.0f} simulations",
+         "depth was off by {depth:.1f} % (middle; at most {depths:.1f} %) and the force by "
+         "{force:.1f} % (at most {forces:.1f} %)",
+         "90 % intervals hold {held:.0f} % of the hidden parameters"),
+        "hidden_soils",
+        {
+            "met": _hidden(r"(\d+) of 20 fits meet both numbers"),
+            "runs": _hidden(r"at most (\d+) runs come before"),
+            **{name: _hidden(rf"off by ({NUMBER}) and ({NUMBER}) % in {of}", part)
+               for part, of, name in (
+                   (0, "depression", "depth"), (1, "depression", "depths"),
+                   (0, "crushing", "force"), (1, "crushing", "forces"))},
+            "held": _hidden(r"any parameter in (\d+) %"),
+        },
+        "20 fits meet both, depth within 2.8 %, force within 12 %, at least 82 % held",
+        lambda n: n["met"] == 20 and n["depths"] <= 2.8 and n["forces"] <= 12 and n["held"] >= 82,
     ),
     Row(
         "slopes of fits", SURE,

@@ -12,7 +12,8 @@ from tests import ROOT
 from verification import __main__ as engine
 from verification import quick, reference_beds, reporting
 from verification.reporting import Cell, Row, Script
-from verification.rows import README, ROWS, SCRIPTS, SURE
+from verification.rows import README, ROWS, SURE
+from verification.scripts import SCRIPTS
 
 NAMES = [row.name for row in ROWS]
 PAGES = ("README.md", "docs/howto/how-sure.md", "docs/howto/how-long.md", "docs/doe.md",

@@ -1,0 +1,61 @@
+"""The scripts that make numbers of pages: their commands, what they cost, and where they write.
+
+Costs are minutes of one core from nothing."""
+
+from verification.reporting import Script
+
+RUN = "python -m verification."
+SCRIPTS = {
+    "export_contact": Script(
+        ("python -m studies.liggghts.export_contact",), 4, "export_contact", "",
+        "studies", needs=("liggghts", "yade"),
+    ),
+    "fuzz": Script((RUN + "fuzz",), 5, "reliability", "Malformed files", physics=False),
+    "convergence": Script((RUN + "convergence --packings 8",), 5, "convergence"),
+    "again": Script(
+        (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
+    ),
+    "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
+    "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
+    "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
+    "prior": Script((RUN + "prior",), 12, "prior"),
+    "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4"), 90, "audit"),
+    "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
+    "designs": Script((RUN + "designs",), 40, "designs"),
+    "kills": Script((RUN + "kills",), 40, "reliability", "Kills at random moments", physics=False),
+    "tangents": Script((RUN + "tangents",), 40, "tangents", "Growth of derivatives"),
+    "made_lab": Script((RUN + "made_lab",), 50, "made_lab"),
+    "calibration": Script((RUN + "calibration",), 50, "calibration"),
+    "resolution": Script((RUN + "resolution",), 50, "resolution", "Resolution"),
+    "whole_curves": Script((RUN + "whole_curves",), 50, "whole_curves"),
+    "recovery": Script((RUN + "recovery",), 60, "recovery"),
+    "sound_soils": Script((RUN + "sound_soils",), 60, "posterior", "Sound soils"),
+    "overdamped": Script(
+        tuple(f"{RUN}overdamped --spheres {n} --packings 8 --seed {seed}"
+              for n, seeds in ((500, (31, 41, 43, 44)), (1000, (42, 45))) for seed in seeds),
+        120, "overdamped",
+    ),
+    "fresh_packings": Script(
+        tuple(f"{RUN}fresh_packings --soils {soil} --seeds {seeds}"
+              for soil, seeds in (("wheat_after_rice", "0 1 2"), ("trumao", "0"))),
+        130, "fresh_packings",
+    ),
+    "reference_beds": Script(
+        (RUN + "reference_beds",), 60, "reference_beds", "Tools on the beds of another code"
+    ),
+    "starts": Script((RUN + "starts",), 90, "recovery", "Fits from several starts"),
+    "wall": Script((RUN + "wall",), 10, "reference_beds", "A smooth wall, beside Rankine"),
+    "sizes": Script(
+        (
+            RUN + "sizes --ways both",
+            RUN + "sizes --starts base --ways large small",
+            RUN + "sizes --soils wheat_after_rice --starts 'stiff, strong' --ways large",
+        ),
+        190, "sizes",
+    ),
+    "hidden_soils": Script((RUN + "hidden_soils",), 240, "posterior", "Hidden soils"),
+    "codes": Script(
+        ("python -m studies.liggghts.codes --soils wheat_after_rice trumao strong",),
+        240, "codes", "", "studies", needs=("liggghts",),
+    ),
+}  # fmt: skip
