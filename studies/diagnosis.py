@@ -8,7 +8,6 @@ open_cases.  What is asked was written down before any of these cases was made. 
 studies/results/diagnosis.md.
 """
 
-import json
 import os
 import shutil
 import subprocess
@@ -57,7 +56,7 @@ NOTES = (
 def result(name: str) -> dict:
     """A result file; empty where it was not made."""
     path = reporting.file_of(name)
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return reporting.content_of(path) if path.exists() else {}
 
 
 def line(words: str, asked: str, right: Sequence[bool], cases: str) -> Row:

@@ -129,7 +129,7 @@ def main() -> None:
     given = parser.parse_args()
     runtime.configure()
     open_cases.unpack([f"{SET}.tar.xz"])
-    judged = json.loads(reporting.file_of(SET).read_text(encoding="utf-8"))["rows"]
+    judged = reporting.content_of(reporting.file_of(SET))["rows"]
     snr, progress = {row["case"]: row["snr"] for row in judged}, for_terminal()
     cases = chosen_cases(WORK, snr, given.most, given.others)
     progress.start("asking for further tests", len(cases))

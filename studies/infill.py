@@ -43,7 +43,7 @@ FILMS = ["capillary_tension"]
 
 def chosen() -> list[dict]:
     """The cases with what is known of them, a film above 6 before every four others."""
-    every = json.loads(reporting.file_of("open_cases").read_text())["cases"]
+    every = reporting.content_of(reporting.file_of("open_cases"))["cases"]
     every = [c for c in every if c["set"] in FOLDERS]
     of = {stratum: [c for c in every if c["stratum"] == stratum] for stratum in
           ("single above 6", "single 2 to 6", *OTHERS)}  # fmt: skip

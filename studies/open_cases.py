@@ -181,7 +181,7 @@ def of_opened(name: str, only_made: bool) -> list[dict]:
     """The cases of a sealed set that has been opened and scored, as lines of the same table.  Where
     its labels do not tell how visible an effect is, because some feature is missing, the others
     tell it now."""
-    scored = json.loads(reporting.file_of(name).read_text(encoding="utf-8"))
+    scored = reporting.content_of(reporting.file_of(name))
     known = {row["case"]: row for row in scored["rows"]}
     untold = [case for case, row in known.items() if row["kind"] == "outside" and not row["snr"]]
     for case, snr in snr_by_case(reporting.CACHE / name, untold, only_made).items():

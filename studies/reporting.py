@@ -6,6 +6,7 @@ like this one that say where theirs are.
 
 import argparse
 import json
+import lzma
 import os
 import platform
 import shlex
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import jax
 
-from calibrate.core.files import write_json, write_text
+from calibrate.core.files import as_json, write_bytes, write_json, write_text
 from jdem.physics import PHYSICS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,6 +26,10 @@ RESULTS = Path(__file__).parent / "results"  # what is committed
 IMAGES = ROOT / "docs" / "images"  # of pages
 FIRST = "cd59c67cb0da6576"  # engine in files that have the numbers of physics 1
 MODULES = ("studies", "verification")  # folders whose files run as `python -m`
+COMPRESSED = (
+    "further_tests", "open_cases", "sound_cases", "withheld_liggghts", "withheld_own",
+    "withheld_second",
+)  # fmt: skip
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
@@ -57,8 +62,15 @@ def provenance() -> dict:
 
 
 def file_of(name: str) -> Path:
-    """Where a result's JSON is kept."""
-    return RESULTS / f"{name}.json"
+    """Where a result's JSON is kept; compressed where it has a row for each of many cases."""
+    return RESULTS / (f"{name}.json.xz" if name in COMPRESSED else f"{name}.json")
+
+
+def content_of(path: Path) -> dict:
+    """What a result's JSON file holds, compressed or not."""
+    opened = lzma.open if path.suffix == ".xz" else open
+    with opened(path, "rt", encoding="utf-8") as file:
+        return json.load(file)
 
 
 def write(name: str, content: dict, markdown: str) -> None:
@@ -79,7 +91,10 @@ def write_page(name: str, markdown: str) -> None:
 
 def keep_content(path: Path, content: dict) -> None:
     """A JSON file in one line, as many are large; says where it is."""
-    write_json(path, content, indent=None)
+    if path.suffix == ".xz":
+        write_bytes(path, lzma.compress(as_json(content, None).encode("utf-8")))
+    else:
+        write_json(path, content, indent=None)
     print(f"written: {path}", file=sys.stderr)
 
 
@@ -92,7 +107,7 @@ def kept_entry(path: Path, key: str) -> dict:
     """An entry of a result's JSON file, or an empty dict where it has another physics."""
     if not path.exists():
         return {}
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = content_of(path)
     return content[key] if physics_of(content) == str(PHYSICS) and key in content else {}
 
 

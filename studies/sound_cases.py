@@ -10,7 +10,7 @@ it are left out.
 results/sound_cases.tar.xz holds the 48 soils that have been made, enough for `CASES`; with fewer,
 sound ones of opened sets fill up, told apart, as their answers taught the probability
 calibration.  Cases with one effect above six times the noise are judged again as they are, in an
-order of chance.  Writes results/sound_cases.json.
+order of chance.  Writes results/sound_cases.json.xz.
 """
 
 import argparse
@@ -96,7 +96,7 @@ PARTS = (FOUR, THREE, FOUR, AND_ONE, FOUR, THREE, THREE, IN_TWO, THREE, FOUR, FO
 def sound() -> Iterator[tuple[str, Path, float, range]]:
     """Sound cases to be cut: set, folder, preload (N) and specimens, fresh ones first."""
     fresh = sorted(path.parent for path in (WORK / "cases").glob("*/lab.toml"))
-    known = json.loads(reporting.file_of("open_cases").read_text(encoding="utf-8"))["cases"]
+    known = reporting.content_of(reporting.file_of("open_cases"))["cases"]
     none = [c for c in known if c["stratum"] == NONE and c["set"] in SETS]
     random.Random(SEED).shuffle(none)
     filled = [reporting.CACHE / SETS[c["set"]] / "cases" / c["case"] for c in none]
@@ -109,7 +109,7 @@ def sound() -> Iterator[tuple[str, Path, float, range]]:
 
 def strong() -> list[tuple[dict, Path]]:
     """Opened cases with one strong effect, in an order of chance."""
-    known = json.loads(reporting.file_of("open_cases").read_text(encoding="utf-8"))["cases"]
+    known = reporting.content_of(reporting.file_of("open_cases"))["cases"]
     rows = [c for c in known if c["stratum"] == "single above 6" and c["set"] in SETS]
     random.Random(SEED).shuffle(rows)
     return [(c, reporting.CACHE / SETS[c["set"]] / "cases" / c["case"]) for c in rows]

@@ -16,7 +16,7 @@ nothing hidden or with an effect that the library lacks.  Up to three tests a ca
 
 Both tests of an hour at once are scored too; tests at random are not, for each needs specimens of
 its own.  Answers and verdicts are kept in --work, so that a stopped run goes on; the rows join
-results/withheld_liggghts.json.  `diagnosis.py` makes the page.
+results/withheld_liggghts.json.xz.  `diagnosis.py` makes the page.
 """
 
 import argparse
@@ -198,7 +198,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     runtime.configure()
-    result = json.loads(reporting.file_of(RESULT).read_text(encoding="utf-8"))
+    result = reporting.content_of(reporting.file_of(RESULT))
     snr = {row["case"]: row["snr_simulated"] for row in result["rows"]}
     labels, progress = chosen(open_seal(given.given), snr, given.others), for_terminal()
     progress.start("asking for further tests", len(labels))

@@ -6,13 +6,12 @@
 The library cannot tell what it lacks, nor what another code makes of an effect.  So two specimens
 of each case are simulated again without it, from the same seeds, and both are recorded without
 noise.  Signal-to-noise is what calibration leaves of that change, with the model discrepancy
-that judged the cases: `snr_simulated` in studies/results/withheld_liggghts.json.  What errors
+that judged the cases: `snr_simulated` in studies/results/withheld_liggghts.json.xz.  What errors
 of the machine do follows from equations: of these the library's word is taken.  A minute a
 specimen; finished ones lie in DIR.
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -95,7 +94,7 @@ def main() -> None:
     options = parser.parse_args()
     runtime.configure()
     discrepancy = load(options.discrepancy, open_cases.emulated())
-    result = json.loads(reporting.file_of("withheld_liggghts").read_text(encoding="utf-8"))
+    result = reporting.content_of(reporting.file_of("withheld_liggghts"))
     labels = [one for one in open_seal(options.given).values() if of_the_soil(one)]
     features = open_cases.emulated().size.features[: -len(TARGETS)]
     with ThreadPoolExecutor(options.jobs) as pool:
