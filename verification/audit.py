@@ -2,12 +2,14 @@
 
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
     python -m verification.audit --others 4            some 30 minutes on two cores
+    python -m verification.audit --seeds 21 22 --halved plasticity_ratio      some 3 minutes
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
 +-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same
 packings; then all of it again on others.  With --others the library alone, at so many soils of the
 bundled lab file's prior, each on packings of its own; there it is also asked for its own regression
-over the same steps, which tells a bent response from a wrong one.
+over the same steps, which tells a bent response from a wrong one.  With --halved the reference of
+these parameters is taken again over half the steps: where a response bends, that is another number.
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes after every seed
 notebooks/data/audit.json, the first section of verification/results/audit.md and
@@ -56,6 +58,7 @@ STRATEGIES = {
 
 NEAR = {"depression_depth_mm": 0.10, "crushing_force_n": 0.15}  # of the library's slopes
 ERRORS = 3.0  # of both together, within which two slopes agree
+STEP = 0.2  # in ln p, of the reference
 FIRST_OF_OTHERS = 23  # seed of the packings of the first of the other soils; and of the draw
 
 
@@ -166,8 +169,9 @@ def _over_the_steps_of(row: dict) -> list[str]:
     if "chord" not in row:
         return []
     off = row["chord"] / row["reference"] - 1
-    known = row["judged"] and np.isfinite(row["chord"])
-    return [f"{row['chord']:.3g}", f"{100 * off:+.0f} %" if known else ""]
+    if not np.isfinite(row["chord"]):
+        return ["beyond its runs", ""]
+    return [f"{row['chord']:.3g}", f"{100 * off:+.0f} %" if row["judged"] else ""]
 
 
 def _word(row: dict) -> str:
@@ -266,6 +270,49 @@ def audit_others(chosen: argparse.Namespace) -> None:
         reporting.write_section("audit", text)
 
 
+# ---------------------------------------------------------------- half the steps
+
+
+def audit_halved(chosen: argparse.Namespace) -> None:
+    """Writes the section of parameters whose reference is taken again over half the steps."""
+    lab = load_lab(bundled_lab())
+    preset = replace(PRESETS["standard"], spheres=chosen.spheres)
+    work = Campaign(virtual_lab(lab, preset), specimen(lab, preset), chosen.folder, for_terminal())
+    seeds = [100 * seed + n for seed in chosen.seeds for n in range(chosen.packings)]
+    rows = [
+        [
+            name,
+            f"{100 * step:g} %",
+            f"{slopes.mean():.3g} ± {slopes.std(ddof=1) / len(seeds) ** 0.5:.2g}",
+        ]
+        for name in chosen.halved
+        for step in (STEP, STEP / 2)
+        for slopes in [_slopes_of_force(work, base_soil(lab), name, step, seeds)]
+    ]
+    origin = reporting.provenance()
+    text = (
+        f"# Half the steps\n\nBundled soil, {chosen.spheres} spheres, {len(seeds)} packings: "
+        "slopes of the crushing force (N) per unit of ln p, between runs at both ends of the steps.\n\n"
+        + reporting.table(("parameter", "steps", "slope of F"), rows)
+        + reporting.footer(origin)
+    )
+    reporting.write_section("audit", text)
+
+
+def _slopes_of_force(
+    work: Campaign, base: SoilParameters, name: str, step: float, seeds: list[int]
+) -> np.ndarray:
+    """Of each packing (n,): [F(p e^h) - F(p e^-h)]/(2 h)."""
+    value = float(getattr(base, name))
+    ends = [with_values(base, {name: value * float(np.exp(sign * step))}) for sign in (1, -1)]
+    what = f"{name}, steps of {100 * step:g} %"
+    high, low = (
+        np.array([run.observables["crushing_force_n"] for run in row])
+        for row in work.runs(ends, seeds, what)
+    )
+    return (high - low) / (2 * step)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -274,11 +321,14 @@ def main() -> None:
     parser.add_argument("--packings", type=int, default=4, help="packings a seed")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
+    parser.add_argument("--halved", nargs="+", default=[], choices=[*FACTORS, "shear_modulus"])
     parser.add_argument("--others", type=int, default=0, help="soils of the prior, and no other")
     chosen = parser.parse_args()
     reporting.configure()
     if chosen.others:
         return audit_others(chosen)
+    if chosen.halved:
+        return audit_halved(chosen)
     audits: dict[str, dict] = {}
     for seed in chosen.seeds:
         seeds = range(100 * seed, 100 * seed + chosen.packings)

@@ -54,7 +54,7 @@ SOIL = SoilParameters(
     restitution=0.3, surface_energy=0.0, rolling_friction=0.0, shear_modulus=12e6,
     poisson_ratio=0.3, wall_friction=0.0, conventions=BED_LAWS["hertz_mindlin"],
 )  # fmt: skip
-NUMERICS = Numerics(wall_layer=9.0, sample_time=5e-4)
+NUMERICS = Numerics(wall_layer=27.0, sample_time=5e-4)
 FRICTIONLESS = np.radians(5.76)
 
 
