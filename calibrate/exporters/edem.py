@@ -25,6 +25,11 @@ _SHOWN = (  # rows in EDEM's order
     "surface_energy",
     "gamma",
     "cohesion",
+    "normal_stiffness",
+    "shear_stiffness",
+    "tensile_strength",
+    "shear_strength",
+    "radius_ratio",
     "yield_strength",
     "damping_factor",
     "plasticity_ratio",
@@ -38,6 +43,11 @@ _DENSITY = (
     "Solids Density is not a fitted parameter: choose it so that the bed has your bulk density"
 )
 _ROLLING = "rolling is resisted here by a spring up to mu_r R* N, and in EDEM by a torque mu_r R N"
+_BONDS = (
+    "bonds form here once, before the mould opens or the last test begins, across gaps up to a "
+    "hundredth of a radius, and hold up to a fifth: a contact radius of 1.1 radii comes near",
+    "internal_friction and moment_share have no counterpart in Bonding V2: keep them at 0 and 1",
+)
 _OTHER = {  # laws beside EEPA: EDEM's model, and what differs
     "hertz_mindlin": ("Hertz-Mindlin (no slip)", _ROLLING),
     "hertz_cohesion": ("Hertz-Mindlin (no slip) and Linear Cohesion", _ROLLING),
@@ -47,6 +57,7 @@ _OTHER = {  # laws beside EEPA: EDEM's model, and what differs
         _ROLLING,
         "friction is limited here by mu (F_n + 2 F_c), and in EDEM by mu times the repulsive part",
     ),
+    "parallel_bond": ("Hertz-Mindlin (no slip) with Bonding V2", _ROLLING, *_BONDS),
 }
 _CAUTIONS = (
     "Slope Exp 1: k1 = {factor:.4g} E* R* was calibrated; compare one contact in EDEM with "
@@ -66,7 +77,7 @@ def text(found: Found) -> str:
     known = parameters_of(found.conventions)
     for ours in (name for name in _SHOWN if name in known):
         section, name = known[ours].names["EDEM"].split(" / ")
-        factor = found.scale if ours == found.sized else 1.0
+        factor = found.at_size(ours)
         low, high = found.intervals.get(ours, (None, None))
         ends = ["" if end is None else f"{factor * end:.6g}" for end in (low, high)]
         writer.writerow([section, name, f"{factor * found[ours]:.7g}", known[ours].unit, *ends])

@@ -8,6 +8,7 @@ Strength of a cohesive packing scales as surface energy over diameter (Rumpf 196
 import textwrap
 
 from calibrate.exporters.source import UNITS, Found, in_order
+from jdem.materials.contact_laws import SHRINKING
 from jdem.materials.conventions import DEFAULT
 
 PRESSURE = 2e5  # Pa; 400 N on a specimen of 50 mm: where laws are matched that differ
@@ -53,9 +54,10 @@ def uncertainty(found: Found) -> list[str]:
 
 def scale_up(found: Found) -> list[str]:
     """What to use for particles of another size."""
+    sized = [*_surface_energies(found), *_bond_stiffnesses(found)]
     return [
-        *_surface_energies(found),
-        f"The {'other ' if found.sized else ''}parameters do not change with size (stiffness grows "
+        *sized,
+        f"The {'other ' if sized else ''}parameters do not change with size (stiffness grows "
         "with the radius by itself),",
         "but the strength and stiffness of a bed still depend on the number of particles: run both",
         "tests at the new size before use.",
@@ -77,6 +79,17 @@ def _surface_energies(found: Found) -> list[str]:
         energy = stated * size / reference
         lines.append(f"  d = {1e3 * size:.4g} mm: {energy:.5g} J/m^2{_interval_at(found, size)}")
     return lines
+
+
+def _bond_stiffnesses(found: Found) -> list[str]:
+    """How stiffnesses of bonds go with the diameter; nothing where the law has none."""
+    if not set(SHRINKING) <= set(found.values):
+        return []
+    reference = f"{found['reference_diameter']:.4g} m"
+    return [
+        f"normal_stiffness and shear_stiffness belong to the reference diameter {reference};",
+        f"between particles of diameter d multiply both by {reference} / d.",
+    ]
 
 
 def _interval_at(found: Found, size: float) -> str:

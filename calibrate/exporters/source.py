@@ -16,7 +16,7 @@ from calibrate.io.soil import base_soil
 from calibrate.simulation.resolution import PRESETS, specimen
 from calibrate.simulation.specimens import soil_json
 from jdem.materials.catalogue import EVERY, WHOLE, parameters_of
-from jdem.materials.contact_laws import BED_LAWS
+from jdem.materials.contact_laws import BED_LAWS, SHRINKING
 from jdem.materials.conventions import DEFAULT
 from jdem.packing import specimen as packing
 
@@ -64,6 +64,12 @@ class Found:
     def scale(self) -> float:
         """Surface energy at `diameter` over the parameter."""
         return self.diameter / self["reference_diameter"]
+
+    def at_size(self, name: str) -> float:
+        """A parameter between particles of `diameter` over what is stated."""
+        if name in SHRINKING and name in self.values:
+            return 1 / self.scale
+        return self.scale if name == self.sized else 1.0
 
     @property
     def surface_energy(self) -> float:

@@ -47,6 +47,7 @@ UNITS = {  # of each kind, the likeliest first
     "J": ("J", "mJ", "kJ"),
     "J/m^2": ("J/m^2", "mJ/m^2"),
     "J/m^3": ("J/m^3", "kJ/m^3"),
+    "N/m^3": ("N/m^3", "kN/m^3", "MN/m^3", "GN/m^3"),
 }
 BY_SIZE = {STRESS: FORCE, STRAIN: LENGTH}  # what counts by the specimen's size
 

@@ -46,6 +46,13 @@ class Preset:
 
 NARROWEST = 3.0  # spheres across a specimen
 SPARE = 1.05  # of the gap across which contacts act
+# The end of a parameter at which that gap is widest.
+FARTHEST = {
+    "gamma": max,
+    "shear_modulus": min,
+    "tensile_strength": max,
+    "normal_stiffness": min,
+}
 
 # Rates in the mould keep the inertial number at 200 N below 1e-3 (50 mm by 100 mm specimen).
 PRESETS = {
@@ -80,13 +87,14 @@ def virtual_lab(
 
 
 def _reach(lab: Lab, filled: Specimen) -> float:
-    """The gap (m) across which contacts of the lab's law act: the stickiest and the softest ones
-    that its values, bounds and named sets allow, and a little more, as sizes are drawn."""
+    """The gap (m) across which contacts of the lab's law act: the stickiest or strongest, and the
+    softest ones that its values, bounds and named sets allow, and a little more, as sizes are
+    drawn."""
     soil, size = base_soil(lab), (2 * filled.mean_radius(), filled.max_radius())
     if reach_of(soil, *size) == 0.0:
         return 0.0
-    softest = min(_allowed(lab, "shear_modulus"))
-    ends = {"gamma": max(_allowed(lab, "gamma")), "shear_modulus": softest}
+    known = parameters_of(lab.particles.conventions)
+    ends = {name: end(_allowed(lab, name)) for name, end in FARTHEST.items() if name in known}
     return SPARE * reach_of(with_values(soil, ends), *size)
 
 

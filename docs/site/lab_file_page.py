@@ -118,12 +118,12 @@ MEANING = {
     "VoidRatioColumn.initial": "initial void ratio e0; default: the first row",
     "CurveTable.delimiter": "between cells of a row",
     "ParticlesTable.reference_diameter": "size at which `surface_energy` is stated (default: "
-    "80 um), or `gamma` (5 mm)",
+    "80 um), or `gamma` and stiffnesses of bonds (5 mm)",
     "ParticlesTable.poisson_ratio": "of the particles",
     "TargetTable.published_error": "relative error of a published simulation, for comparison",
     "ParticlesTable.porosity": "of the bed of spheres; default: usual for their size",
     "ParticlesTable.law": "the contact law: eepa, hertz_mindlin, hertz_cohesion, "
-    "hysteretic_cohesion or jkr",
+    "hysteretic_cohesion, jkr or parallel_bond",
     "ParticlesTable.conventions": "of the law eepa: eepa, liggghts or liggghts_history",
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",

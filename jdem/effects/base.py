@@ -22,6 +22,7 @@ from jax import Array
 from jdem.core.quantity import Real
 from jdem.engine.segment import Segment
 from jdem.laws.base import AbstractContactLaw
+from jdem.materials.contact_laws import BONDING
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing
 
@@ -105,7 +106,8 @@ class AbstractEffect(eqx.Module):
         return jnp.zeros_like(force)
 
 
-FORCES = ("gamma", "cohesion", "yield_strength")  # of other laws; forces go in proportion to them
+# Of other laws; forces go in proportion to them.
+FORCES = ("gamma", "cohesion", "yield_strength", *BONDING)
 
 
 def with_contacts_scaled(soil: SoilParameters, factor: Array) -> SoilParameters:

@@ -11,6 +11,7 @@ strength that it gives a bed of any sphere size (Rumpf 1962: 1.05 F/d^2 at a sol
 """
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -78,6 +79,13 @@ class AcrossGaps(AbstractContactLaw):
 
     def longest_step(self, mass, radius):
         return self.inner.longest_step(mass, radius)
+
+    @property
+    def bonds(self):
+        return self.inner.bonds
+
+    def joining(self, now):
+        return replace(self, inner=self.inner.joining(now))
 
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)

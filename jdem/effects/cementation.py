@@ -9,6 +9,7 @@ between w and 2 w, and never heals.  Where it breaks is a matter of displacement
 force is proportional to the strength.
 """
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -95,6 +96,13 @@ class Bonded(AbstractContactLaw):
         bond = self.stress * 4 * radius / STRAIN  # N/m, of a whole one, in tension and in shear
         inner = self.inner.longest_step(mass, radius)
         return jnp.where(bond > 0, (inner**-2.0 + bond / (4 * SLIPPING * mass)) ** -0.5, inner)
+
+    @property
+    def bonds(self):
+        return self.inner.bonds
+
+    def joining(self, now):
+        return replace(self, inner=self.inner.joining(now))
 
     def memory(self, shape, dtype):
         zero = jnp.zeros(shape, dtype)

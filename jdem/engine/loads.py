@@ -4,6 +4,8 @@ All pairs are one list and one kernel (`jdem.core.kernel`), and so are all conta
 boundaries, whatever their kinds.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -58,6 +60,7 @@ def _pair_forces(shared: tuple[Bed, Array], entries):
 def between(bed: Bed, one: Array, two: Array, alive: Array, history):
     """What pairs of spheres do to each other, from the columns (11, pairs) of their rows."""
     contact, levers = _pair_contacts(bed, one, two, alive)
+    contact = _bondable(contact, one, two) if bed.particle_law.bonds else contact
     force, history = _law_forces(bed.particle_law, contact, history)
     force = _dragged(bed, contact, force)
     push, twist, power = _assembled(contact, force)
@@ -154,6 +157,13 @@ def _pair_contacts(bed: Bed, one: Array, two: Array, alive: Array):
         spin=(spin_one - spin_two) * alive,
     )
     return _kept_apart(contact, (lever_one, lever_two))
+
+
+def _bondable(contact: Contact, one: Array, two: Array) -> Contact:
+    """The contact with what a bond needs: the smaller radius, and how the pair turns as one."""
+    mean = (Vector(*one[6:9]) + Vector(*two[6:9])) * 0.5
+    turning = mean.dot(contact.normal)
+    return replace(contact, smaller=jnp.minimum(one[9], two[9]), turning=turning)
 
 
 def _wall_geometry(bed: Bed, one: Array, boundaries: Boundaries, wall: Array, alive: Array, codes):

@@ -5,9 +5,11 @@ to the next and instruments lie; the one loop only asks the questions of this co
 """
 
 import abc
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax import Array
 
 from jdem.engine.step import Bed, BedState
@@ -51,3 +53,29 @@ class Unchanging(AbstractSurroundings):
 
     def later(self, memory: Any, segment: Array, before: BedState, after: BedState) -> Any:
         return memory
+
+
+class Joining(AbstractSurroundings):
+    """What `others` do, and bonds between spheres, which form as segment number `at` begins.
+
+    They form within its first sampling interval, and at no other time.
+    """
+
+    others: AbstractSurroundings
+    at: int = eqx.field(static=True)
+
+    def begin(self, dtype) -> tuple[Any, Array]:
+        """Theirs, and the segment of the interval before: none."""
+        return self.others.begin(dtype), jnp.full((), -1, jnp.int32)
+
+    def bed(self, bed: Bed, segment: Array, memory: tuple[Any, Array]) -> Bed:
+        others, before = memory
+        bed = self.others.bed(bed, segment, others)
+        now = (segment == self.at) & (before != self.at)
+        return replace(bed, particle_law=bed.particle_law.joining(now))
+
+    def shown(self, reading: Array, memory: tuple[Any, Array]) -> Array:
+        return self.others.shown(reading, memory[0])
+
+    def later(self, memory, segment: Array, before: BedState, after: BedState):
+        return self.others.later(memory[0], segment, before, after), segment

@@ -28,7 +28,7 @@ from jdem.effects.composite import Altered, Timetable, recorded
 from jdem.engine.bed import Numerics, build_bed, sample_capacity, steps_per_sample
 from jdem.engine.loop import AbstractDerivative, Record, Sample, begun, run
 from jdem.engine.neighbors import Grid
-from jdem.engine.schedule import AbstractSurroundings, Unchanging
+from jdem.engine.schedule import AbstractSurroundings, Joining, Unchanging
 from jdem.engine.segment import Segment, stack
 from jdem.engine.step import Bed
 from jdem.materials.soil import SoilParameters
@@ -86,6 +86,15 @@ class TestSequence(eqx.Module):
     def first_movement(self, number: int) -> int:
         """Number of the first movement of test `number`."""
         return sum(len(test.movements()) for test in self.apparatus[:number])
+
+    @property
+    def joining(self) -> int:
+        """Number of the movement as which bonds form, of a soil that has some: the first without
+        the mould, or the first of the last test where tests keep it or bring tools.  What comes
+        before prepares the specimen."""
+        last = self.first_movement(len(self.apparatus) - 1)
+        free = [number for number, each in enumerate(self.movements()) if each.free]
+        return last if self.apparatus[-1].tools or not free else free[0]
 
     def timetable(self) -> Timetable:
         """What the movements are to effects and to nominal time."""
@@ -186,6 +195,7 @@ class VirtualLab(eqx.Module):
         steps = steps_per_sample(bed, self.numerics)
         around = self._surroundings(packing, soil)
         bed = around.bed(bed, jnp.asarray(0), around.begin(dtype))
+        around = Joining(around, self.tests.joining) if bed.particle_law.bonds else around
         position = cast(packing.position, dtype)
         state = begun(bed, position, self.boundaries(packing, position.x.dtype))
         programme = cast(self._programme(), dtype)

@@ -108,6 +108,16 @@ class AbstractContactLaw(eqx.Module):
         which lists must hold them: 0 unless said so."""
         return 0.0
 
+    @property
+    def bonds(self) -> bool:
+        """Whether it has bonds, which form where it is `joining`: no, unless said so.  Contacts
+        then say their smaller radius and how both bodies turn together."""
+        return False
+
+    def joining(self, now: Array) -> "AbstractContactLaw":
+        """The law where bonds form (`now` is true) or do not: itself, unless it has bonds."""
+        return self
+
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""
         return ()

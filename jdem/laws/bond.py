@@ -15,6 +15,7 @@ It acts in addition to the contact law within, and not instead.  The end moments
 sheared bond are the engine's lever arms; neither criterion counts them.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,7 +24,7 @@ from jax import Array
 
 from jdem.core import smooth
 from jdem.core.fusion import once
-from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Accepted, Parameter
+from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Accepted, Parameter, Search
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.laws.base import AbstractContactLaw, Memory
@@ -70,7 +71,9 @@ class ParallelBond(AbstractContactLaw):
     normal_stiffness k_n and shear_stiffness k_s in N/m3, strengths in Pa, radius_ratio lambda,
     internal_friction tan(phi) and moment_share beta dimensionless.  Bonds form where bodies
     are nearer than `within` R* while `forming` is 1; one that broke does not form again as long as
-    its pair is listed.  Breaking is a jump, which derivatives do not see.
+    its pair is listed.  None holds bodies that are farther apart than `longest` R*, as in EDEM,
+    where it ends with the overlap of contact radii.  Breaking is a jump, which derivatives do not
+    see.
     """
 
     inner: AbstractContactLaw
@@ -83,6 +86,7 @@ class ParallelBond(AbstractContactLaw):
     moment_share: Real = quantity(1.0)
     forming: Real = quantity(1.0)
     within: Real = quantity(1e-6)
+    longest: Real = quantity(jnp.inf)
 
     def force(self, contact: Contact, history: BondedMemory):
         force, inner = once(self.inner.force(contact, history.inner))
@@ -120,9 +124,22 @@ class ParallelBond(AbstractContactLaw):
         shear = disk.area * bond.shear.dot(bond.shear) + disk.polar * bond.twist**2
         return bond.whole() * (self.normal_stiffness * normal + self.shear_stiffness * shear) / 2
 
-    def reach(self):
-        """The gap (m) that lists of pairs must reach: where pure tension breaks the bond."""
-        return self.tensile_strength / self.normal_stiffness
+    def reach(self, radius):
+        """Where pure tension breaks a bond that formed across the widest gap, or the law within
+        ends, if that is farther."""
+        broken = self.within * radius + self.tensile_strength / self.normal_stiffness
+        ends = jnp.minimum(broken, self.longest * radius)
+        return jnp.maximum(ends, self.inner.reach(radius))
+
+    @property
+    def bonds(self):
+        """They are what it is for."""
+        return True
+
+    def joining(self, now):
+        """With bonds that form, or do not."""
+        dtype = jnp.asarray(self.forming).dtype
+        return replace(self, forming=jnp.where(now, 1.0, 0.0).astype(dtype))
 
     def longest_step(self, mass, radius):
         """The law's own and the bond's, whose rates (1/s2) of approach, slip, bending and twist
@@ -157,6 +174,7 @@ class ParallelBond(AbstractContactLaw):
         area = self.disk(smaller_radius(contact)).area
         strength = self.shear_strength + self.internal_friction * jnp.maximum(push, 0.0) / area
         breaks = (tension >= self.tensile_strength) | (shear >= strength)
+        breaks = breaks | (contact.overlap < -self.longest * contact.radius)
         broken = jnp.where(breaks & (bond.whole() > 0), 1.0, bond.broken)
         return eqx.tree_at(lambda b: b.broken, bond, broken)
 
@@ -198,6 +216,7 @@ PARAMETERS = (
         unit="N/m^3",
         accepted=POSITIVE,
         repair='give a positive value, such as "1e9 N/m^3"',
+        search=Search(1e8, 1e10, 1.0),
         names={"EDEM": "Bonding V2 soil - soil / Normal Stiffness per unit area"},
     ),
     Parameter(
@@ -207,6 +226,7 @@ PARAMETERS = (
         unit="N/m^3",
         accepted=NOT_NEGATIVE,
         repair='give 0 or a positive value, such as "4e8 N/m^3"',
+        search=Search(1e7, 1e10, 1.0),
         names={"EDEM": "Bonding V2 soil - soil / Shear Stiffness per unit area"},
     ),
     Parameter(
@@ -216,6 +236,7 @@ PARAMETERS = (
         unit="Pa",
         accepted=POSITIVE,
         repair='give a positive value, such as "200 kPa"',
+        search=Search(1e4, 2e6, 1.0),
         names={"EDEM": "Bonding V2 soil - soil / Normal Strength"},
     ),
     Parameter(
@@ -225,6 +246,7 @@ PARAMETERS = (
         unit="Pa",
         accepted=POSITIVE,
         repair='give a positive value, such as "150 kPa"',
+        search=Search(1e4, 2e6, 1.0),
         names={"EDEM": "Bonding V2 soil - soil / Shear Strength"},
     ),
     Parameter(

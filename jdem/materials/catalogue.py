@@ -7,12 +7,13 @@ parameters takes it from here.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from jdem.core.parameter import NOT_NEGATIVE, POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, as_quantity
 from jdem.laws import eepa, friction, hysteretic
-from jdem.materials.contact_laws import ATTRACTING, BED_LAWS, CONTACT_LAWS, SIZED
+from jdem.materials.contact_laws import ATTRACTING, BED_LAWS, CONTACT_LAWS, SHRINKING, SIZED
 from jdem.materials.conventions import CONVENTIONS
 from jdem.materials.soil import NormalLaw, SoilParameters
 from jdem.mechanics import dashpot, elasticity
@@ -83,6 +84,13 @@ _ORDER = (  # of tables; what is not named here comes after it
     "surface_energy",
     "gamma",
     "cohesion",
+    "tensile_strength",
+    "shear_strength",
+    "internal_friction",
+    "moment_share",
+    "normal_stiffness",
+    "shear_stiffness",
+    "radius_ratio",
     "yield_strength",
     "damping_factor",
     "plasticity_ratio",
@@ -120,9 +128,11 @@ CATALOGUE = catalogue()
 # ---------------------------------------------------------------- whole laws
 
 WHOLE = tuple(name for name in BED_LAWS if name not in CONVENTIONS)  # in the place of all of EEPA
-# At which gamma is stated unless said otherwise: publications have spheres of 2 to 10 mm.
+# At which gamma and stiffnesses of bonds are stated unless said otherwise: publications have
+# spheres of 2 to 10 mm.
 REFERENCE_DIAMETER = 5e-3  # m
 SOIL = SoilParameters.__dataclass_fields__  # what every soil has a value of
+_OF_BONDS = replace(SIZES[0], label="diameter at which stiffnesses of bonds are stated")
 
 
 def parameters_of(law: str) -> dict[str, Parameter]:
@@ -137,6 +147,7 @@ def parameters_of(law: str) -> dict[str, Parameter]:
         own += [CATALOGUE[n] for n in ("shear_modulus", "poisson_ratio")]
     own += [CATALOGUE["wall_adhesion"]] * any(name in names for name in ATTRACTING)
     own += [CATALOGUE["reference_diameter"]] * any(name in names for name in SIZED)
+    own += [_OF_BONDS] * any(name in names for name in SHRINKING)
     return _in_order(own)
 
 
@@ -159,7 +170,8 @@ def soil_of(law: str, **values: Real) -> SoilParameters:
         values: parameters by name, SI; those that every soil has may be left out.
 
     Returns:
-        The soil.  `gamma` is stated at `reference_diameter`, 5 mm unless given.
+        The soil.  `gamma` and stiffnesses of bonds are stated at `reference_diameter`, 5 mm unless
+        given.
 
     Raises:
         ValueError: a parameter is not the law's, or one is missing.

@@ -6,7 +6,7 @@
     jkr                  elastic spheres that stick; gamma is each body's surface energy
     parallel_bond        a bond of Potyondy and Cundall beside Hertz-Mindlin, or alone
 
-All have a rolling spring beside them whose limit is 0 unless given.  Beds can have all but the bond
+All have a rolling spring beside them whose limit is 0 unless given.  Beds can have all of them
 (BED_LAWS), with the parameters of a soil (`jdem.materials.soil`), beside the conventions of EEPA.
 """
 
@@ -206,22 +206,34 @@ def jkr_bed(parts: Parts) -> AbstractContactLaw:
     return _of_soil("jkr", parts)
 
 
+def parallel_bond_bed(parts: Parts) -> AbstractContactLaw:
+    """Hertz-Mindlin of a soil and bonds, once and where a laboratory lets them form."""
+    law = _of_soil("parallel_bond", parts)
+    return replace(law, forming=0.0, within=BONDED_WITHIN, longest=BONDED_UP_TO)
+
+
 ATTRACTING = ("cohesion", "gamma")  # what `wall_adhesion` multiplies at walls
+BONDING = ("tensile_strength", "shear_strength", "normal_stiffness", "shear_stiffness")
 SIZED = ("gamma",)  # what is stated at the reference diameter, and grows with the spheres
-NO_ADHESION = 1e-12  # of the soil's, where JKR needs some
+SHRINKING = ("normal_stiffness", "shear_stiffness")  # the same, over the spheres' diameter
+BONDED_WITHIN = 0.02  # of R*, a hundredth of a radius; gap up to which bonds form in beds
+BONDED_UP_TO = 0.4  # of R*; gap up to which they hold, as contact radii of 1.1 radii do in EDEM
+NO_ADHESION = 1e-12  # of the soil's, where JKR and the reach of bonds need some
 
 
 def _of_soil(name: str, parts: Parts) -> AbstractContactLaw:
     """A law by name from what a soil states: G and Poisson's ratio, and the law's parameters.
 
     Strength of a packing goes with gamma/d (Rumpf 1962), so gamma grows with the spheres as EEPA's
-    surface energy does; then a bed of spheres of any size is the same but for its scale.
+    surface energy does; then a bed of spheres of any size is the same but for its scale.  A bond's
+    stiffness per area is a modulus over a length, so it goes with 1/d, and strengths stay.
     """
     law, values = CONTACT_LAWS[name], parts.values
     own = {entry.name: values[entry.name] for entry in law.parameters if entry.name in values}
     share = jnp.maximum(parts.adhesion, NO_ADHESION)
-    own |= {each: share * own[each] for each in ATTRACTING if each in own}
+    own |= {each: share * own[each] for each in (*ATTRACTING, *BONDING) if each in own}
     own |= {each: parts.size * own[each] for each in SIZED if each in own}
+    own |= {each: own[each] / parts.size for each in SHRINKING if each in own}
     young = 2 * values["shear_modulus"] * (1 + values["poisson_ratio"])
     return law.law(Stated(young, values["poisson_ratio"], own, {}, parts.smoothing))
 
@@ -232,4 +244,5 @@ BED_LAWS: dict[str, Callable[[Parts], AbstractContactLaw]] = {
     "hertz_cohesion": hertz_cohesion_bed,
     "hysteretic_cohesion": hysteretic_cohesion_bed,
     "jkr": jkr_bed,
+    "parallel_bond": parallel_bond_bed,
 }

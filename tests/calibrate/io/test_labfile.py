@@ -380,6 +380,9 @@ OUT_OF_RANGE = {
     "tangential_multiplier": (0,), "shear_modulus": (0, "-1 Pa"), "pull_off_force": (1e-3,),
     "slope_exponent": (1.2,), "wall_friction": (-1,), "platen_friction": (-1,),
     "gamma": (0, "-1 J/m^2"), "cohesion": (-1,), "yield_strength": (0,), "damping_factor": (1.1,),
+    "normal_stiffness": (0, "-1 N/m^3"), "shear_stiffness": (-1,), "tensile_strength": (0,),
+    "shear_strength": (0, "-1 kPa"), "radius_ratio": (0,), "internal_friction": (-0.1,),
+    "moment_share": (-0.1, 1.1),
 }  # fmt: skip
 
 

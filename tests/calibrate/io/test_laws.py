@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,16 +28,24 @@ from calibrate.labtests.measured import Curve, Target
 from calibrate.simulation import run as runs
 from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.compiled import blank
-from calibrate.simulation.resolution import PRESETS, Preset, specimen, virtual_lab
+from calibrate.simulation.resolution import PRESETS, SPARE, Preset, specimen, virtual_lab
 from calibrate.simulation.session import Session
 from calibrate.simulation.specimens import campaign, simulate, soil_json
 from jdem.engine.bed import reach_of
 from jdem.materials.catalogue import WHOLE, needed_by, parameters_of
-from jdem.materials.contact_laws import BED_LAWS
+from jdem.materials.contact_laws import BED_LAWS, BONDED_UP_TO, BONDED_WITHIN
 from jdem.materials.conventions import DEFAULT
 
 TINY = Preset("tiny", 48, 0.2, 0.4, 1)
-GIVEN = {"gamma": '"8 J/m^2"', "cohesion": '"100 kJ/m^3"', "yield_strength": '"5 MPa"'}
+GIVEN = {
+    "gamma": '"8 J/m^2"',
+    "cohesion": '"100 kJ/m^3"',
+    "yield_strength": '"5 MPa"',
+    "normal_stiffness": '"1e9 N/m^3"',
+    "shear_stiffness": '"400 MN/m^3"',
+    "tensile_strength": '"200 kPa"',
+    "shear_strength": '"150 kPa"',
+}
 LAB = """[soil]
 name = "x"
 [specimen]
@@ -119,6 +128,11 @@ REFUSED = [  # particles, lines, field, words
     ('law = "jkr"', "gamma = 0", "parameters.gamma", "out of range"),
     ('law = "jkr"', 'gamma = "0.5 N"', "parameters.gamma", "J/m^2"),
     ('law = "jkr"', "gamma = 5e4", "parameters.gamma", "usual"),
+    ('law = "parallel_bond"', "", "parameters.normal_stiffness", "needs normal_stiffness"),
+    ('law = "parallel_bond"', "cohesion = 1e4", "parameters.cohesion", "has no cohesion"),
+    ('law = "parallel_bond"', "moment_share = 2", "parameters.moment_share", "out of range"),
+    ('law = "parallel_bond"', 'tensile_strength = "9 GPa"', "parameters", "is 9 MPa meant?"),
+    ('law = "parallel_bond"', "normal_stiffness = 1e15", "parameters", "usual"),
 ]  # fmt: skip
 
 
@@ -233,6 +247,29 @@ def test_a_run_whose_contacts_may_be_lost_is_a_failed_one(lab_of):
     assert not runs._lost_contacts(virtual, bed, base_soil(lab))
     said = runs._lost_contacts(virtual, bed, with_values(base_soil(lab), {"gamma": 300.0}))
     assert "pairs were listed up to" in said and "low and high" in said
+
+
+def test_lists_reach_as_far_as_bonds_hold(lab_of):
+    """A fifth of the largest radius at most, and less where lab files bound strength over
+    stiffness."""
+    lab = lab_of("parallel_bond")
+    filled = specimen(lab, TINY)
+    widest = SPARE * BONDED_UP_TO * filled.max_radius() / 2
+    assert virtual_lab(lab, TINY).grid.reach == pytest.approx(widest, rel=1e-9)
+    lines = (
+        LAB
+        + 'law = "parallel_bond"\n[parameters]\n'
+        + "\n".join(
+            f"{name} = {{ value = {GIVEN[name]}, free = false }}"
+            for name in needed_by("parallel_bond")
+        )
+    )
+    Path(lab.file).write_text(lines, encoding="utf-8")
+    stiffness = 1e9 * 5e-3 / (2 * filled.mean_radius())  # stated at 5 mm
+    gap = 2e5 / stiffness + BONDED_WITHIN * filled.max_radius() / 2
+    reach = virtual_lab(load_lab(lab.file), TINY).grid.reach
+    assert reach == pytest.approx(SPARE * gap, rel=1e-6)
+    assert reach < widest
 
 
 @pytest.mark.slow
