@@ -292,7 +292,8 @@ def audit_halved(chosen: argparse.Namespace) -> None:
     origin = reporting.provenance()
     text = (
         f"# Half the steps\n\nBundled soil, {chosen.spheres} spheres, {len(seeds)} packings: "
-        "slopes of the crushing force (N) per unit of ln p, between runs at both ends of the steps.\n\n"
+        "slopes of the crushing force (N) per unit of ln p, between runs at both ends of the "
+        "steps.\n\n"
         + reporting.table(("parameter", "steps", "slope of F"), rows)
         + reporting.footer(origin)
     )
