@@ -323,7 +323,7 @@ def _tool(
         condition, _ = measured(table, source.channels.condition, choices.units)
         condition = condition.of(source.rows).of(rows)
     names = (source.label, stated.label, table.sheet.name)
-    place = Place(table.above, stated, names, number)
+    place = Place(table.preamble, table.above, stated, names, number)
     return tool_of(choices.test, choices.size, place, condition)
 
 

@@ -35,9 +35,10 @@ _AMOUNT = re.compile(r"(\d+(?:[.,]\d+)?)\s*([A-Za-z/0-9^²]+)")
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a specimen stands: lines above its table and what these state, what it is called, its
-    number in the file."""
+    """Where a specimen stands: the lines that belong to its table, all lines above it and what
+    these state, what it is called, its number in the file."""
 
+    own: Sequence[Row]
     above: Sequence[Row]
     stated: Stated
     names: tuple[str, ...]
@@ -249,8 +250,24 @@ def _condition(
 def _stated_condition(
     record: AbstractRecord, place: Place, cylinder: Cylinder
 ) -> tuple[float | None, str]:
-    """A condition (SI) from the lines above the table, else from the specimen's name, and where."""
-    for row in reversed(place.above):
+    """A condition (SI) from the table's own lines, else the specimen's name, else the lines above
+    earlier tables, the nearest first; and where it stands."""
+    own = _condition_in_lines(record, place.own, cylinder)
+    if own[0] is not None:
+        return own
+    for name in place.names:
+        for number, written in _AMOUNT.findall(name):
+            unit = unit_of(written)
+            if unit is not None and unit.kind == Quantity.STRESS:
+                value = 1e3 * unit.factor * float(number.replace(",", "."))
+                return value, f"the name {shown(name, 30)}"
+    return _condition_in_lines(record, place.above, cylinder)
+
+
+def _condition_in_lines(
+    record: AbstractRecord, rows: Sequence[Row], cylinder: Cylinder
+) -> tuple[float | None, str]:
+    for row in reversed(rows):
         line = " ".join(cell.strip() for cell in row if cell.strip())
         for column in record.conditions:
             kind = Quantity(column.kind)
@@ -258,10 +275,4 @@ def _stated_condition(
             value, _ = quantity_in(line, _KINDS[kind.dimension], words)
             if value is not None and value > 0:
                 return value * column.per(None, cylinder), shown(line, 50)
-    for name in place.names:
-        for number, written in _AMOUNT.findall(name):
-            unit = unit_of(written)
-            if unit is not None and unit.kind == Quantity.STRESS:
-                value = 1e3 * unit.factor * float(number.replace(",", "."))
-                return value, f"the name {shown(name, 30)}"
     return None, ""

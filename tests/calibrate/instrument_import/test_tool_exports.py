@@ -238,6 +238,15 @@ def test_the_normal_stress_may_stand_in_several_places(tmp_path, where):
     assert test.tool.condition == pytest.approx(50e3, rel=EXACT)
 
 
+def test_a_name_says_more_than_a_line_above_another_specimen(tmp_path):
+    first = box(HEADS, before=("Box area: 36 cm2", "Specimen: a", "Normal stress: 50 kPa"))
+    second = box(HEADS, load=2 * TAU, before=("Specimen: b, 100 kPa",))
+    export = read_export(written(tmp_path, f"{first}\n{second}"), "direct_shear")
+    assert [test.name for test in tool_tests(export)] == ["50 kPa", "100 kPa"]
+    areas = [test.cylinder.area for test in tool_tests(export)]
+    assert areas == pytest.approx([BOX, BOX], rel=EXACT)  # stated once, above both
+
+
 @pytest.mark.parametrize("tool", ["60 x 60 mm", "36 cm^2", "67.70275 mm"])
 def test_a_square_box_counts_as_the_round_one_of_its_area(tmp_path, tool):
     heads = ("Shear displacement (mm)", "Shear force (N)")
