@@ -63,7 +63,7 @@ class VaneRecord(AbstractRecord):
         sizes = {"diameter": width, "height": height, "thickness": thickness}
         sizes["depth"] = COVERED * height
         as_high = "blades as high as the vane is wide, " if len(tool) < 2 else ""
-        not_said = f"{as_high}their thickness, and a depth of twice their height (ASTM D4648)"
+        not_said = f"{as_high}the blades' thickness, and a depth of twice their height (ASTM D4648)"
         return {name: millimetres(size) for name, size in sizes.items()}, not_said
 
     def bed(self, test: Any) -> Cylinder:
