@@ -139,7 +139,7 @@ def begun_late(lab: Lab) -> list[str]:
     """One sentence for each test of which a record begins at a preload."""
     found = []
     for test in lab.on_soil().tests:
-        curves = [curve for curve in lab.curves if curve.test == test.called]
+        curves = _compared(lab, test)
         if curves and not test.protocol and (zero := zero_of(curves)) > SEATING:
             latest = max(curves, key=lambda curve: curve.force_n[0])
             found.append(
@@ -181,7 +181,7 @@ def _target(lab: Lab, name: str) -> Row:
 
 def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
     """The features of one test's curves, with their means over the curves."""
-    curves = [curve for curve in lab.curves if curve.test == test.called]
+    curves = _compared(lab, test)
     if not curves:
         return
     for curve in curves:
@@ -213,6 +213,10 @@ def _of_curves(lab: Lab, test: AbstractLabTest) -> Iterator[Row]:
         early, late = ([_measured(end, curve) for curve in curves] for end in ends)
         slope = float(np.mean(np.subtract(late, early))) / (2 * ZERO_KNOWN)
         yield Row(feature, mean, 0.0, len(values), spread, slope)
+
+
+def _compared(lab: Lab, test: AbstractLabTest) -> list[Curve]:
+    return [curve for curve in lab.curves if curve.test == test.called and curve.compared]
 
 
 def _measured(feature: AbstractFeature, curve: Curve) -> float:

@@ -11,11 +11,12 @@ from calibrate.instrument_import.measured import Units
 from calibrate.instrument_import.recordings import Choices, Recording, recordings_in
 from calibrate.instrument_import.sizes import Size
 from calibrate.instrument_import.specimen_rows import unique_labels
-from calibrate.instrument_import.specimens import Specimen, specimen_from
+from calibrate.instrument_import.specimens import Specimen, specimen_from, tool_specimen
 from calibrate.instrument_import.strengths import Strengths, strengths_in
 from calibrate.instrument_import.textfile import text_sheet
-from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS, plain
+from calibrate.instrument_import.vocabulary import SOFTENS, STIFFENS, plain, tool_test_in
 from calibrate.instrument_import.workbook import is_workbook, workbook_sheets
+from calibrate.labtests.composite import TYPES
 
 LARGEST = 100_000_000  # bytes of an export
 _FOREIGN = {  # how files begin that are neither text nor .xlsx
@@ -65,14 +66,14 @@ def read_export(
         sheets = _sheets(data, Path(path).stem)
         try:
             recordings = recordings_in(sheets, choices)
-        except BadValue:
-            strengths = strengths_in(sheets, choices)
+        except BadValue as bad:
+            strengths = strengths_in(sheets, choices) if choices.record is None else None
             if strengths is None:
-                raise
+                raise _naming(bad, sheets, test) from None
             return Export(str(path), sheets[0].layout, (), (), strengths)
         specimens, refused = _specimens(recordings, test)
         if not specimens:
-            raise refused[0]
+            raise _naming(refused[0], sheets, test)
     except BadValue as bad:
         raise InputError(str(path), "", one_line(bad.problem), bad.repair) from None
     skipped = tuple(one_line(f"left out: {bad.problem}; {bad.repair}") for bad in refused)
@@ -98,6 +99,21 @@ def joined(exports: list[Export]) -> Export:
     )
 
 
+def _naming(bad: BadValue, sheets: list[Sheet], given: str | None) -> BadValue:
+    """The refusal of a file without a `given` test, with the one with a tool that it plainly is."""
+    lines = [line for page in sheets for line in page.texts if any(_has_letters(c) for c in line)]
+    words = [*(page.name for page in sheets), *(cell for line in lines for cell in line)]
+    test = None if given is not None else tool_test_in(words)
+    if test is None or f"--test {test}" in bad.repair:
+        return bad
+    named = f"if it is a {TYPES[test].title} test, give --test {test}"
+    return BadValue(bad.problem, f"{bad.repair}; {named}")
+
+
+def _has_letters(cell: str) -> bool:
+    return any(c.isalpha() for c in cell)
+
+
 def _specimens(
     recordings: list[Recording], test: str | None
 ) -> tuple[list[Specimen], list[BadValue]]:
@@ -108,6 +124,7 @@ def _specimens(
         recordings, unique_labels([r.label for r in recordings]), strict=True
     ):
         clean = step_specimen if recording.points else specimen_from
+        clean = tool_specimen if recording.tool is not None else clean
         try:
             specimens.append(clean(recording, test, label))
         except BadValue as bad:

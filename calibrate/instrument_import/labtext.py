@@ -150,7 +150,7 @@ def lab_text(export: Export) -> str:
     """The lab file that names these curves and strengths: one table a test, and the curves, where
     all is force and displacement under the usual protocols, else a list of tests."""
     plain = export.is_plain and not any(course_of(s) for s in export.specimens)
-    sections = [_head(export), _soil(export), _specimen(export)]
+    sections = [head(export), soil(export), _specimen(export)]
     sections += [*_plain_tests(export)] if plain else [*_listed_tests(export), _start(export)]
     return "\n\n".join(filter(None, map("\n".join, sections))) + "\n"
 
@@ -161,17 +161,18 @@ def safe(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in line)[:300]
 
 
-def _entry(name: str, value: object, comment: str = "") -> str:
+def entry(name: str, value: object, comment: str = "") -> str:
     """One line of TOML."""
     line = f"{name} = {tomlkit.item(value).as_string()}"
     return f"{line} # {safe(comment)}" if comment else line
 
 
-def _inline(**entries: object) -> str:
-    return "{" + ", ".join(_entry(name, value) for name, value in entries.items()) + "}"
+def inline(**entries: object) -> str:
+    """A table of TOML on one line."""
+    return "{" + ", ".join(entry(name, value) for name, value in entries.items()) + "}"
 
 
-def _head(export: Export) -> Lines:
+def head(export: Export) -> Lines:
     """What was found and assumed, as comments; one line each."""
     yield "# Written by `calibrate convert`. Check what is ASSUMED."
     for sentence in export.skipped:
@@ -184,14 +185,14 @@ def _head(export: Export) -> Lines:
         yield f"# {safe(note)}"
 
 
-def _soil(export: Export) -> Lines:
+def soil(export: Export) -> Lines:
     """[soil]: its name, where it is from, its densities."""
     yield "[soil]"
-    yield _entry("name", safe(Path(export.file).stem) or "soil")
-    yield _entry("source", safe(f"{Path(export.file).name}, {export.layout}"))
+    yield entry("name", safe(Path(export.file).stem) or "soil")
+    yield entry("source", safe(f"{Path(export.file).name}, {export.layout}"))
     densities = _known(export, "density")
     if densities:
-        yield _entry("density", [f"{density:.5g} kg/m^3" for density in densities])
+        yield entry("density", [f"{density:.5g} kg/m^3" for density in densities])
     else:
         yield '# density = ["1830 kg/m^3"]  # not in the file: add it'
 
@@ -204,7 +205,7 @@ def _specimen(export: Export) -> Lines:
         comment = "" if sizes else "ASSUMED: the file does not say"
         if sizes and np.ptp(sizes) > 0.01 * float(np.mean(sizes)):
             comment = "mean: the specimens differ"
-        yield _entry(name, _millimetres(sizes, usual), comment)
+        yield entry(name, _millimetres(sizes, usual), comment)
 
 
 def _known(export: Export, name: str) -> list[float]:
@@ -225,25 +226,26 @@ def _start(export: Export) -> Lines:
     if wanted > float(SoilParameters().shear_modulus):
         yield "[parameters]"
         comment = f"ASSUMED: a start that bears {1e-3 * max(stresses):.4g} kPa"
-        yield _entry("shear_modulus", f"{1e-6 * wanted:.3g} MPa", comment)
+        yield entry("shear_modulus", f"{1e-6 * wanted:.3g} MPa", comment)
 
 
 def _curves(export: Export, table: str, specimens: Sequence[Specimen]) -> Iterator[Lines]:
     """One table for each curve of these specimens that a fit uses."""
     for file, specimen in curve_files(export).items():
         if specimen in specimens and specimen in fitted(export):
-            yield _curve(table, file, specimen)
+            yield curve(table, file, specimen)
 
 
-def _curve(table: str, file: str, specimen: Specimen) -> Lines:
+def curve(table: str, file: str, specimen: Specimen) -> Lines:
+    """The table of one curve."""
     yield f"[[{table}]]"
     if table == "curves":
-        yield _entry("test", specimen.test)
-    yield _entry("file", file)
-    yield f"displacement = {_inline(column='displacement_mm', unit='mm')}"
-    yield f"force = {_inline(column='force_n', unit='N')}"
+        yield entry("test", specimen.test)
+    yield entry("file", file)
+    yield f"displacement = {inline(column='displacement_mm', unit='mm')}"
+    yield f"force = {inline(column='force_n', unit='N')}"
     if specimen.points:
-        yield _entry("points", True)
+        yield entry("points", True)
 
 
 def _not_listed(export: Export, specimens: Sequence[Specimen]) -> Lines:
@@ -270,17 +272,17 @@ def _plain_test(export: Export, test: str, specimens: Sequence[Specimen]) -> Lin
     """A test's platen speed and forces, and what its curves give as scalars, as a comment: the
     curves themselves are fitted."""
     yield f"[{test}]"
-    rates = _rates(specimens)
-    if rates:
-        yield _entry("rate", f"{1e3 * float(np.mean(rates)):.4g} mm/s")
+    known = rates(specimens)
+    if known:
+        yield entry("rate", f"{1e3 * float(np.mean(known)):.4g} mm/s")
     else:
         yield "# the platen's speed is not known: ASSUMED is the default"
     name, unit = "crushing_force_n", "N"
     if test == STIFFENS:
         forces = loading_forces(export)
-        yield _entry("force_low", f"{forces.low:.4g} N")
+        yield entry("force_low", f"{forces.low:.4g} N")
         note = f"ASSUMED: {forces.note}" if forces.note else ""
-        yield _entry("force_high", f"{forces.high:.4g} N", note)
+        yield entry("force_high", f"{forces.high:.4g} N", note)
         name, unit = "depression_depth_mm", "mm"
     values = observables(export)[name]
     if values:
@@ -289,7 +291,8 @@ def _plain_test(export: Export, test: str, specimens: Sequence[Specimen]) -> Lin
         yield f"# {text}; not a target, because the curves hold it already"
 
 
-def _rates(specimens: Sequence[Specimen]) -> list[float]:
+def rates(specimens: Sequence[Specimen]) -> list[float]:
+    """The speeds (m/s) of specimens that have one."""
     return [s.rate for s in specimens if s.rate is not None and s.rate > 0]
 
 
@@ -316,7 +319,7 @@ def _listed_tests(export: Export) -> Iterator[Lines]:
 def _sizes(export: Export, specimens: Sequence[Specimen]) -> str:
     """A new specimen: mean diameter and height of these, of all where these do not say."""
     sizes = {name: [getattr(s, name) for s in specimens if getattr(s, name)] for name in USUAL}
-    return _inline(**{
+    return inline(**{
         name: _millimetres(sizes[name] or _known(export, name), usual)
         for name, usual in USUAL.items()
     })  # fmt: skip
@@ -326,15 +329,15 @@ def _preparation(test: str, diameter: float | None, sizes: str) -> Lines:
     """The pressing in the mould before a crushing test; `sizes` of the specimen, if a new one."""
     share = ((diameter or DIAMETER) / DIAMETER) ** 2
     yield "[[tests]]"
-    yield _entry("name", "preparation" if test == SOFTENS else clean_name(f"preparation {test}"))
-    yield _entry("type", STIFFENS)
+    yield entry("name", "preparation" if test == SOFTENS else clean_name(f"preparation {test}"))
+    yield entry("type", STIFFENS)
     yield (
         "# ASSUMED: how hard the specimen was pressed before; a bed never pressed has no strength"
     )
     if sizes:
         yield f"specimen = {sizes}"
-    yield _entry("force_low", f"{FORCE_LOW * share:.4g} N")
-    yield _entry("force_high", f"{FORCE_HIGH * share:.4g} N")
+    yield entry("force_low", f"{FORCE_LOW * share:.4g} N")
+    yield entry("force_high", f"{FORCE_HIGH * share:.4g} N")
 
 
 def _listed_test(
@@ -342,13 +345,13 @@ def _listed_test(
 ) -> Lines:
     """One [[tests]] table, and the protocol to each turn of the load, without the steps between."""
     yield "[[tests]]"
-    yield _entry("name", name)
-    yield _entry("type", specimens[0].test)
+    yield entry("name", name)
+    yield entry("type", specimens[0].test)
     if sizes:
         yield f"specimen = {sizes}"
     if not course:
-        rates = _rates(specimens)
-        speed = f"{1e3 * float(np.mean(rates)):.4g} mm/s" if rates else "not known"
+        known = rates(specimens)
+        speed = f"{1e3 * float(np.mean(known)):.4g} mm/s" if known else "not known"
         yield f"# the platen's speed was {speed}; ASSUMED is the protocol of the type"
     else:
         yield (
@@ -358,7 +361,7 @@ def _listed_test(
         yield "protocol = ["
         for place, load in enumerate(course):
             word = ("unload", "reload")[(place - 1) % 2] if place else "load"
-            yield f"    {_inline(step=word, to=load)},"
+            yield f"    {inline(step=word, to=load)},"
         yield "]"
         times = [s.time_s for s in specimens if s.time_s is not None and s.points]
         if times:
@@ -371,10 +374,10 @@ def _crushing(strengths: Strengths) -> Iterator[Lines]:
     """Strengths as the scalar target of a crushing test."""
     force = strengths.force_n
     mean, scatter = float(np.mean(force)), float(np.std(force, ddof=1))
-    table = ["[[tests]]", _entry("name", strengths.test), _entry("type", strengths.test)]
+    table = ["[[tests]]", entry("name", strengths.test), entry("type", strengths.test)]
     if scatter < 1e-3 * mean:
         scatter = 0.05 * mean
         table.append("# ASSUMED: a scatter of 5 %, because all strengths are equal")
     yield iter(table)
-    target = _inline(mean=f"{mean:.4g} N", scatter=f"{scatter:.3g} N", repeats=len(force))
+    target = inline(mean=f"{mean:.4g} N", scatter=f"{scatter:.3g} N", repeats=len(force))
     yield iter(["[tests.targets]", f"crushing_force_n = {target}"])

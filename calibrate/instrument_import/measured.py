@@ -1,4 +1,4 @@
-"""One column in the unit that is kept: N or kPa, mm or a fraction, s.
+"""One column in the unit that is kept: N, kPa or N m, mm, rad or a fraction, s.
 
 Units come from the command line, else from the heading; without one the usual unit is assumed
 and said.  Time may be written as its root: t = (sqrt t)^2.
@@ -11,7 +11,7 @@ import numpy as np
 
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.columns import Channel
-from calibrate.instrument_import.headings import refused_unit
+from calibrate.instrument_import.headings import refused_unit, unit_option
 from calibrate.instrument_import.sizes import Column
 from calibrate.instrument_import.tables import Table
 from calibrate.instrument_import.unittext import GRAVITY, Unit
@@ -22,6 +22,7 @@ _USUAL = {
     Quantity.DISPLACEMENT: Unit(Quantity.DISPLACEMENT, "mm", 1.0),
     Quantity.STRESS: Unit(Quantity.STRESS, "kPa", 1.0),
     Quantity.TIME: Unit(Quantity.TIME, "s", 1.0),
+    Quantity.ANGLE: Unit(Quantity.ANGLE, "degrees", np.pi / 180),
 }
 _USUAL_OF_ROOT = Unit(Quantity.TIME, "min", 60.0)
 _WHOLE = 1e-6  # a degree of consolidation ends at 1 (or 100 %) within this
@@ -42,7 +43,7 @@ class Units:
 
     def of(self, kind: Quantity) -> Unit | None:
         """The unit that the user gave for a column of this kind."""
-        return getattr(self, kind.dimension, None)
+        return getattr(self, kind.option, None)
 
     def assumed_of(self, *channels: Channel | None) -> frozenset[Quantity]:
         """The kinds of these columns whose unit neither the user nor the file gives."""
@@ -104,6 +105,11 @@ def load_of_name(label: str, travel: Column, units: Units) -> tuple[Column, str]
 def _factor(channel: Channel, values: np.ndarray, units: Units) -> tuple[float, str]:
     """Kept units in one unit of the column, and what was assumed."""
     wanted, heading = units.of(channel.kind), channel.heading
+    if wanted is not None and wanted.kind != channel.kind.dimension:
+        problem = (
+            f"{wanted.name} is not a unit of {channel.kind}, in column {shown(heading.name, 30)}"
+        )
+        raise BadValue(problem, unit_option(channel.kind))
     if wanted is None and heading.not_understood and channel.kind != Quantity.VOID_RATIO:
         raise refused_unit(heading, channel.kind)
     unit, name = wanted or heading.unit, shown(heading.name, 30)
@@ -116,6 +122,8 @@ def _factor(channel: Channel, values: np.ndarray, units: Units) -> tuple[float, 
         largest = float(np.nanmax(np.abs(values)))
         per, word = (0.01, "%") if largest > 1 else (1.0, "a fraction")
         return per, f"column {name} has no unit: taken as {word}"
+    if channel.kind == Quantity.TORQUE:
+        raise BadValue(f"column {name} of torque has no unit", unit_option(channel.kind))
     is_root = channel.kind == Quantity.ROOT_TIME
     usual = _USUAL_OF_ROOT if is_root else _USUAL[channel.kind.dimension]
     return usual.factor, f"column {name} has no unit: taken as {usual.name}"

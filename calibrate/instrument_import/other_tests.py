@@ -12,7 +12,14 @@ import numpy as np
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.cells import number
 from calibrate.instrument_import.tables import Table
-from calibrate.instrument_import.vocabulary import WORDS, holds, test_named_in, words_of
+from calibrate.instrument_import.vocabulary import (
+    WORDS,
+    holds,
+    test_named_in,
+    tool_test_in,
+    words_of,
+)
+from calibrate.labtests.composite import TYPES
 
 SIGNS = WORDS.other_tests
 _INVARIANTS = frozenset(("q", "p", "p'", "peff", "p'eff"))  # of stress, if both stand there
@@ -40,8 +47,12 @@ def refuse(signs: list[str], insisted: bool, named: str | None) -> tuple[str, ..
     if insisted or (named is not None and not any("column" in sign for sign in signs)):
         text = "a test that is not simulated shows in the file"
         return (f"{text} ({'; '.join(signs[:3])}): its strength is not an unconfined one",)
-    problem = f"it is a test that is not simulated: {'; '.join(signs[:2])}"
-    raise BadValue(problem, "if it is an (un)confined test all the same, give --test")
+    repair = "if it is an (un)confined test all the same, give --test"
+    named_by = {tool_test_in([sign]) for sign in signs}
+    if len(named_by) == 1 and (test := next(iter(named_by))) is not None:
+        problem = f"it is a {TYPES[test].title} test, which is not simulated as compression"
+        raise BadValue(f"{problem}: {'; '.join(signs[:2])}", f"give --test {test}; {repair}")
+    raise BadValue(f"it is a test that is not simulated: {'; '.join(signs[:2])}", repair)
 
 
 def _columns(table: Table, rows: np.ndarray) -> list[str]:

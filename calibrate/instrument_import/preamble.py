@@ -5,14 +5,25 @@ follows; a length may lack its unit, which is then taken as mm, and said so; a v
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 
 from calibrate.core.errors import BadValue
-from calibrate.core.units import AREA, DENSITY, LENGTH, SPEED, VOID_RATIO, Kind, unit_factor
+from calibrate.core.units import (
+    AREA,
+    DENSITY,
+    FORCE,
+    LENGTH,
+    SPEED,
+    STRESS,
+    VOID_RATIO,
+    Kind,
+    unit_factor,
+)
 from calibrate.instrument_import.cells import number
-from calibrate.instrument_import.vocabulary import WORDS, Above, plain, test_named_in
+from calibrate.instrument_import.unittext import unit_of
+from calibrate.instrument_import.vocabulary import WORDS, Above, Quantity, plain, test_named_in
 
 MASS = Kind("mass", "kg", "360 g")
 
@@ -25,6 +36,7 @@ _QUANTITIES: dict[Above, tuple[Kind, float, float]] = {  # and what a bench-top 
     "area": (AREA, 1e-5, 1.0),
     "void_ratio": (VOID_RATIO, 0.05, 20.0),
 }
+_IN_ANY_CASE = {STRESS: Quantity.STRESS, FORCE: Quantity.FORCE}  # "kpa", as lines are compared
 _NUMBER = re.compile(r"(?<![\w.,])[-+]?\d+(?:[.,]\d+)?")
 _LABEL = re.compile(
     r"\S+?(?:\s*(?:id|name|label|no|nr|nummer|number|code|编号))?\.?\s*[:：#=\s]\s*(.+)",
@@ -60,7 +72,7 @@ def read_preamble(rows: list[list[str]]) -> Stated:
         test = test_named_in(line) or test
         label = _label(cells) or label
         for name, (kind, low, high) in _QUANTITIES.items():
-            value, note = _quantity(line, kind, name)
+            value, note = quantity_in(line, kind, words_above(name))
             if value is not None and low <= value <= high:
                 quantities[name] = value
                 assumed += [note] if note else []
@@ -69,10 +81,11 @@ def read_preamble(rows: list[list[str]]) -> Stated:
     return Stated(quantities, test, label, tuple(dict.fromkeys(assumed)), impossible)
 
 
-def _quantity(line: str, kind: Kind, name: Above) -> tuple[float | None, str]:
-    """A quantity (SI) that the line states, and what was assumed about its unit."""
+def quantity_in(line: str, kind: Kind, words: Iterable[str]) -> tuple[float | None, str]:
+    """The quantity (in the unit of its kind) that a line states under one of these words, and what
+    was assumed about its unit."""
     lower = plain(line)
-    places = [end for word in _words(name) if (end := _end_of(word, lower)) is not None]
+    places = [end for word in words if (end := _end_of(word, lower)) is not None]
     if not places:
         return None, ""
     rest = lower[min(places) :]
@@ -93,7 +106,7 @@ def _quantity(line: str, kind: Kind, name: Above) -> tuple[float | None, str]:
     return value * unit_factor("mm", kind), f"{line.strip()!r} is in mm"
 
 
-def _words(name: Above) -> Iterator[str]:
+def words_above(name: Above) -> Iterator[str]:
     """What a quantity is called, in all languages."""
     return chain.from_iterable(WORDS.above[name].values())
 
@@ -108,6 +121,9 @@ def _end_of(word: str, line: str) -> int | None:
 
 def _factor(unit: str, kind: Kind) -> float | None:
     """SI units in one `unit`, or None if it is no unit of this kind."""
+    if kind in _IN_ANY_CASE:
+        known = unit_of(unit.strip(".;,:"))
+        return known.factor if known is not None and known.kind == _IN_ANY_CASE[kind] else None
     written = unit.strip(".;,:").replace("毫米", "mm").replace("³", "^3").replace("cm3", "cm^3")
     written = re.sub(r"m([23])$", r"m^\1", written.replace("²", "^2"))
     try:
@@ -118,10 +134,10 @@ def _factor(unit: str, kind: Kind) -> float | None:
 
 def _label(cells: list[str]) -> str:
     """The specimen's name in a line such as "Specimen: A-12" or "Probe Nr.;3"."""
-    if not cells or not plain(cells[0]).startswith((*_words("specimen"),)):
+    if not cells or not plain(cells[0]).startswith((*words_above("specimen"),)):
         return ""
     line = " ".join(cells)
     found = _LABEL.match(line)
     label = found[1].strip() if found else ""
-    shape = any(word in plain(line) for name in _QUANTITIES for word in _words(name))
+    shape = any(word in plain(line) for name in _QUANTITIES for word in words_above(name))
     return "" if shape or not label else label[:60]

@@ -13,7 +13,14 @@ import numpy as np
 
 from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.cells import Sheet
-from calibrate.instrument_import.columns import BY_UNIT, Channels, channels_of, explain_missing
+from calibrate.instrument_import.columns import (
+    BY_UNIT,
+    Channels,
+    channels_of,
+    explain_missing,
+    further_kinds,
+    recorded_channels,
+)
 from calibrate.instrument_import.measured import (
     Units,
     is_degree,
@@ -32,7 +39,9 @@ from calibrate.instrument_import.specimen_rows import (
 )
 from calibrate.instrument_import.steps import are_steps
 from calibrate.instrument_import.tables import FEWEST_ROWS, FEWEST_STEPS, Table, tables_in
-from calibrate.instrument_import.vocabulary import Quantity, test_named_in
+from calibrate.instrument_import.tools import Place, Tool, tool_of
+from calibrate.instrument_import.vocabulary import RECORDED, Kinds, Quantity, test_named_in
+from calibrate.labtests.measured import AbstractRecord
 
 MINOR = 0.1  # tables with fewer rows than this share of the longest are no recordings
 MOST_SPECIMENS = 60
@@ -51,6 +60,22 @@ class Choices:
     size: Size = field(default_factory=Size)
     points: bool | None = None
 
+    @property
+    def record(self) -> AbstractRecord | None:
+        """What the machine of the test writes, where that is more than force and displacement."""
+        return RECORDED.get(self.test or "")
+
+    @property
+    def kinds(self) -> Kinds:
+        """The kinds of columns beyond the usual ones."""
+        return further_kinds(self.record)
+
+    def channels(self, table: Table, fewest: int) -> list[Channels]:
+        """The specimens of a table."""
+        if self.record is None:
+            return channels_of(table, fewest)
+        return recorded_channels(table, self.record)
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -59,7 +84,8 @@ class Recording:
     `place` says where in the file it stands; `stated` holds what its preamble says, the user's
     sizes in place; `units_assumed` the kinds of columns whose unit nobody wrote; `assumed` and
     `warnings` are sentences.  `load` and `travel` are the kinds of columns that were
-    recorded, `points` whether the rows are load steps, `size` what was converted with.
+    recorded, `points` whether the rows are load steps, `size` what was converted with, `tool` the
+    test with a tool that it is of.
     """
 
     label: str
@@ -75,6 +101,7 @@ class Recording:
     travel: Quantity
     points: bool
     size: Converted
+    tool: Tool | None = None
 
     def of(self, rows: np.ndarray | slice) -> "Recording":
         """These rows of it."""
@@ -101,10 +128,12 @@ class Source:
 
 def recordings_in(sheets: list[Sheet], choices: Choices) -> list[Recording]:
     """All specimens of a file; `BadValue` if there is none, or far too many."""
-    tables = [table for page in sheets for table in tables_in(page)]
+    tables = [table for page in sheets for table in tables_in(page, kinds=choices.kinds)]
     sources = _sources(tables, FEWEST_ROWS, choices)
     if sources:
         return _recordings(sources, choices, len(sheets) > 1)
+    if choices.record is not None and tables:
+        raise explain_missing(tables, choices.record)
     few = [table for page in sheets for table in tables_in(page, FEWEST_STEPS, 1)]
     sources = _sources(few, FEWEST_STEPS, choices)
     if not sources:
@@ -123,7 +152,7 @@ def recordings_in(sheets: list[Sheet], choices: Choices) -> list[Recording]:
 
 def _sources(tables: list[Table], fewest: int, choices: Choices) -> list[Source]:
     """All specimens of these tables, without tables that are minor beside the longest."""
-    with_channels = [(t, channels) for t in tables if (channels := channels_of(t, fewest))]
+    with_channels = [(t, channels) for t in tables if (channels := choices.channels(t, fewest))]
     longest = max((len(table.numbers) for table, _ in with_channels), default=0)
     sources = [
         source
@@ -225,7 +254,10 @@ def _recordings(sources: list[Source], choices: Choices, many_sheets: bool) -> l
 def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) -> Recording:
     """The specimen in these columns, rows with a missing value left out."""
     table, channels, own = source.table, source.channels, source.rows
-    stated, size_notes = choices.size.over(read_preamble([*table.preamble]))
+    above = [*table.preamble] if choices.record is None else table.above
+    stated, size_notes = choices.size.over(read_preamble(above))
+    if choices.record is not None and not choices.record.own_bed:
+        stated, size_notes = Stated(label=stated.label), ()  # sizes above may be the tool's
     travel, travel_note = measured(table, channels.travel, choices.units)
     travel = travel.of(own)
     if channels.load is None:
@@ -247,14 +279,19 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
     named = test_named_in(f"{table.sheet.name} {source.label}") or stated.test
     warnings = _missing(rows, load.values, travel.values) + _lost(table)
     load, travel = load.of(rows), travel.of(rows)
-    points = are_steps(load, travel, choices.test or named, choices.points)
-    signs = signs_of_other_tests(table, own, source.label, points)
-    warnings += refuse(signs, choices.test is not None, named)
-    size = converted(load, travel, stated, choices.size, place)
+    tool = _tool(source, choices, stated, rows, place)
+    if tool is None:
+        points = are_steps(load, travel, choices.test or named, choices.points)
+        signs = signs_of_other_tests(table, own, source.label, points)
+        warnings += refuse(signs, choices.test is not None, named)
+        size = converted(load, travel, stated, choices.size, place)
+    else:
+        points, size = False, tool.converted(load, travel)
+        warnings += tool.warnings
     page = f"sheet {shown(table.sheet.name, 30)}, " if many_sheets else ""
     notes = (load_note, travel_note, time_note, clock_note, _passed_over(channels))
     warnings += _by_unit(channels)
-    notes = (*notes, *source.notes, *size_notes)
+    notes = (*notes, *source.notes, *size_notes, *(tool.notes if tool is not None else ()))
     recording = Recording(
         label=source.label or stated.label or (table.sheet.name if many_sheets else ""),
         place=f"{page}rows from {table.line + int(np.argmax(own))}, {_columns_in_words(channels)}",
@@ -269,8 +306,25 @@ def _recording(source: Source, choices: Choices, place: int, many_sheets: bool) 
         travel=travel.kind,
         points=points,
         size=size,
+        tool=tool,
     )
     return _turned(recording)
+
+
+def _tool(
+    source: Source, choices: Choices, stated: Stated, rows: np.ndarray, number: int
+) -> Tool | None:
+    """The test with a tool that the source is of, None for another test; `rows` of its own are
+    complete."""
+    if choices.record is None or choices.test is None:
+        return None
+    table, condition = source.table, None
+    if source.channels.condition is not None:
+        condition, _ = measured(table, source.channels.condition, choices.units)
+        condition = condition.of(source.rows).of(rows)
+    names = (source.label, stated.label, table.sheet.name)
+    place = Place(table.preamble, table.above, stated, names, number)
+    return tool_of(choices.test, choices.size, place, condition)
 
 
 def _columns_in_words(channels: Channels) -> str:
@@ -318,14 +372,17 @@ def _turned(recording: Recording) -> Recording:
     top = int(np.argmax(np.abs(force - force[0])))
     if (np.median(force) < 0) if recording.points else (force[top] < force[0]):
         force = -force
-        what = "load" if recording.points else "force"
-        notes.append(f"compressive {what} is negative in the file: its sign was turned")
+        what = "compressive load" if recording.points else "compressive force"
+        what = what if recording.tool is None else recording.load
+        notes.append(f"{what} is negative in the file: its sign was turned")
     top = int(np.argmax(force)) if recording.points else top
     has_sign = recording.points and recording.travel == Quantity.VOID_RATIO
     if travel[top] < travel[0] and not has_sign:
         travel = -travel
         steps, curve = "travel falls while the load", "displacement falls while the force"
         moves = steps if recording.points else curve
+        if recording.tool is not None:
+            moves = f"{recording.travel} falls while the {recording.load}"
         notes.append(f"{moves} rises: its sign was turned")
     assumed = recording.assumed + tuple(notes)
     return replace(recording, force_n=force, displacement_mm=travel, assumed=assumed)

@@ -143,6 +143,17 @@ def is_stiffening(travel: np.ndarray, force: np.ndarray) -> bool:
     return bool(load[int(np.argmax(up >= middle))] < 0.42 * load[-1])
 
 
+def speed(time: np.ndarray, travel: np.ndarray, force: np.ndarray) -> float | None:
+    """Travel per time (mm/s) in the middle of loading; None where the clock stands still."""
+    up = slice(0, int(np.argmax(force)) + 1)
+    if np.ptp(time[up]) <= 0:
+        return None
+    middle = (travel[up] > 0.1 * travel[up][-1]) & (travel[up] < 0.9 * travel[up][-1])
+    if middle.sum() < 3 or np.ptp(time[up][middle]) <= 0:
+        return None
+    return float(np.polyfit(time[up][middle], travel[up][middle], 1)[0])
+
+
 def _longest(mask: np.ndarray) -> tuple[int, int]:
     """The longest run of True as (first, last+1)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))

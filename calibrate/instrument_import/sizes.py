@@ -6,12 +6,23 @@ d and h are the diameter and height before the test and e0 the void ratio then: 
 strain, and stress on the initial area.  Sizes come from the command line, else from the file.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibrate.core.errors import BadValue, shown
-from calibrate.core.units import LENGTH, STRAIN, VOID_RATIO, number_or_quantity, quantity
+from calibrate.core.units import (
+    AREA,
+    LENGTH,
+    STRAIN,
+    STRESS,
+    VOID_RATIO,
+    number_of,
+    number_or_quantity,
+    positive_quantity,
+    quantity,
+)
 from calibrate.instrument_import.preamble import Stated
 from calibrate.instrument_import.vocabulary import Quantity
 
@@ -33,12 +44,15 @@ class Size:
 
     `void_ratios` holds e0 of all specimens or of each in file order, or is `FIRST`;
     `settlements` the whole settlement of a degree of consolidation, as written, one or each.
+    `tool` are the sizes of a tool, its width first; `normal_stresses` (Pa) one or each.
     """
 
     diameter: float | None = None
     height: float | None = None
     void_ratios: tuple[float, ...] | str | None = None
     settlements: tuple[str, ...] | None = None
+    tool: tuple[float, ...] = ()
+    normal_stresses: tuple[float, ...] | None = None
 
     def over(self, stated: Stated) -> tuple[Stated, tuple[str, ...]]:
         """What the file states with the user's sizes in place, and where the two differ."""
@@ -100,7 +114,7 @@ def converted(load: Column, travel: Column, stated: Stated, size: Size, place: i
     if not len(load.values):
         problem = f"{load.words} and {travel.words} hold no point in common"
         raise BadValue(problem, "export the whole record")
-    diameter, height = _diameter(stated), stated.quantities.get("height")
+    diameter, height = stated_diameter(stated), stated.quantities.get("height")
     void_ratio = _initial_void_ratio(travel, stated, size, place)
     _check_sizes(load, travel, stated, diameter, height, void_ratio)
     force, why_force = _force(load, diameter)
@@ -111,7 +125,7 @@ def converted(load: Column, travel: Column, stated: Stated, size: Size, place: i
     return Converted(force, displacement, diameter, height, void_ratio, (*why, ASSUMPTION))
 
 
-def _diameter(stated: Stated) -> float | None:
+def stated_diameter(stated: Stated) -> float | None:
     """The diameter (m) as stated, or of the circle of the stated area."""
     diameter, area = stated.quantities.get("diameter"), stated.quantities.get("area")
     if area is None:
@@ -251,9 +265,32 @@ def settlements(text: str) -> tuple[str, ...]:
     return parts
 
 
+def tool_sizes(text: str) -> tuple[float, ...]:
+    """--tool: its width and perhaps a further size (m), "20 mm" or "20 x 40 mm"; or an area,
+    "130 mm^2", of which the diameter of a circle is meant."""
+    *before, last = (part.strip() for part in re.split(r"[x×*,]", text))
+    unit = last.removeprefix(number_of(last)).strip()
+    sizes = [f"{part} {unit}" if number_of(part) == part else part for part in (*before, last)]
+    try:
+        if not before and quantity(text, AREA) > 0:
+            return (float(np.sqrt(4 * quantity(text, AREA) / np.pi)),)
+    except BadValue:
+        pass
+    return tuple(positive_quantity(each, LENGTH) for each in sizes)
+
+
+def normal_stresses(text: str) -> tuple[float, ...]:
+    """--normal-stress: one for all specimens or one for each, separated by commas, Pa."""
+    return tuple(1e3 * positive_quantity(part.strip(), STRESS) for part in text.split(","))
+
+
 def check_counts(size: Size, specimens: int) -> None:
     """Refuses a list of void ratios or settlements that is not one for each specimen."""
-    for option, values in (("--void-ratio", size.void_ratios), ("--settlement", size.settlements)):
+    for option, values in (
+        ("--void-ratio", size.void_ratios),
+        ("--settlement", size.settlements),
+        ("--normal-stress", size.normal_stresses),
+    ):
         if isinstance(values, tuple) and len(values) not in (1, specimens):
             problem = f"{len(values)} values of {option} for {specimens} specimens"
             raise BadValue(problem, "give one for all, or one for each in file order")

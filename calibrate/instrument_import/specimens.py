@@ -14,7 +14,9 @@ from calibrate.core.errors import BadValue
 from calibrate.instrument_import import signals
 from calibrate.instrument_import.recordings import Recording
 from calibrate.instrument_import.tables import FEWEST_ROWS
+from calibrate.instrument_import.tools import Tool
 from calibrate.instrument_import.vocabulary import LOAD_STEPS, SOFTENS, STIFFENS, Quantity
+from calibrate.labtests.unconfined import still_rises
 
 DIAMETER, HEIGHT = 0.05, 0.10  # m; assumed where the file does not say
 LEAD_SHARE = 0.1  # of the travel from contact to the peak; kept before contact
@@ -148,6 +150,59 @@ def specimen_from(recording: Recording, test: str | None, label: str) -> Specime
         findings=tuple(findings.found),
         raw=recording,
     )
+
+
+def tool_specimen(recording: Recording, test: str | None, label: str) -> Specimen:
+    """The clean curve of a test with a tool, up to where the tool turns back.
+
+    Raises `BadValue` for a record in which nothing is moved or loaded.
+    """
+    tool = recording.tool
+    assert tool is not None and test is not None  # of such a test
+    findings = Findings.of(recording, label)
+    recording = _in_order(recording, findings)
+    _check_curve(recording, findings)
+    stiffens = tool.test.shape == "stiffens"
+    curve = recording.displacement_mm, recording.force_n
+    top = signals.clipped_run(*curve) if stiffens else None
+    start, zero = _tool_start(recording, tool, findings)
+    part = recording.of(_counted(recording, start, top, SOFTENS, findings))
+    travel, force, time = _cleaned(part, start, zero, SOFTENS, findings)
+    _tell_gaps(time, travel, force, findings)
+    if not stiffens and still_rises(travel, force):
+        text = f"the {recording.load} still rises at the end of the record: there is no peak"
+        findings.warn("no peak", f"{text}, the number is where the record stops")
+    return Specimen(
+        label=label,
+        test=test,
+        time_s=time,
+        displacement_mm=travel,
+        force_n=force,
+        rate=_rate(time, travel, force, recording),
+        unloading_mm=None,
+        clipped=top is not None,
+        contact_mm=zero,
+        zero_n=start.zero,
+        begins_n=begins_at(recording),
+        approach=start.approach,
+        findings=tuple(findings.found),
+        raw=recording,
+    )
+
+
+def _tool_start(
+    recording: Recording, tool: Tool, findings: Findings
+) -> tuple[signals.Start, float]:
+    """Where the curve begins, and the recorded travel (mm) from which it counts."""
+    travel = recording.displacement_mm
+    column = tool.travel(recording.travel)
+    datum = column.datum(tool.test)
+    if column.counts == "contact":
+        start = signals.start_of_contact(recording.force_n, travel)
+        _tell_start(recording, start, findings)
+        return start, float(travel[start.row]) + datum
+    first = float(travel[0]) if column.counts == "first row" else 0.0
+    return signals.Start(0, 0.0, 0.0, False), first + datum
 
 
 def _in_order(recording: Recording, findings: Findings) -> Recording:
@@ -338,12 +393,5 @@ def _tell_gaps(time, travel, force, findings: Findings) -> None:
 def _rate(time, travel, force, recording: Recording) -> float | None:
     """Platen speed on loading (m/s), measured where time was recorded, else as stated."""
     stated = recording.stated.quantities.get("speed")
-    if time is None:
-        return stated
-    up = slice(0, int(np.argmax(force)) + 1)
-    if np.ptp(time[up]) <= 0:
-        return stated
-    middle = (travel[up] > 0.1 * travel[up][-1]) & (travel[up] < 0.9 * travel[up][-1])
-    if middle.sum() < 3 or np.ptp(time[up][middle]) <= 0:
-        return stated
-    return float(1e-3 * np.polyfit(time[up][middle], travel[up][middle], 1)[0])
+    found = None if time is None else signals.speed(time, travel, force)
+    return stated if found is None else 1e-3 * found

@@ -14,7 +14,7 @@ from calibrate.instrument_import.cells import Sheet, number
 from calibrate.instrument_import.headings import Heading, heading_of, split_heading
 from calibrate.instrument_import.preamble import read_preamble
 from calibrate.instrument_import.unittext import unit_of
-from calibrate.instrument_import.vocabulary import kind_of, names_specimens
+from calibrate.instrument_import.vocabulary import Kinds, kind_of, names_specimens
 
 FEWEST_ROWS = 8
 FEWEST_STEPS = 3  # rows of a table of load steps, or of strengths
@@ -40,9 +40,18 @@ class Table:
     blocks: tuple[int, ...] = ()  # rows above which the heading stood again
     lost: int = 0  # lines among the rows that hold no numbers
 
+    @property
+    def above(self) -> list[Row]:
+        """All lines of words above the first row, those above earlier tables among them."""
+        rows = self.sheet.texts[: self.line - 1]
+        return [row for row in rows if any(c.isalpha() for cell in row for c in cell)]
 
-def tables_in(sheet: Sheet, fewest: int = FEWEST_ROWS, numeric: int = 2) -> list[Table]:
-    """The tables of a sheet of at least `fewest` rows, with at least `numeric` numbers a row.
+
+def tables_in(
+    sheet: Sheet, fewest: int = FEWEST_ROWS, numeric: int = 2, kinds: Kinds = ()
+) -> list[Table]:
+    """The tables of a sheet of at least `fewest` rows, with at least `numeric` numbers a row;
+    `kinds` of columns beyond the usual ones.
 
     Rows that follow without a heading, or under the same heading and no other specimen's data,
     continue the table before.
@@ -51,7 +60,7 @@ def tables_in(sheet: Sheet, fewest: int = FEWEST_ROWS, numeric: int = 2) -> list
     begun, before = 0, 0  # where the lines above this table begin, and those above the last one
     for first, last in _runs(sheet, numeric):
         above = sheet.texts[max(begun, first - _LONGEST_PREAMBLE) : first]
-        headings, used = _headings(above, sheet.numbers.shape[1])
+        headings, used = _headings(above, sheet.numbers.shape[1], kinds)
         between, rows = above[: len(above) - used], slice(first, last)
         if tables and _continues(tables[-1], sheet.numbers[rows], headings, used, between, fewest):
             tables[-1] = _continued(tables[-1], rows, bool(used), between)
@@ -115,41 +124,43 @@ def _goes_on(before: np.ndarray, after: np.ndarray) -> bool:
     return bool(np.all(jump <= 3 * np.nanmax(steps, axis=0)))
 
 
-def _headings(above: list[Row], columns: int) -> tuple[list[Heading], int]:
+def _headings(above: list[Row], columns: int, kinds: Kinds) -> tuple[list[Heading], int]:
     """Headings of all columns from the rows directly above, and how many rows they took."""
-    rows, taken = _heading_rows(above)
+    rows, taken = _heading_rows(above, kinds)
     width = max([columns, *(len(row) for row in rows)])
     names, units, labels = [], [], []
     for row in rows:
         cells = [cell.strip() for cell in row] + [""] * (width - len(row))
-        if _is_of_units(cells):
+        if _is_of_units(cells, kinds):
             units.append(cells)
-        elif _count_named(cells):
+        elif _count_named(cells, kinds):
             names.append(cells)
         else:
             labels.append(_filled_forward(cells))
-    return [_heading(names, units, labels, j) for j in range(columns)], taken
+    return [_heading(names, units, labels, j, kinds) for j in range(columns)], taken
 
 
-def _heading(names: list[Row], units: list[Row], labels: list[Row], j: int) -> Heading:
+def _heading(
+    names: list[Row], units: list[Row], labels: list[Row], j: int, kinds: Kinds
+) -> Heading:
     label = " ".join(dict.fromkeys(row[j] for row in labels if row[j]))
     name = " ".join(row[j] for row in names if row[j])
-    return heading_of(name, [row[j] for row in units], label)
+    return heading_of(name, [row[j] for row in units], label, kinds)
 
 
-def _is_of_units(cells: Row) -> bool:
+def _is_of_units(cells: Row, kinds: Kinds) -> bool:
     """Whether a row holds units rather than names: "m" and "h" among names are names."""
     filled = [cell for cell in cells if cell]
-    units = _count_units(filled)
+    units = _count_units(filled, kinds)
     named = sum(
-        _is_channel(cell) and (unit_of(cell) is None or len(cell.strip("[]() ")) < 2)
+        _is_channel(cell, kinds) and (unit_of(cell, kinds) is None or len(cell.strip("[]() ")) < 2)
         for cell in filled
     )
-    others = sum(not unit_of(cell) and not _is_channel(cell) for cell in filled)
+    others = sum(not unit_of(cell, kinds) and not _is_channel(cell, kinds) for cell in filled)
     return units > 0 and units > named + others
 
 
-def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
+def _heading_rows(above: list[Row], kinds: Kinds) -> tuple[list[Row], int]:
     """The lowest rows of `above` that can be a heading, and how far up they reach."""
     rows: list[Row] = []
     taken = 0
@@ -158,41 +169,43 @@ def _heading_rows(above: list[Row]) -> tuple[list[Row], int]:
             if rows:
                 break
             continue
-        if len(rows) == _TALLEST or not _is_heading(row, bool(rows)):
+        if len(rows) == _TALLEST or not _is_heading(row, bool(rows), kinds):
             break
         rows.insert(0, row)
         taken = depth
     return rows, taken
 
 
-def _is_heading(row: Row, below_known: bool) -> bool:
+def _is_heading(row: Row, below_known: bool, kinds: Kinds) -> bool:
     """A row of names or units, or, above such a row, of labels over groups of columns."""
     if below_known and any(cell.strip().endswith((":", "：")) for cell in row):
         return False  # "Time: 320 s" above a heading states something
-    named = _count_named(row)
+    if kinds and any(number(cell, sign) == number(cell, sign) for cell in row for sign in ".,"):
+        return False  # "Normal stress;50;kPa" does so as well
+    named = _count_named(row, kinds)
     if named and not below_known:
         named += sum(names_specimens(cell) for cell in row)
-    if named + _count_units(row) >= 2:
+    if named + _count_units(row, kinds) >= 2:
         return True
     filled = [cell for cell in row if cell.strip()]
     is_text = not any(number(cell, ".") == number(cell, ".") for cell in filled)
-    return below_known and is_text and 2 <= len(filled) < len(row) and not _count_units(row)
+    return below_known and is_text and 2 <= len(filled) < len(row) and not _count_units(row, kinds)
 
 
-def _count_named(row: Row) -> int:
-    return sum(1 for cell in row if cell.strip() and _is_channel(cell))
+def _count_named(row: Row, kinds: Kinds) -> int:
+    return sum(1 for cell in row if cell.strip() and _is_channel(cell, kinds))
 
 
-def _is_channel(cell: str) -> bool:
-    heading = split_heading(cell)
+def _is_channel(cell: str, kinds: Kinds) -> bool:
+    heading = split_heading(cell, kinds)
     if not any(c.isalpha() for c in heading.name):
         return False  # "500 N" is a value
     known = heading.unit is not None and not heading.unit.by_weight
-    return known or (len(cell) < 60 and kind_of(heading.name)[0] is not None)
+    return known or (len(cell) < 60 and kind_of(heading.name, kinds)[0] is not None)
 
 
-def _count_units(row: Row) -> int:
-    return sum(1 for cell in row if cell.strip() and unit_of(cell))
+def _count_units(row: Row, kinds: Kinds) -> int:
+    return sum(1 for cell in row if cell.strip() and unit_of(cell, kinds))
 
 
 def _filled_forward(row: Row) -> Row:

@@ -13,7 +13,7 @@ from functools import cache
 import pint
 
 from calibrate.core.units import registry
-from calibrate.instrument_import.vocabulary import WORDS, Quantity
+from calibrate.instrument_import.vocabulary import WORDS, Kinds, Quantity
 
 KEPT = {  # the unit in which numbers are kept
     Quantity.FORCE: "N",
@@ -22,6 +22,7 @@ KEPT = {  # the unit in which numbers are kept
     Quantity.TIME: "s",
     Quantity.STRAIN: "",
 }
+KEPT_OF_TOOLS = {Quantity.TORQUE: "N m", Quantity.ANGLE: "rad"}
 GRAVITY = 9.80665  # m/s2, standard
 
 
@@ -49,9 +50,15 @@ _AREA = re.compile(
 )
 
 
-def unit_of(text: str) -> Unit | None:
-    """The unit that a text is and nothing else, perhaps in brackets or with a full stop."""
-    return _unit(text.strip()[:40])
+def unit_of(text: str, kinds: Kinds = ()) -> Unit | None:
+    """The unit that a text is and nothing else, perhaps in brackets or with a full stop; of torque
+    and angle, if they are among `kinds`, before all others."""
+    written = text.strip()[:40]
+    bare = written.strip("[]()（）【】<>{} ").strip().rstrip(".")
+    if Quantity.ANGLE in kinds and _plain(bare) in _ANGLES:
+        return Unit(Quantity.ANGLE, bare, _ANGLES[_plain(bare)])
+    torque = _torque(bare) if Quantity.TORQUE in kinds else None
+    return torque or _unit(written)
 
 
 @cache
@@ -123,6 +130,23 @@ def _quotient(written: str) -> Unit | None:
     return None
 
 
+@cache
+def _torque(text: str) -> Unit | None:
+    """A force times a length, in either order: N m, kNcm, kg-cm, in.lb, ft lbf."""
+    apart = re.split(r"\s*[ ·⋅*x×.\-]\s*", text)
+    ways = [apart] if len(apart) == 2 else []
+    if len(apart) == 1:
+        ways = [[text[:place], text[place:]] for place in range(1, len(text))]
+    for pair in ways:
+        parts = [_unit(part) if part else None for part in pair]
+        sizes = {part.kind: part for part in parts if part is not None}
+        if set(sizes) == {Quantity.FORCE, Quantity.DISPLACEMENT}:
+            force, arm = sizes[Quantity.FORCE], sizes[Quantity.DISPLACEMENT]
+            factor = force.factor * arm.factor * 1e-3  # N mm -> N m
+            return Unit(Quantity.TORQUE, text, factor, force.by_weight)
+    return None
+
+
 def _multiple(text: str) -> Unit | None:
     """A number of units: 0.01 mm, x 10 N, 10^3 psi, 1/100 mm."""
     found = _MULTIPLE.fullmatch(text)
@@ -162,4 +186,9 @@ def _known_to_pint(text: str) -> Unit | None:
 
 
 _SPELLINGS = {_plain(word): unit for unit, words in WORDS.units.items() for word in words}
+_ANGLES = {
+    _plain(word): float(registry().Quantity(1.0, unit).to("rad").magnitude)
+    for unit, words in WORDS.tools.units[Quantity.ANGLE].items()
+    for word in words
+}
 _DOUBTS = {word: doubtful.why for doubtful in WORDS.doubtful_units for word in doubtful.words}

@@ -22,6 +22,7 @@ from calibrate.core.units import registry
 from calibrate.io.labfile import read_toml, validated
 from calibrate.labtests.composite import TYPES
 
+RECORDED = {name: kind.record for name, kind in TYPES.items() if kind.record is not None}
 FILE = Path(__file__).with_name("vocabulary.toml")
 _SHORTEST = 3  # letters of a word that is searched for inside names
 _SYMBOLS = "symbols"
@@ -45,13 +46,43 @@ class Quantity(StrEnum):
     FORCE = "force"
     TIME = "time"
     DISPLACEMENT = "displacement"
+    TORQUE = "torque"
+    ANGLE = "angle"
+    SHEAR_FORCE = "shear force"
+    SHEAR_STRESS = "shear stress"
+    SHEAR_DISPLACEMENT = "shear displacement"
+    NORMAL_FORCE = "normal force"
+    NORMAL_STRESS = "normal stress"
+    NORMAL_DISPLACEMENT = "normal displacement"
+    RESISTANCE = "resistance"
+    DEPTH = "depth"
 
     @property
     def dimension(self) -> "Quantity":
         """The quantity whose units it is written in."""
-        if self in (Quantity.STRENGTH, Quantity.SHEAR_STRENGTH):
-            return Quantity.STRESS
-        return Quantity.TIME if self is Quantity.ROOT_TIME else self
+        return _DIMENSIONS.get(self, self)
+
+    @property
+    def option(self) -> "Quantity":
+        """The quantity whose option says its unit: a torque is a load, an angle a travel."""
+        loads = {Quantity.TORQUE: Quantity.FORCE, Quantity.ANGLE: Quantity.DISPLACEMENT}
+        return loads.get(self, self.dimension)
+
+
+_DIMENSIONS = {
+    Quantity.STRENGTH: Quantity.STRESS,
+    Quantity.SHEAR_STRENGTH: Quantity.STRESS,
+    Quantity.ROOT_TIME: Quantity.TIME,
+    Quantity.SHEAR_FORCE: Quantity.FORCE,
+    Quantity.SHEAR_STRESS: Quantity.STRESS,
+    Quantity.SHEAR_DISPLACEMENT: Quantity.DISPLACEMENT,
+    Quantity.NORMAL_FORCE: Quantity.FORCE,
+    Quantity.NORMAL_STRESS: Quantity.STRESS,
+    Quantity.NORMAL_DISPLACEMENT: Quantity.DISPLACEMENT,
+    Quantity.RESISTANCE: Quantity.STRESS,
+    Quantity.DEPTH: Quantity.DISPLACEMENT,
+}
+Kinds = tuple[Quantity, ...]  # of columns, beyond the usual ones, that a test's machine writes
 
 
 def plain(text: str) -> str:
@@ -98,6 +129,13 @@ def _known_tests(tests: dict[str, Lists]):
     for name in tests:
         if name not in TYPES:
             raise BadValue("no such test", suggestion(name, TYPES), name)
+    return tests
+
+
+def _recorded_tests(tests: dict[str, Lists]):
+    for name in tests:
+        if name not in RECORDED:
+            raise BadValue("no test whose machine writes more", suggestion(name, RECORDED), name)
     return tests
 
 
@@ -173,10 +211,22 @@ class PintUnits(Section):
     alone: tuple[str, ...]
 
 
+class OfTools(Section):
+    """Words of tests with a tool, read where the user names such a test; `columns` are searched in
+    the file's order, before the usual ones."""
+
+    other: ByLanguage
+    columns: Annotated[dict[Quantity, ByLanguage], AfterValidator(_one_meaning)]
+    tool: dict[str, ByLanguage]
+    signs: Annotated[dict[str, ByLanguage], AfterValidator(_recorded_tests)]
+    units: dict[Quantity, Annotated[dict[str, tuple[str, ...]], AfterValidator(_known_units)]]
+
+
 class Vocabulary(Section):
     """The whole file; `columns` and `tests` are searched in its order."""
 
     columns: Annotated[dict[Quantity, ByLanguage], AfterValidator(_one_meaning)]
+    tools: OfTools
     names: Names
     above: dict[Above, ByLanguage]
     tests: Annotated[dict[str, ByLanguage], AfterValidator(_known_tests)]
@@ -197,8 +247,9 @@ WORDS = load(FILE)
 # ------------------------------------------------------------------ names of columns
 
 
-def kind_of(name: str) -> tuple[Quantity | None, int]:
-    """What a column of this name holds, and its rank among columns of that kind (0 is best)."""
+def kind_of(name: str, kinds: Kinds = ()) -> tuple[Quantity | None, int]:
+    """What a column of this name holds, and its rank among columns of that kind (0 is best);
+    `kinds` beyond the usual ones come first."""
     words = words_of(name)
     if words in WORDS.names.load_steps:
         return None, 0
@@ -206,7 +257,19 @@ def kind_of(name: str) -> tuple[Quantity | None, int]:
         return Quantity.VOID_RATIO, _SYMBOL_RANK
     if not set(words.split()).isdisjoint(WORDS.names.statistics):
         return Quantity.OTHER, 0
-    for kind, lists in WORDS.columns.items():
+    if kinds and holds(words, WORDS.tools.other):
+        return Quantity.OTHER, 0
+    further = {kind: lists for kind, lists in WORDS.tools.columns.items() if kind in kinds}
+    for columns in (further, WORDS.columns):
+        found = _kind_among(columns, words)
+        if found is not None:
+            return found
+    return None, 0
+
+
+def _kind_among(columns: Mapping[Quantity, Lists], words: str) -> tuple[Quantity, int] | None:
+    """The first kind with a word inside these words, else the one with a symbol that they are."""
+    for kind, lists in columns.items():
         ranks = [
             rank
             for language, parts in lists.items()
@@ -217,10 +280,10 @@ def kind_of(name: str) -> tuple[Quantity | None, int]:
         if ranks:
             return kind, min(ranks)
     bare = words.rstrip("0123456789 #")
-    for kind, lists in WORDS.columns.items():
+    for kind, lists in columns.items():
         if bare in lists.get(_SYMBOLS, ()):
             return kind, _SYMBOL_RANK
-    return None, 0
+    return None
 
 
 def holds(text: str, lists: Lists) -> bool:
@@ -269,3 +332,10 @@ def test_named_in(text: str) -> str | None:
     """The test of `TESTS` that the text names, in any of the languages, or None."""
     words = plain(text)
     return next((test for test, lists in WORDS.tests.items() if holds(words, lists)), None)
+
+
+def tool_test_in(texts: Iterable[str]) -> str | None:
+    """The test of `RECORDED` that these texts are plainly of: one alone has its signs there."""
+    words = [words_of(text) for text in texts]
+    shown_by = [t for t, lists in WORDS.tools.signs.items() if any(holds(w, lists) for w in words)]
+    return shown_by[0] if len(shown_by) == 1 else None

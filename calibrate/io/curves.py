@@ -101,7 +101,7 @@ def read_curve(
         displacement, force = displacement[ends], force[ends]
     for values in (displacement, force):
         values.flags.writeable = False
-    return Curve(test, displacement, force, table.file, table.points)
+    return Curve(test, displacement, force, table.file, table.points, table.compared)
 
 
 def read_repeats(table: TargetTable, lab_path: Path, field: str) -> np.ndarray:

@@ -250,8 +250,8 @@ def lab_of(lab: LabLike) -> Lab:
 
 
 def _check_something_measured(stated: StatedTests, file: str) -> None:
-    """Refuse a lab file with neither a target nor a curve."""
-    if not (stated.targets or stated.curves):
+    """Refuse a lab file with neither a target nor a curve that is compared."""
+    if not (stated.targets or any(curve.table.compared for curve in stated.curves)):
         known = [f"[targets.{o.short}]" for kind in PLAIN.values() for o in kind.observables]
         repair = f"add {', '.join(known)} or [[curves]]"
         raise InputError(file, "targets", "nothing measured is given", repair)
@@ -329,7 +329,7 @@ def _curves(
         seen.add(key)
         test, cylinder = stated.tests[curve.test], cylinders[curve.test]
         found.append(read_curve(curve.table, test.called, cylinder, path, curve.field))
-        usual.curve(found[-1], curve.table, cylinder, curve.field, test.with_soil)
+        usual.curve(found[-1], curve.table, cylinder, curve.field, test)
     return tuple(found)
 
 

@@ -85,13 +85,17 @@ class Plausibility:
                 size = self._test(kind, table, field, size)
         self._parameters(raw)
 
-    def curve(self, curve: Curve, table: CurveTable, cylinder: Cylinder, field: str, soil: bool):
-        """The largest force and way of a curve that was read; those without `soil` are a
-        machine's own, whose ways are small."""
+    def curve(
+        self, curve: Curve, table: CurveTable, cylinder: Cylinder, field: str, test: AbstractLabTest
+    ) -> None:
+        """The largest force and way of a curve that was read; those without soil are a machine's
+        own, whose ways are small, and those of a tool do not press the specimen as a whole."""
         force, way = float(curve.force_n.max()), float(np.abs(curve.displacement_mm).max())
         least = "0.05 kPa" if curve.points else "0.5 kPa"
-        loads = Range(STRESS, least if soil else "0.005 kPa", "20 MPa")
-        ways = Range(STRAIN, "0.02 %" if soil else "0 %", "100 %")
+        whole = test.with_soil and test.record is None
+        loads = Range(STRESS, least if whole else "0.005 kPa", "20 MPa")
+        most = "100 %" if test.record is None else "1000 %"
+        ways = Range(STRAIN, "0.02 %" if whole else "0 %", most)
         if table.force is not None:
             said = "largest force", force, force / table.force.unit, FORCE
             self._column(*said, loads, cylinder, f"{field}.force.unit")

@@ -38,7 +38,14 @@ from calibrate.labtests.features import (
     cyclic_course,
     path_features,
 )
-from calibrate.labtests.measured import Curve, CurveTable, Cylinder, SpecimenTable, TargetTable
+from calibrate.labtests.measured import (
+    AbstractRecord,
+    Curve,
+    CurveTable,
+    Cylinder,
+    SpecimenTable,
+    TargetTable,
+)
 from calibrate.labtests.protocol import (
     MOVING,
     StepTable,
@@ -182,7 +189,7 @@ class AbstractLabTest(AbstractTable):
     stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
     says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
     in_mould: a tool's, which needs the soil in its mould, leaves it disturbed, and follows no
-    protocol.
+    protocol; record: what its machine writes, where that is no force and displacement.
     """
 
     type_name: ClassVar[str]
@@ -195,6 +202,7 @@ class AbstractLabTest(AbstractTable):
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True
     in_mould: ClassVar[bool] = False
+    record: ClassVar[AbstractRecord | None] = None
 
     type: Text | None = None
     name: Annotated[str, AfterValidator(_test_name)] | None = None

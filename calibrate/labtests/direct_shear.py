@@ -7,8 +7,8 @@ own; cohesion and friction angle are a line through their peaks.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import model_validator
@@ -17,10 +17,18 @@ from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed, Stress, required
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded, Shown
-from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.measured import (
+    AbstractRecord,
+    Curve,
+    Cylinder,
+    RecordedColumn,
+    millimetres,
+)
+from calibrate.labtests.penetration import whole_steps
+from calibrate.labtests.reading import mean_force
 from calibrate.labtests.unconfined import still_rises
 from jdem.apparatus.base import AbstractApparatus
-from jdem.apparatus.direct_shear import DirectShear, round_box
+from jdem.apparatus.direct_shear import AT_END, DirectShear, round_box
 
 SHEARED = Range(STRESS, "0.5 kPa", "10 MPa")
 PEAK, RESIDUAL, ON_PLANE = (
@@ -37,6 +45,66 @@ SLOWER = 0.4  # of the speed at which free specimens are pressed
 LIP = 1.5  # of the travel
 PEAK_TRAVEL = 1e-4  # m, over which the peak is averaged
 WIDTH = 0.15  # of the lid's force, within which its servo slows down
+FARTHEST = 0.25  # of the diameter, by which the halves may move
+OPENS = 0.2  # of the height, which the gap may take
+TRAVEL = Range(LENGTH, "1 mm", "60 mm")
+RING = Cylinder(0.0618, 0.02)  # m; of GB/T 50123
+
+
+def _on_plane(test: Any, cylinder: Cylinder) -> float:
+    """N in one kPa of shear stress."""
+    return 1e3 * cylinder.area
+
+
+class ShearRecord(AbstractRecord):
+    """Shear force or shear stress over the way of the moved half, under a normal stress."""
+
+    loads = (
+        RecordedColumn("shear force"),
+        RecordedColumn("shear stress", _on_plane),
+        RecordedColumn("force", said="the shear force"),
+        RecordedColumn("stress", _on_plane, said="the shear stress"),
+    )
+    travels = (
+        RecordedColumn("shear displacement"),
+        RecordedColumn("displacement", said="the shear displacement"),
+    )
+    beside = ("normal displacement",)
+    called = "box"
+    condition = "normal_stress"
+    conditions = (
+        RecordedColumn("normal stress", lambda test, cylinder: 1e3),
+        RecordedColumn("normal force", lambda test, cylinder: 1 / cylinder.area),
+    )
+    own_bed = True
+
+    def entries(self, tool: Sequence[float]) -> tuple[dict[str, Any], str]:
+        return {}, "the gap between the halves"
+
+    def bed(self, test: Any) -> Cylinder:
+        return RING
+
+    def reached(self, test: Any, cylinder: Cylinder, curves: Sequence[Curve]) -> dict[str, Any]:
+        way = 1e-3 * min(float(curve.displacement_mm.max()) for curve in curves)
+        travel = whole_steps(min(way, FARTHEST * cylinder.diameter))
+        if not TRAVEL.ends[0] <= travel <= TRAVEL.ends[1]:
+            problem = f"the halves of the box move by {1e3 * travel:.3g} mm"
+            repair = f"export {TRAVEL.low} to {TRAVEL.high}, or check the unit of displacement"
+            raise BadValue(problem, repair)
+        usual = DirectShearTest.model_fields["gap"].default
+        gap = min(usual, OPENS * cylinder.height, travel / 2)
+        return {"travel": millimetres(travel), "gap": millimetres(gap)}
+
+    def numbers(self, test: Any, cylinder: Cylinder, curve: Curve) -> dict[str, float]:
+        """The peak, and the stress at the end where the peak lies before."""
+        last, area = 1e3 * test.travel, cylinder.area
+        way, force = curve.displacement_mm, curve.force_n
+        within = way <= last * (1 + 1e-9)
+        found = {PEAK.name: 1e-3 * float(force[within].max()) / area}
+        begun = (1 - AT_END) * last
+        if way[within][int(np.argmax(force[within]))] < begun:
+            found[RESIDUAL.name] = 1e-3 * mean_force(way, force, begun, last) / area
+        return found
 
 
 class DirectShearTest(AbstractLabTest):
@@ -54,10 +122,11 @@ class DirectShearTest(AbstractLabTest):
     )
     shape = "softens"
     in_mould = True
+    record = ShearRecord()
 
     normal_stress: Annotated[Stress, SHEARED] = required('normal_stress = "50 kPa"')
     rate: Annotated[Speed, Range(SPEED, "0.001 mm/min", "100 mm/s")] = 1e-3 / 60
-    travel: Annotated[Length, Range(LENGTH, "1 mm", "60 mm")] = 6e-3
+    travel: Annotated[Length, TRAVEL] = 6e-3
     gap: Annotated[Length, Range(LENGTH, "0.1 mm", "20 mm")] = 1e-3
 
     @model_validator(mode="after")
@@ -67,10 +136,10 @@ class DirectShearTest(AbstractLabTest):
         return self
 
     def check_on(self, cylinder: Cylinder) -> None:
-        if self.travel > 0.25 * cylinder.diameter:
+        if self.travel > FARTHEST * cylinder.diameter:
             problem = "the halves move by more than a quarter of their diameter"
             raise BadValue(problem, "give less travel, or a wider specimen", "travel")
-        if self.gap > 0.2 * cylinder.height:
+        if self.gap > OPENS * cylinder.height:
             raise BadValue("the gap is a large part of the height", "give a narrower one", "gap")
 
     @classmethod

@@ -1,11 +1,14 @@
 """What was measured, as a lab file states it: curve files with their columns, and scalar targets.
 
 Curves are force or stress against displacement, strain or void ratio; stress and strain become
-force and displacement by the specimen's size.
+force and displacement by the specimen's size.  What the machine of a test with a tool writes, such
+as torque and angle, is an `AbstractRecord` of that test.
 """
 
+import abc
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -54,13 +57,84 @@ class Target:
 @dataclass(frozen=True, eq=False)
 class Curve:
     """One measured curve, in the order of recording; `file` is its path as written in the lab
-    file.  Both arrays have shape (points,) and are read-only; `points`: they are load steps."""
+    file.  Both arrays have shape (points,) and are read-only; `points`: they are load steps;
+    `compared`: a fit compares it."""
 
     test: str
     displacement_mm: np.ndarray
     force_n: np.ndarray
     file: str
     points: bool = False
+    compared: bool = True
+
+
+@dataclass(frozen=True)
+class RecordedColumn:
+    """A kind of column that a machine writes, and what makes it one of its test's curve.
+
+    `per` is N in one N, kPa or N m of a load, mm in one mm or rad of a travel, or an entry's SI
+    unit in one of a condition, on a test and the cylinder that it is made on.  A travel counts from
+    its first row, from the tool's contact with the soil, or as it is written, less `datum` (mm).
+    `said`: as what it is taken, where its name leaves that open.
+    """
+
+    kind: str
+    per: Callable[[Any, Cylinder], float] = lambda test, cylinder: 1.0
+    counts: Literal["first row", "contact", "as written"] = "first row"
+    datum: Callable[[Any], float] = lambda test: 0.0
+    said: str = ""
+
+
+class AbstractRecord(abc.ABC):
+    """What the machine of a test writes, and what of it the test's entries in a lab file are.
+
+    loads, travels: kinds of columns, of which the first that a file holds is taken; beside: kinds
+    that it may hold as well; tool: entries that say how large the tool is, with its width first;
+    called: the tool in words; condition: the entry that says what a specimen was tested under, as
+    one of the columns `conditions` or a line above the table has it, "" if there is none; own_bed:
+    the specimen is the soil that was tested, and no bed around a tool.
+    """
+
+    loads: ClassVar[tuple[RecordedColumn, ...]]
+    travels: ClassVar[tuple[RecordedColumn, ...]]
+    beside: ClassVar[tuple[str, ...]] = ()
+    tool: ClassVar[tuple[str, ...]] = ()
+    called: ClassVar[str] = "tool"
+    condition: ClassVar[str] = ""
+    conditions: ClassVar[tuple[RecordedColumn, ...]] = ()
+    own_bed: ClassVar[bool] = False
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """All kinds of columns that the file may hold."""
+        columns = (*self.loads, *self.travels, *self.conditions)
+        return tuple(dict.fromkeys((*(column.kind for column in columns), *self.beside)))
+
+    @abc.abstractmethod
+    def entries(self, tool: Sequence[float]) -> tuple[dict[str, Any], str]:
+        """Entries of the test whose tool has these sizes (m), as many as are known and the width at
+        least, and which of them no record says."""
+
+    @abc.abstractmethod
+    def bed(self, test: Any) -> Cylinder:
+        """A specimen with room for the test, or the usual one where it is the soil's own."""
+
+    @abc.abstractmethod
+    def reached(self, test: Any, cylinder: Cylinder, curves: Sequence[Curve]) -> dict[str, Any]:
+        """Entries that say how far all curves go; `BadValue` where that is too short."""
+
+    @abc.abstractmethod
+    def numbers(self, test: Any, cylinder: Cylinder, curve: Curve) -> dict[str, float]:
+        """The observables that a curve holds, by name, in their units."""
+
+    def rate(self, test: Any, speed: float) -> str:
+        """The entry `rate` of a curve that goes on at this speed (m/s)."""
+        return f"{1e3 * speed:.4g} mm/s"
+
+
+def millimetres(length: float) -> str:
+    """A length (m) as an entry of a lab file."""
+    return f"{1e3 * length:.6g} mm"
 
 
 class SpecimenTable(AbstractTable):
@@ -153,7 +227,8 @@ class CurveTable(AbstractTable):
     """Where one measured curve is found: a file, and two of its columns.
 
     `where` keeps the rows whose columns have these values; `points` says that rows are load steps,
-    not a continuous record.  `test` names the test in a list [[curves]] outside of [[tests]].
+    not a continuous record; a curve that is not `compared` is drawn and has no say in a fit, where
+    targets hold its numbers.  `test` names the test in a list [[curves]] outside of [[tests]].
     """
 
     test: Text | None = None
@@ -167,6 +242,7 @@ class CurveTable(AbstractTable):
     decimal: Literal[".", ","] = "."
     where: dict[str, str] = Field(default={})
     points: bool = False
+    compared: bool = True
 
     @model_validator(mode="after")
     def _check_two_columns(self) -> "CurveTable":

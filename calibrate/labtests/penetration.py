@@ -6,15 +6,24 @@ or stands in it as it was prepared.
 """
 
 import math
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
 from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded
-from calibrate.labtests.measured import Cylinder
+from calibrate.labtests.measured import (
+    AbstractRecord,
+    Curve,
+    Cylinder,
+    RecordedColumn,
+    millimetres,
+)
+from calibrate.labtests.reading import displacement_on_rise, mean_force
 from jdem.apparatus.base import AbstractApparatus
 from jdem.apparatus.penetration import (
     MeanPressure,
@@ -41,6 +50,9 @@ NARROW = 0.5  # of the mould's diameter, from which on a tool has no room
 SEATED_WITHIN = 0.05  # of the bed's height, in which a plate is seated
 BEYOND = 1.05  # of the last depth that is read, to which the tool is pushed
 SEATING = 1e3  # Pa; pressure of a plate from which sinkage counts
+AROUND = 0.25e-3  # m to either side of a sinkage, over which its pressure is a mean
+ROOM = 5.0  # times a tool's width, as wide as a bed is
+WIDEST, SLENDEREST = 0.4, 5.0  # m, and height over diameter, of a bed
 
 
 def check_room(deepest: float, width: float, cylinder: Cylinder, name: str) -> None:
@@ -57,6 +69,117 @@ def check_room(deepest: float, width: float, cylinder: Cylinder, name: str) -> N
         raise BadValue(problem, repair, "diameter")
 
 
+def roomy(deepest: float, width: float, below: float) -> Cylinder:
+    """A bed for a tool of a width (m) that goes `deepest` (m), with soil `below` it (m)."""
+    height = math.ceil(1e3 * max(deepest + below, 1.02 * deepest / CLEAR)) / 1e3
+    wide = math.ceil(1e3 * max(ROOM * width, height / SLENDEREST)) / 1e3
+    return Cylinder(min(wide, WIDEST), height)
+
+
+def whole_steps(length: float) -> float:
+    """A length (m) rounded down to 0.01 mm, so that no curve ends before it."""
+    return math.floor(1e5 * length + 1e-6) / 1e5
+
+
+def _area(test: Any) -> float:
+    return math.pi / 4 * test.diameter**2
+
+
+def _pressed(test: Any, cylinder: Cylinder) -> float:
+    """N in one kPa on the tool."""
+    return 1e3 * _area(test)
+
+
+PRESSED = (
+    RecordedColumn("force"),
+    RecordedColumn("resistance", _pressed),
+    RecordedColumn("stress", _pressed),
+)
+
+
+class ConeRecord(AbstractRecord):
+    """Force or pressure on the base, and its depth; or the travel from where the apex touches."""
+
+    loads = PRESSED
+    travels = (
+        RecordedColumn(
+            "depth", counts="as written", said="the depth of the cone's base, as in ASABE EP542"
+        ),
+        RecordedColumn(
+            "displacement",
+            counts="contact",
+            datum=lambda test: 1e3 * cone_length(test.diameter, test.angle),
+            said="the way from where the apex touches the soil: the base is less deep by the "
+            "length of the cone",
+        ),
+    )
+    tool = ("diameter",)
+    called = "cone"
+
+    def entries(self, tool: Sequence[float]) -> tuple[dict[str, Any], str]:
+        return {"diameter": millimetres(tool[0])}, "a cone of 30 degrees without a shaft"
+
+    def bed(self, test: Any) -> Cylinder:
+        return roomy(test.deepest, test.diameter, test.diameter)
+
+    def reached(self, test: Any, cylinder: Cylinder, curves: Sequence[Curve]) -> dict[str, Any]:
+        first = 1e-3 * max(float(curve.displacement_mm[0]) for curve in curves)
+        last = whole_steps(1e-3 * min(float(curve.displacement_mm.max()) for curve in curves))
+        least, _ = DEPTH.ends
+        first = math.ceil(1e5 * first - 1e-6) / 1e5 if first >= least else 0.0
+        if last < max(least, first + least):
+            problem = f"the base of the cone comes to a depth of {1e3 * last:.3g} mm only"
+            raise BadValue(problem, "export the whole record, or check the unit of depth")
+        begun = {"depth_from": millimetres(first)} if first else {}
+        return {**begun, "depth_to": millimetres(last)}
+
+    def numbers(self, test: Any, cylinder: Cylinder, curve: Curve) -> dict[str, float]:
+        ends = 1e3 * (test.depth_from or 0.0), 1e3 * test.depth_to
+        mean = mean_force(curve.displacement_mm, curve.force_n, *ends)
+        return {CONE_INDEX.name: 1e-3 * mean / _area(test)}
+
+
+class PlateRecord(AbstractRecord):
+    """Force or pressure, and sinkage."""
+
+    loads = PRESSED
+    travels = (
+        RecordedColumn("depth", counts="as written"),
+        RecordedColumn("displacement", counts="contact"),
+    )
+    tool = ("diameter", "thickness")
+    called = "plate"
+
+    def entries(self, tool: Sequence[float]) -> tuple[dict[str, Any], str]:
+        stated = dict(zip(self.tool, map(millimetres, tool), strict=False))
+        return stated, "" if len(tool) > 1 else "the thickness of the plate"
+
+    def bed(self, test: Any) -> Cylinder:
+        sunk = BEYOND * test.sinkage
+        below = 2 * test.diameter
+        return roomy((sunk + SEATED_WITHIN * below) / (1 - SEATED_WITHIN), test.diameter, below)
+
+    def reached(self, test: Any, cylinder: Cylinder, curves: Sequence[Curve]) -> dict[str, Any]:
+        ways = [float(c.displacement_mm.max()) - self._seated(test, c) for c in curves]
+        reach = whole_steps(min(1e-3 * min(ways) - AROUND, test.diameter / 2))
+        least, _ = DEPTH.ends
+        if reach < least:
+            problem = f"the plate sinks by {min(ways):.3g} mm only"
+            raise BadValue(problem, "export the whole record, or check the unit of sinkage")
+        return {"sinkage": millimetres(reach)}
+
+    def numbers(self, test: Any, cylinder: Cylinder, curve: Curve) -> dict[str, float]:
+        at = self._seated(test, curve) + 1e3 * test.sinkage
+        near = at - 1e3 * AROUND, at + 1e3 * AROUND
+        mean = mean_force(curve.displacement_mm, curve.force_n, *near)
+        return {SINKAGE_PRESSURE.name: 1e-3 * mean / _area(test)}
+
+    def _seated(self, test: Any, curve: Curve) -> float:
+        """Displacement (mm) at which the plate is seated."""
+        force = SEATING * _area(test)
+        return float(displacement_on_rise(curve.displacement_mm, curve.force_n, np.array(force)))
+
+
 class ConeTest(AbstractLabTest):
     """A cone of a base diameter (m) and a full angle (degrees) pushed at `rate` (m/s); its index is
     the mean over depths of its base from `depth_from` to `depth_to` (m)."""
@@ -68,6 +191,7 @@ class ConeTest(AbstractLabTest):
     channels = (Recorded("shaft", "shaft_force_n"),)
     shape = "stiffens"
     in_mould = True
+    record = ConeRecord()
 
     diameter: Annotated[Length, TOOL] = 12.83e-3
     shaft: Annotated[Length | None, TOOL] = None
@@ -119,6 +243,7 @@ class PlateTest(AbstractLabTest):
     axes = ("sinkage (mm)", "force on the plate (N)")
     shape = "stiffens"
     in_mould = True
+    record = PlateRecord()
 
     diameter: Annotated[Length, TOOL] = 0.025
     thickness: Annotated[Length, DEPTH] = 4e-3

@@ -126,6 +126,16 @@ def force_near(displacement, force, wanted, half_width: float = 0.0):
     return numbers.where(enough, mean_of(force, near | ~enough), between)
 
 
+def mean_force(displacement: np.ndarray, force: np.ndarray, low: float, high: float) -> float:
+    """Mean of the force between two displacements (low < high) of a curve that goes on, straight
+    between its rows and level beyond them."""
+    inside = (displacement > low) & (displacement < high)
+    way = np.concatenate([[low], displacement[inside], [high]])
+    ends = np.interp([low, high], displacement, force)
+    load = np.concatenate([ends[:1], force[inside], ends[1:]])
+    return float(np.trapezoid(load, way) / (high - low))
+
+
 def averaged(travel, force, locations, half_width):
     """Force at `locations` (m,) from a straight line through the points within `half_width`.
 

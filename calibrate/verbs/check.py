@@ -164,7 +164,7 @@ def _diagnosis(lab: Lab) -> str:
 
 def _not_compared(lab: Lab) -> Iterator[str]:
     """Tests of which nothing was measured, nor in a later test on the same specimen."""
-    called, measured = names_of(lab.tests), {curve.test for curve in lab.curves}
+    called, measured = names_of(lab.tests), {c.test for c in lab.curves if c.compared}
     measured |= {test for (test, _), (name, _) in called.items() if name in lab.targets}
     for specimen in lab.specimens():
         names = [test.called for test in specimen.tests]

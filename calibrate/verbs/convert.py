@@ -1,6 +1,6 @@
 """Turn exports of testing machines into clean curves and a lab file for `calibrate fit`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,14 +10,22 @@ from rich.console import RenderableType
 
 from calibrate.core.errors import COMMAND_LINE, InputError, shown
 from calibrate.core.files import make_folder, write_json, write_text
-from calibrate.instrument_import import labtext
+from calibrate.instrument_import import labtext, toollab
+from calibrate.instrument_import.columns import further_kinds
 from calibrate.instrument_import.convert import Export, file_stem, joined, read_export
 from calibrate.instrument_import.measured import Units
-from calibrate.instrument_import.sizes import Size, initial_void_ratios, settlements
+from calibrate.instrument_import.sizes import (
+    Size,
+    initial_void_ratios,
+    normal_stresses,
+    settlements,
+    tool_sizes,
+)
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
+from calibrate.instrument_import.toollab import ToolTest
 from calibrate.instrument_import.unittext import Unit, doubt, unit_of
-from calibrate.instrument_import.vocabulary import TESTS
+from calibrate.instrument_import.vocabulary import RECORDED, TESTS, Kinds
 from calibrate.io.lab import Lab, load_lab
 from calibrate.verbs import options
 from calibrate.verbs.base import AbstractDrawnResult, length, line, understood, verb
@@ -33,6 +41,7 @@ class ConvertResult(AbstractDrawnResult):
         export: specimens as read and kept, with what was assumed of each.
         lab_file: the lab file that was written.
         folder: where it is, with the curves, convert.json and preview.png.
+        tests: with a tool, and the numbers that their curves hold.
     """
 
     verb = "convert"
@@ -40,6 +49,7 @@ class ConvertResult(AbstractDrawnResult):
     lab_file: Path
     folder: Path
     content: dict
+    tests: tuple[ToolTest, ...] = ()
 
     @property
     def lab(self) -> Lab:
@@ -70,6 +80,7 @@ class ConvertResult(AbstractDrawnResult):
             force = read.strengths.force_n
             yield f"{read.strengths.test}: {len(force)} strengths, {force.mean():.4g} N in the mean"
             yield from (f"  {note}" for note in read.strengths.notes)
+        yield from toollab.sentences(self.tests)
         yield from (f"WARNING: {sentence}" for sentence in read.skipped)
         yield f"look at {self.folder / 'preview.png'}, then: calibrate fit {self.lab_file}"
 
@@ -104,6 +115,14 @@ def convert(
         str | None,
         typer.Option("--settlement", help="Whole one of a degree of consolidation: 0.2 mm, 1 %."),
     ] = None,
+    tool: Annotated[
+        str | None,
+        typer.Option("--tool", help="Width of a vane, cone, plate or box, or more: 20 x 40 mm."),
+    ] = None,
+    normal_stress: Annotated[
+        str | None,
+        typer.Option("--normal-stress", help="Of direct shear, or one a specimen: 50 kPa,100 kPa."),
+    ] = None,
     points: Annotated[
         bool | None, typer.Option("--points/--curve", help="Rows are load steps, or a curve.")
     ] = None,
@@ -128,11 +147,13 @@ def convert(
 
     Args:
         exports: .csv, .txt or .xlsx files of one soil.
-        test: which test it is ("confined", "unconfined", "oedometer", ...); None: found out.
+        test: which test it is ("confined", "oedometer", ..., "vane_shear"); None: found out.
         diameter: of the specimen, with its unit ("50 mm"), for stresses.
         height: of the specimen, with its unit, for strains.
         void_ratio: the initial one, or one a specimen ("1.2,1.3"), or "first".
         settlement: the whole one of a degree of consolidation ("0.2 mm", "1 %").
+        tool: width of a vane, cone, plate or box, or more ("20 x 40 mm", "36 cm^2").
+        normal_stress: of direct shear ("50 kPa"), or one a specimen ("50 kPa, 100 kPa").
         points: rows are load steps (True) or a curve (False); None: found out.
         force_unit: unit of force, against the file ("kN").
         displacement_unit: unit of travel, against the file ("mm").
@@ -153,12 +174,11 @@ def convert(
     """
     if not exports:
         raise InputError(COMMAND_LINE, "exports", "no file is given", "give an export's path")
-    if test is not None and test not in TESTS:
-        repair = f"give one of {', '.join(sorted(TESTS))}"
-        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
+    _check_test(test, {"--tool": tool, "--normal-stress": normal_stress}, points)
+    kinds = further_kinds(RECORDED.get(test or ""))
     units = Units(
-        force=_insisted("force", force_unit),
-        displacement=_insisted("displacement", displacement_unit),
+        force=_insisted("force", force_unit, kinds),
+        displacement=_insisted("displacement", displacement_unit, kinds),
         stress=_insisted("stress", stress_unit),
         strain=_insisted("strain", strain_unit),
         time=_insisted("time", time_unit),
@@ -168,15 +188,39 @@ def convert(
         height=understood("--height", height, length),
         void_ratios=understood("--void-ratio", void_ratio, initial_void_ratios),
         settlements=understood("--settlement", settlement, settlements),
+        tool=understood("--tool", tool, tool_sizes) or (),
+        normal_stresses=understood("--normal-stress", normal_stress, normal_stresses),
     )
     paths = [Path(export) for export in exports]
     read = joined([read_export(export, test, units, size, points) for export in paths])
     return _kept(read, Path(out))
 
 
+def _check_test(test: str | None, of_tools: dict[str, str | None], points: bool | None) -> None:
+    """Refuses a test that no export is read as, and options of another one."""
+    known = [*sorted(TESTS), *RECORDED]
+    if test is not None and test not in known:
+        repair = f"give one of {', '.join(known)}"
+        raise InputError(COMMAND_LINE, "--test", f"no test '{test}'", repair)
+    record = RECORDED.get(test or "")
+    if record is not None and points:
+        problem = f"a {test} test has no load steps"
+        raise InputError(COMMAND_LINE, "--points", problem, "leave it out")
+    for option, given in of_tools.items():
+        fits = record is not None and (option == "--tool" or record.condition)
+        if given is not None and not fits:
+            problem = (
+                f"it says nothing of {f'a {test} test' if test else 'a test that is found out'}"
+            )
+            wanted = RECORDED if option == "--tool" else ["direct_shear"]
+            repair = f"give --test, one of {', '.join(wanted)}, or leave it out"
+            raise InputError(COMMAND_LINE, option, problem, repair)
+
+
 def _kept(read: Export, out: Path) -> ConvertResult:
     """Writes curves, lab file, preview and convert.json."""
-    if read.strengths is None and not labtext.fitted(read):
+    tests = tuple(toollab.tool_tests(read))
+    if read.strengths is None and not tests and not labtext.fitted(read):
         problem = "no specimen carries more than 2 N"
         option = "force" if read.is_plain else "stress"
         repair = f"check the unit of {option}, or give --{option}-unit"
@@ -184,17 +228,17 @@ def _kept(read: Export, out: Path) -> ConvertResult:
     make_folder(out)
     lab = out / f"{file_stem(Path(read.file).stem)}.toml"
     for name, specimen in labtext.curve_files(read).items():
-        write_text(out / name, labtext.curve_text(specimen))
+        write_text(out / name, (toollab if tests else labtext).curve_text(specimen))
     if read.strengths is not None:
         write_text(out / labtext.STRENGTHS_FILE, labtext.strengths_text(read.strengths))
-    write_text(lab, labtext.lab_text(read))
-    found = ConvertResult(read, lab, out, summary(read, lab))
+    write_text(lab, toollab.lab_text(read, tests) if tests else labtext.lab_text(read))
+    found = ConvertResult(read, lab, out, summary(read, lab, tests), tests)
     found.save_figures()
     write_json(out / "convert.json", found.content)
     return found
 
 
-def summary(read: Export, lab: Path) -> dict:
+def summary(read: Export, lab: Path, tests: Sequence[ToolTest] = ()) -> dict:
     """What was read and assumed, as plain data."""
     files = {id(specimen): name for name, specimen in labtext.curve_files(read).items()}
     result = {
@@ -203,7 +247,7 @@ def summary(read: Export, lab: Path) -> dict:
         "lab": str(lab),
         "specimens": [_row(specimen, files[id(specimen)]) for specimen in read.specimens],
         "left_out": list(read.skipped),
-        "observables": labtext.observables(read),
+        "observables": toollab.observables(tests) if tests else labtext.observables(read),
     }
     if read.strengths is not None:
         result["strengths"] = _strengths_row(read.strengths)
@@ -258,10 +302,11 @@ def _conversion(specimen: Specimen) -> dict:
     }
 
 
-def _insisted(kind: str, text: str | None) -> Unit | None:
-    """A unit from the command line, refused if it is none of this kind."""
-    unit = None if text is None else unit_of(text)
-    if text is None or (unit is not None and unit.kind == kind):
+def _insisted(kind: str, text: str | None, kinds: Kinds = ()) -> Unit | None:
+    """A unit from the command line, refused if it is none of this kind; with torque among `kinds`
+    it may be one of a load, with angle of a travel."""
+    unit = None if text is None else unit_of(text, kinds)
+    if text is None or (unit is not None and unit.kind.option == kind):
         return unit
     problem = f"{shown(text, 20)} {doubt(text) or f'is not a unit of {kind}'}"
     raise InputError(

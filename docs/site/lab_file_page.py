@@ -99,6 +99,7 @@ MEANING = {
     "CurveTable.test": "`confined` or `unconfined`; must be given for the usual pair",
     "CurveTable.where": "rows to keep, by column and value",
     "CurveTable.points": "true: rows are load steps, not a continuous record",
+    "CurveTable.compared": "false: it is drawn, and a fit compares targets alone",
     "CurveTable.decimal": "decimal sign of the numbers",
     "CurveTable.file": "path of the CSV file",
     "CurveTable.displacement": "give this, strain or void_ratio",

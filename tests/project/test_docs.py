@@ -162,6 +162,8 @@ def run(tmp_path_factory):
     for place in ("calibrate/soils", "tests/data/machine_exports"):
         shutil.copytree(ROOT / place, folder / place)
     export(folder / "export.csv")
+    turned = "".join(f"{angle},{0.12 * min(angle, 30) / 30}\n" for angle in range(91))
+    (folder / "vane.csv").write_text(f"Angle (deg),Torque (N m)\n{turned}", encoding="utf-8")
     (folder / "path.csv").write_text("z_um,x_um\n0,0\n-10,0\n-10,5\n20,5\n", encoding="utf-8")
     shutil.copy(ROOT / "calibrate/soils/trumao_2021/oedometer.csv", folder)
     for name in ("my_soil.toml", "other_test.toml"):
