@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import cast
 from unittest import mock
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -197,6 +198,7 @@ def judged(sound: Sequence[Sound], count: int) -> dict:
         points = Seated.of(points_of(question))
         for each in these:
             weights = _weights(brute, each.numbers, scatter)
+            jax.clear_caches()  # or programs of all soils together use up the system's maps
             truth = np.log([each.case.soil[name] for name in question.space.names])
             below.append(brute.below(weights, truth))
             zeros.append(begun(each, question, points))

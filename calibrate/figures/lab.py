@@ -15,6 +15,7 @@ from calibrate.figures.style import DARK, MIDDLE, marked
 from calibrate.instrument_import.convert import Export
 from calibrate.instrument_import.specimens import Specimen
 from calibrate.instrument_import.strengths import Strengths
+from calibrate.labtests.composite import TYPES
 
 PALE = "0.72"
 MOST_PANELS = 12
@@ -84,7 +85,8 @@ def _specimen(axis: Axes, specimen: Specimen) -> None:
     title = f"{_drawable(specimen.label[:34])}: {specimen.test}"
     title += f", {faults} warning(s)" if faults else ""
     axis.set_title(title, fontsize=9, family=_fonts())
-    axis.set(xlabel="displacement (mm)", ylabel="force (N)")
+    along, up = TYPES[specimen.test].axes
+    axis.set(xlabel=along, ylabel=up)
 
 
 def _strengths(axis: Axes, strengths: Strengths) -> None:

@@ -57,11 +57,11 @@ def compression(axis: Axes, test: Test, groups: Sequence[Group], measured: Measu
             name = look.label if number == 0 else None
             points = (curve.displacement_mm, curve.force_n)
             axis.plot(*points, look.line, color=look.colour, lw=1, label=name)
-    for number, curve in enumerate(c for c in measured.curves if c.test == test):
-        name = "measured" if number == 0 else None
-        way = from_seating(curve.displacement_mm, curve.force_n)
-        axis.plot(way, curve.force_n, ":", color="0.35", lw=1.5, label=name)
     shown = measured.tests[test]
+    for number, curve in enumerate(c for c in measured.curves if c.test == test):
+        name, way = "measured" if number == 0 else None, np.asarray(curve.displacement_mm)
+        way = from_seating(way, curve.force_n) if shown.seated else way
+        axis.plot(way, curve.force_n, ":", color="0.35", lw=1.5, label=name)
     for force in shown.guides_n:
         axis.axhline(force, color="0.7", lw=0.7)
     for name in shown.drawn:

@@ -99,13 +99,15 @@ class Target(Record):
 
 
 class TestShown(Record):
-    """What figures have to know of a test: its title, what its curve's columns are, the forces (N)
-    that they mark, the observables that they show as forces."""
+    """What figures have to know of a test: its title, what its curve's columns are, whether its
+    displacement counts from a seating force, the forces (N) that they mark, the observables that
+    they show as forces."""
 
     __test__ = False  # for pytest
 
     title: str
     axes: tuple[str, str] = AXES
+    seated: bool = True
     guides_n: list[Number] = []
     drawn: list[Observable] = []
 

@@ -272,6 +272,7 @@ def _test_json(test: AbstractLabTest, lab: Lab) -> dict:
         "type": test.type_name,
         "title": f"{test.title}{own}",
         "axes": list(test.axes),
+        "seated": not test.in_mould,
         "guides_n": list(test.guides()),
         "drawn": drawn,
     }
