@@ -179,6 +179,7 @@ def test_what_an_effect_may_have_done_is_left_open(asked, with_effect, tmp_path)
         read_draws(tmp_path)
 
 
+@pytest.mark.slow
 def test_runs_are_asked_for_without_effects(with_effect, tmp_path):
     work = Formulas()
     wide = replace(with_effect, response=replace(with_effect.response, errors=lambda soil: (

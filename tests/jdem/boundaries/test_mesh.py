@@ -340,6 +340,7 @@ def test_a_cone_in_many_triangles_is_the_cone():
     assert np.all(np.sum(found * normal, axis=1) > 0.999 * size)
 
 
+@pytest.mark.slow
 def test_friction_survives_the_facets_of_a_turning_drum():
     """A rough drum carries a sphere up; its flat facets do as the smooth cylinder does."""
     radius, spin = 0.02, 4.0
@@ -417,6 +418,7 @@ def waves(cells=20):
     return corners
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth_below", [20.0, 5.0])
 def test_lists_know_every_face_that_can_be_touched_before_the_next_rebuild(smooth_below):
     """Forces from lists made before a motion shorter than the skin are those from new lists."""
@@ -451,6 +453,7 @@ def test_too_little_room_for_faces_is_reported():
     assert f"faces per contact: have 4, need {need}" in record.explain_overflow(bed.grid)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences_and_never_nan():
     """At faces, edges and vertices of a cube; finite also at what divides them."""
     mesh, places, (velocity, spin) = turning_cube()
