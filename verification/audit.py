@@ -140,6 +140,8 @@ def pooled(audits: list[list[dict]]) -> list[dict]:
             f"{key}_se": float(np.sqrt(np.sum([row[f"{key}_se"] ** 2 for row in rows]))) / len(rows)
             for key in means
         }
+        if "chord" in rows[0]:  # one library judged all: its error does not shrink
+            errors["estimate_se"] = float(np.mean([row["estimate_se"] for row in rows]))
         same = ("parameter", "observable", "chord")  # the library's does not know packings
         named = {key: rows[0][key] for key in same if key in rows[0]}
         found.append(judged({**named, **means, **errors}))
