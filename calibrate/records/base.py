@@ -106,7 +106,7 @@ class TestShown(Record):
     __test__ = False  # for pytest
 
     title: str
-    axes: tuple[str, str] = AXES
+    axes: Annotated[tuple[str, str], Field(strict=False)] = AXES  # also from a list
     seated: bool = True
     guides_n: list[Number] = []
     drawn: list[Observable] = []
