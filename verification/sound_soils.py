@@ -39,7 +39,8 @@ from calibrate.inference.narrowing import Told, left, relative_scatter
 from calibrate.inference.posterior import Question
 from calibrate.inference.prediction import by_response
 from calibrate.inference.sampling import mixing, starts, values_of
-from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
+from calibrate.io.choices import ParameterChoice
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.labtests.features import (
     SEATED,
     DisplacementOnLoading,

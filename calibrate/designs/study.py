@@ -35,7 +35,7 @@ from calibrate.designs.surface import Surface, fit_surface, select_backward
 from calibrate.designs.terms import cubic, quadratic
 from calibrate.inference.curve_points import CurvePoints
 from calibrate.inference.parameters import Space, probing_steps
-from calibrate.io.labfile import PARAMETER_UNITS
+from calibrate.io.choices import unit_of
 from calibrate.io.soil import with_values
 from calibrate.labtests.composite import described
 from calibrate.labtests.measured import Target
@@ -119,7 +119,7 @@ class StudySetup:
         room = min(np.log(bounds.high / value), np.log(value / bounds.low)) / _STAR
         half = min(reach, max(float(room), _LEAST))
         low, high = value * np.exp(-half), value * np.exp(half)
-        return Factor(name, low, high, PARAMETER_UNITS[name], log=True)
+        return Factor(name, low, high, unit_of(name), log=True)
 
     def run(self, title: str, design: Design, held: dict[str, float]) -> Experiment:
         """Every point on every packing; a failed run ends the study with its reason."""

@@ -10,6 +10,7 @@ from typing import Any
 from calibrate.core.errors import COMMAND_LINE, BadValue, InputError, shown
 from calibrate.inference.draws import read_draws
 from calibrate.inference.misfit import Miss, misses
+from calibrate.io.choices import AT, at, of_one_soil, percent, plain
 from calibrate.io.lab import Lab, load_lab
 from calibrate.io.labfile import PARAMETER_UNITS, check_parameter, entry_of, read_text
 from calibrate.io.soil import base_soil
@@ -94,17 +95,22 @@ class Found:
         return 1 / (1 - self["plasticity_ratio"])
 
 
-def find(path: Path, changes: dict[str, float], diameter: float | None) -> Found:
+def find(
+    path: Path, changes: dict[str, float], diameter: float | None, moisture: float | None = None
+) -> Found:
     """The parameters of a fit's folder, its result.json, or a lab file.
 
     `changes` replace values (and their intervals); without `diameter` (m) the particles are
-    as large as the calibration's spheres.  Raises `InputError`.
+    as large as the calibration's spheres.  Where parameters differ with moisture, those at this
+    one.  Raises `InputError`.
     """
     path = Path(path)
     if path.suffix == ".toml":
-        found = _of_lab(path)
+        found = _of_lab(path, moisture)
     else:
-        found = _of_result(path / RESULT if path.is_dir() else path)
+        found = _of_result(path / RESULT if path.is_dir() else path, moisture)
+    if moisture is not None:
+        found = replace(found, origin=f"{found.origin}, at a moisture of {percent(moisture)}")
     return _sized(found, path, changes, diameter)
 
 
@@ -143,10 +149,10 @@ def _sized(found: Found, path: Path, changes: dict[str, float], diameter: float 
     return replace(found, diameter=wanted)
 
 
-def _of_lab(path: Path) -> Found:
+def _of_lab(path: Path, moisture: float | None) -> Found:
     """The starting values of a lab file, for spheres of the quick preset."""
     lab = load_lab(path)
-    values = soil_json(base_soil(lab))
+    values = of_one_soil(soil_json(base_soil(lab)), moisture, str(path))
     origin = f"starting values of {path.name}, not calibrated"
     conventions = lab.particles.conventions
     return Found(lab.name, origin, values, {}, math.nan, _mean_diameter(lab), conventions)
@@ -156,12 +162,15 @@ def _mean_diameter(lab: Lab) -> float:
     return 2 * specimen(lab, PRESETS["quick"]).mean_radius()
 
 
-def _of_result(path: Path) -> Found:
+def _of_result(path: Path, moisture: float | None) -> Found:
     """The fitted parameters of a result.json."""
     result = _json(path)
-    parameters, law = _table(result, "parameters", path), _law(result, path)
+    parameters = of_one_soil(_table(result, "parameters", path), moisture, str(path))
+    law = _law(result, path)
     values = {n: _value(n, parameters.get(n), path, law) for n in parameters_of(law)}
-    found = _table(_table(result, "identifiability", path), "interval_95", path)
+    every = _table(_table(result, "identifiability", path), "interval_95", path)
+    known = {n: x for n, x in every.items() if AT not in n or n == at(plain(n), moisture or 0.0)}
+    found = {plain(name): interval for name, interval in known.items()}
     intervals = {name: _interval(name, found[name], path) for name in UNITS if name in found}
     soil = str(result.get("soil", "soil"))
     origin = f"{path}, preset {result.get('preset', 'unknown')}"

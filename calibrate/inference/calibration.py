@@ -24,7 +24,7 @@ from calibrate.inference.fit import Descent, Fit, descend, finished, fit, joined
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
 from calibrate.inference.on_response import DIGITS, Solved
-from calibrate.inference.parameters import candidates, ensemble, space, to_digits
+from calibrate.inference.parameters import candidates_of, ensemble, space, stated_free, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
 from calibrate.inference.slopes import SlopesOfSmallerBeds
@@ -42,11 +42,9 @@ from calibrate.simulation.specimens import (
     summary_json,
 )
 from calibrate.simulation.specimens import coarse as coarse_sentence
-from jdem.materials.conventions import DEFAULT
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.base import AbstractStrategy
 
-CANDIDATES = candidates(DEFAULT)  # of EEPA
 # Where large beds are dear: a residual of 0.3 deviations is a third of what packings leave open.
 THRIFTY = Settings(evaluations=10, patience=3, tolerance=0.3)
 EXPLORING = Settings(evaluations=12, patience=4, tolerance=0.3)  # small beds are cheap
@@ -121,7 +119,7 @@ def explore(
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     setup = FitSetup(lab, problem, base, seeds, work, scatter, scattered, coarse)
-    free = free or tuple(name for name, choice in lab.parameters.items() if choice.free) or None
+    free = free or stated_free(lab)
     screened = setup.screened() if free is None else None
     screening = {} if screened is None else screening_json(setup, screened)
     if free is None:
@@ -197,7 +195,7 @@ class FitSetup:
     def screened(self) -> Screened:
         """Slopes of all features in every parameter that the lab file does not hold."""
         held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
-        names = candidates(self.lab.particles.conventions)
+        names = candidates_of(self.lab)
         every = space(self.lab, tuple(n for n in names if n not in held), self.base)
         what, start = "sensitivity of every parameter", to_digits(every.start())
         if self.coarse is not None and self.coarse.near:

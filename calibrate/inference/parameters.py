@@ -19,6 +19,7 @@ from jax import Array
 from scipy.stats import truncnorm
 
 from calibrate.core.errors import COMMAND_LINE, InputError, suggestion
+from calibrate.io.choices import expanded, plain
 from calibrate.io.conventions import check_free
 from calibrate.io.lab import Lab
 from calibrate.io.labfile import PARAMETER_UNITS, entry_of
@@ -54,15 +55,35 @@ def candidates(law: str) -> tuple[str, ...]:
     return (*FACTORS, "shear_modulus")
 
 
+def ranges_of(lab: Lab) -> dict[str, Range]:
+    """Where a fit looks for the parameters of a lab's law, those that differ with moisture once for
+    each moisture of its specimens."""
+    return expanded(ranges(lab.particles.conventions), lab.differing())
+
+
+def candidates_of(lab: Lab) -> tuple[str, ...]:
+    """The parameters that a fit of a lab chooses from."""
+    return tuple(expanded(dict.fromkeys(candidates(lab.particles.conventions)), lab.differing()))
+
+
+def stated_free(lab: Lab) -> tuple[str, ...] | None:
+    """The parameters that a lab file frees; None where it leaves the choice to a fit."""
+    stated = [name for name, choice in lab.parameters.items() if choice.free]
+    present = [own for values in lab.differing().values() for own in values]
+    return tuple(name for name in stated if name == plain(name) or name in present) or None
+
+
 # Bounds enclose the paper's Plackett-Burman levels (Table 2); priors are as wide as they.
 RANGES = ranges(DEFAULT)
 
 
 def checked_free(names: Sequence[str], lab: Lab) -> tuple[str, ...]:
     """Names of parameters that are to be fitted, refused where one cannot be, or where the lab's
-    law does not have it, or its conventions hold it."""
+    law does not have it, or its conventions hold it; of one that differs with moisture, those of
+    its values."""
     law = lab.particles.conventions
-    known = ranges(law)
+    known = ranges_of(lab)
+    names = [own for name in names for own in lab.differing().get(name, [name])]
     for name in names:
         if name not in known:
             if name in PARAMETER_UNITS:
@@ -248,14 +269,15 @@ def probing_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
 
 def fitting_groups(names: Sequence[str]) -> tuple[tuple[int, ...], ...]:
     """The same for a fit: those of ALONE are moved one at a time, as the audit's reference is."""
-    alone = tuple((i,) for i, name in enumerate(names) if name in ALONE)
-    return (*_dealt(names, [i for i, name in enumerate(names) if name not in ALONE]), *alone)
+    single = [i for i, name in enumerate(names) if plain(name) in ALONE]
+    together = [i for i in range(len(names)) if i not in single]
+    return (*_dealt(names, together), *((i,) for i in single))
 
 
 def _dealt(names: Sequence[str], chosen: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """The chosen indices in groups, dealt out in the order of DEALT."""
     count = min(MOST_GROUPS, max(min(len(chosen), 2), -(-len(chosen) // 2)))
-    order = sorted(chosen, key=lambda i: DEALT.index(names[i]))
+    order = sorted(chosen, key=lambda i: DEALT.index(plain(names[i])))
     return tuple(tuple(order[first::count]) for first in range(count))
 
 
@@ -295,7 +317,7 @@ def _check_inside(lab: Lab, name: str, value: float, bounds: Range) -> None:
 
 def range_of(lab: Lab, name: str) -> Range:
     """Bounds and prior of a parameter, those of the lab file where it states them."""
-    default, choice = ranges(lab.particles.conventions)[name], lab.parameters.get(name)
+    default, choice = ranges(lab.particles.conventions)[plain(name)], lab.parameters.get(name)
     if choice is None:
         return default
     stated = (choice.low, choice.high, choice.prior_sd)

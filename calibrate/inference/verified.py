@@ -59,7 +59,20 @@ def parts(lab: Lab, tests: Sequence[str], verify: Sequence[str]) -> tuple[Lab, L
         problem = f"{both[0]} is in both"
         raise InputError(COMMAND_LINE, "--verify", problem, "take it out of one of them")
     used = tests or [name for name in known if name not in verify]
-    return _of_tests(lab, used, "--tests"), _of_tests(lab, verify, "--verify") if verify else None
+    fitted = _of_tests(lab, used, "--tests")
+    held_back = _of_tests(lab, verify, "--verify") if verify else None
+    if held_back is not None:
+        _check_moistures(fitted, held_back)
+    return fitted, held_back
+
+
+def _check_moistures(fitted: Lab, held_back: Lab) -> None:
+    """Refuse tests at a moisture of which the fitted ones say nothing."""
+    known = [name for values in fitted.differing().values() for name in values]
+    for name in (name for values in held_back.differing().values() for name in values):
+        if name not in known:
+            problem = f"no fitted test says anything of {name}"
+            raise InputError(COMMAND_LINE, "--verify", problem, "fit a test at this moisture too")
 
 
 def _of_tests(lab: Lab, names: Sequence[str], option: str) -> Lab:

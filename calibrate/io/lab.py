@@ -12,6 +12,15 @@ from typing import Any
 
 from calibrate.core.errors import BadValue, InputError, shown, suggestion
 from calibrate.core.units import Kind, positive_quantity, unit_factor
+from calibrate.io.choices import (
+    AT,
+    ParameterChoice,
+    check_moistures,
+    choices,
+    differing,
+    named_set,
+    percent,
+)
 from calibrate.io.conventions import (
     check_free,
     check_needed,
@@ -20,10 +29,10 @@ from calibrate.io.conventions import (
     held_by,
 )
 from calibrate.io.curves import read_curve, read_repeats
-from calibrate.io.labfile import check_parameter, entry_of, read_toml, validated
+from calibrate.io.labfile import read_toml, validated
 from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
-from calibrate.io.tables import LabTables, ParameterTable, ParticlesTable
+from calibrate.io.tables import LabTables, ParticlesTable
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import PLAIN, names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
@@ -50,17 +59,6 @@ class Particles:
         stated = "conventions" in table.model_fields_set
         name = chosen(table.law, table.conventions, stated, file)
         return Particles(table.reference_diameter, table.poisson_ratio, table.porosity, name)
-
-
-@dataclass(frozen=True)
-class ParameterChoice:
-    """What the lab file says about one parameter, in its SI unit; None where it says nothing."""
-
-    value: float | None
-    low: float | None
-    high: float | None
-    prior_sd: float | None
-    free: bool | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +116,31 @@ class Lab:
         return replace(self, tests=tests, targets=targets, curves=curves)
 
     def pair(self) -> Pair:
-        """The two tests of the diagnosis; `InputError` where the lab has others on soil."""
+        """The two tests of the diagnosis; `InputError` where the lab has others on soil, or soils
+        that differ."""
+        self.check_same_soil()
         try:
             return pair_of([test for test in self.tests if test.with_soil])
         except BadValue as bad:
             raise bad.at(self.file, "") from None
+
+    def differing(self) -> dict[str, list[str]]:
+        """Parameters that differ with moisture, with the names of their values at the moistures of
+        the lab's specimens."""
+        present = {percent(s.cylinder.moisture or 0.0) for s in self.specimens()}
+        found = differing(self.parameters)
+        return {
+            name: [value for value in values if value.partition(AT)[2] in present]
+            for name, values in found.items()
+        }
+
+    def check_same_soil(self) -> None:
+        """`InputError` where parameters differ with the moisture of specimens."""
+        if found := self.differing():
+            name = next(iter(found))
+            problem = f"{name} differs with moisture, and this takes one soil"
+            repair = "give it one value, in a lab file for each moisture"
+            raise InputError(self.file, f"parameters.{name}.by_moisture", problem, repair)
 
     def cylinder_of(self, test: str) -> Cylinder:
         """The specimen on which the test of this name is made."""
@@ -192,9 +210,14 @@ def load_lab(path: str | Path) -> Lab:
         targets=_targets(stated, cylinders, Path(path), usual),
         curves=_curves(stated, cylinders, Path(path), usual),
         particles=particles,
-        parameters={n: _choice(n, table, file, law) for n, table in tables.parameters.items()},
-        named_sets={n: _named_set(n, table, file, law) for n, table in tables.named_sets.items()},
+        parameters=dict(
+            pair
+            for name, table in tables.parameters.items()
+            for pair in choices(name, table, file, law).items()
+        ),
+        named_sets={n: named_set(n, table, file, law) for n, table in tables.named_sets.items()},
     )
+    check_moistures(lab.parameters, _moistures(stated, cylinders), file)
     usual.finish()
     return _as_its_conventions(lab)
 
@@ -333,6 +356,16 @@ def _curves(
     return tuple(found)
 
 
+def _moistures(stated: StatedTests, cylinders: Sequence[Cylinder]) -> dict[str, float | None]:
+    """The moisture of each specimen with soil, by the field of its table."""
+    rows = enumerate(zip(stated.tests, cylinders, strict=True))
+    return {
+        f"tests[{number}].specimen" if test.specimen else "specimen": cylinder.moisture
+        for number, (test, cylinder) in rows
+        if test.with_soil
+    }
+
+
 def _check_protocols(stated: StatedTests, cylinders: Sequence[Cylinder], file: str) -> None:
     """Refuse what a test's specimen does not let it do, or a mould that is gone already."""
     free = disturbed = ""  # the test that took the mould away, or left the soil disturbed
@@ -362,28 +395,3 @@ def _cylinders(stated: StatedTests, first: Cylinder) -> list[Cylinder]:
         before = found[-1] if found else first
         found.append(test.specimen.cylinder() if test.specimen else before)
     return found
-
-
-def _choice(name: str, table: ParameterTable, file: str, law: str) -> ParameterChoice:
-    """One entry of [parameters] with its numbers checked and in order."""
-    field = f"parameters.{name}"
-    entry_of(name, file, field, law)
-    value = _number_if_given(name, table.value, file, field, law)
-    low = _number_if_given(name, table.low, file, f"{field}.low", law)
-    high = _number_if_given(name, table.high, file, f"{field}.high", law)
-    given = [number for number in (low, value, high) if number is not None]
-    if given != sorted(given) or (low is not None and low == high):
-        repair = "make low <= value <= high, and low < high"
-        raise InputError(file, field, f"low, value, high are {low}, {value}, {high}", repair)
-    return ParameterChoice(value, low, high, table.prior_sd, table.free)
-
-
-def _number_if_given(name: str, value: Any, file: str, field: str, law: str) -> float | None:
-    """`check_parameter`, or None for a value that is not in the file."""
-    return check_parameter(name, value, file, field, law) if value is not None else None
-
-
-def _named_set(set_name: str, values: dict[str, Any], file: str, law: str) -> dict[str, float]:
-    """One of [named_sets], in SI."""
-    field = f"named_sets.{set_name}"
-    return {n: check_parameter(n, x, file, f"{field}.{n}", law) for n, x in values.items()}

@@ -330,6 +330,9 @@ def _stated(raw: Mapping[str, Any], name: str) -> Iterator[tuple[str, Any]]:
         for key in ("value", "low", "high"):
             if key in given:
                 yield f"parameters.{name}" + ("" if key == "value" else f".{key}"), given[key]
+        moist = given.get("by_moisture")
+        for text, value in moist.items() if isinstance(moist, dict) else ():
+            yield f'parameters.{name}.by_moisture."{text}"', value
     elif given is not None:
         yield f"parameters.{name}", given
     sets = raw.get("named_sets")

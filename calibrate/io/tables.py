@@ -47,9 +47,12 @@ class ParticlesTable(AbstractTable):
 
 
 class ParameterTable(AbstractTable):
-    """One entry of [parameters]; the three values are checked by `check_parameter`."""
+    """One entry of [parameters]; its values are checked by `check_parameter`.  by_moisture has one
+    for each moisture of specimens in place of `value`; the rest is said of all.
+    """
 
     value: Any = None
+    by_moisture: dict[str, Any] = Field(default_factory=dict)
     low: Any = None
     high: Any = None
     prior_sd: float | None = Field(default=None, gt=0)

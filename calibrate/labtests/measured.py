@@ -31,11 +31,13 @@ from calibrate.core.units import FRACTION, LENGTH, Range
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A specimen: diameter and height in the mould (m), height of the mould (m) if known."""
+    """A specimen: diameter and height in the mould (m), height of the mould (m) and moisture (water
+    over dry mass) if known."""
 
     diameter: float
     height: float
     mould_height: float | None = None
+    moisture: float | None = None
 
     @property
     def area(self) -> float:
@@ -138,11 +140,13 @@ def millimetres(length: float) -> str:
 
 
 class SpecimenTable(AbstractTable):
-    """The cylinder of soil, in m."""
+    """The cylinder of soil, in m; its moisture (water over dry mass) chooses among parameters that
+    differ with it."""
 
     diameter: Annotated[Length, Range(LENGTH, "5 mm", "400 mm")] = required('diameter = "50 mm"')
     height: Annotated[Length, Range(LENGTH, "5 mm", "1 m")] = required('height = "100 mm"')
     mould_height: Annotated[Length | None, Range(LENGTH, "5 mm", "1 m")] = None
+    moisture: Annotated[Fraction | None, Range(FRACTION, "0.5 %", "300 %")] = None
 
     @model_validator(mode="after")
     def _check_fits_mould(self) -> "SpecimenTable":
@@ -152,7 +156,7 @@ class SpecimenTable(AbstractTable):
 
     def cylinder(self) -> Cylinder:
         """The same as plain numbers."""
-        return Cylinder(self.diameter, self.height, self.mould_height)
+        return Cylinder(self.diameter, self.height, self.mould_height, self.moisture)
 
 
 class TargetTable(AbstractTable):

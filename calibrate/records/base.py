@@ -20,6 +20,7 @@ from pydantic_core import ErrorDetails
 
 from calibrate.core.errors import BadValue, InputError, shown
 from calibrate.core.files import as_json
+from calibrate.io.choices import plain
 from calibrate.io.labfile import PARAMETER_UNITS, read_file
 from calibrate.labtests.base import AXES
 
@@ -32,7 +33,7 @@ def _nan_for_null(value: Any) -> Any:
 
 
 def _known_parameter(name: str) -> str:
-    if name not in PARAMETER_UNITS:
+    if plain(name) not in PARAMETER_UNITS:
         raise ValueError(f"{shown(name)} is no parameter")
     return name
 

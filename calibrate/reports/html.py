@@ -16,6 +16,7 @@ import jinja2
 import numpy as np
 
 from calibrate.figures import functions
+from calibrate.io.choices import plain
 from calibrate.io.labfile import PARAMETER_UNITS
 
 TEMPLATES = jinja2.Environment(
@@ -110,7 +111,7 @@ def words(name: str) -> str:
 
 def quantity(name: str, value: float | None, digits: int = 4) -> str:
     """A parameter's value for reading, with its unit; moduli in MPa, diameters in µm."""
-    unit = PARAMETER_UNITS.get(name, "")
+    unit = PARAMETER_UNITS.get(plain(name), "")
     if unit == "Pa" and value is not None:
         value, unit = value / 1e6, "MPa"
     elif name == "reference_diameter" and value is not None:

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from calibrate.core.errors import CalibrationError, one_line
 from calibrate.core.progress import AbstractProgress, Silent
+from calibrate.io.soil import soil_at
 from calibrate.simulation.compiled import blank
 from calibrate.simulation.executors import AbstractPlace, Here, MachineFailure, cores
 from calibrate.simulation.keys import content_hash, packing_content, run_content
@@ -46,6 +47,7 @@ class Campaign:
     progress: AbstractProgress = field(default_factory=Silent)
     workers: int = field(default_factory=lambda: cores())
     preparation: SoilParameters | None = None  # soil that beds settle with; None: neutral
+    moisture: float | None = None  # of the specimen, where parameters differ with it
     simulated: int = 0  # runs that were not in the cache and were simulated for this campaign
     place: AbstractPlace = field(default_factory=Here)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -69,6 +71,7 @@ class Campaign:
         return self.each([[soil] * len(seeds) for soil in soils], seeds, what)
 
     def each(self, soils: Sequence[Soils], seeds: Sequence[int], what: str) -> Runs:
+        soils = [[soil_at(soil, self.moisture) for soil in row] for row in soils]
         packings = dict(zip(seeds, self._packings_while_compiling(soils, seeds), strict=True))
         keyed = [
             [
@@ -88,7 +91,8 @@ class Campaign:
 
     def key(self, soil: SoilParameters, seed: int) -> str:
         """Hash of everything that the run of `soil` on packing `seed` depends on."""
-        return content_hash({**run_content(self.lab, soil), **self._packing_content(seed)})
+        own = soil_at(soil, self.moisture)
+        return content_hash({**run_content(self.lab, own), **self._packing_content(seed)})
 
     # ---- simulating
 

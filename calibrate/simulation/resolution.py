@@ -100,9 +100,12 @@ def _reach(lab: Lab, filled: Specimen) -> float:
 
 def _allowed(lab: Lab, name: str) -> list[float]:
     """The values of a parameter that the lab file states, and the bounds of a fit."""
-    choice, search = lab.parameters.get(name), parameters_of(lab.particles.conventions)[name].search
-    stated = [choice.low, choice.value, choice.high] if choice else []
+    search = parameters_of(lab.particles.conventions)[name].search
+    named = lab.differing().get(name, [name])
+    every = [lab.parameters[each] for each in named if each in lab.parameters]
+    stated = [end for each in every for end in (each.low, each.value, each.high)]
     found = [value for value in stated if value is not None]
+    choice = every[0] if every else None
     found += [values[name] for values in lab.named_sets.values() if name in values]
     if search is not None and not (choice and choice.free is False):
         found += [search.low] if choice is None or choice.low is None else []

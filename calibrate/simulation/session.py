@@ -11,6 +11,7 @@ from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, InputError
 from calibrate.core.files import make_folder
 from calibrate.core.progress import AbstractProgress, for_terminal
+from calibrate.io.choices import plain
 from calibrate.io.conventions import check_values, origin
 from calibrate.io.lab import Lab, LabLike, lab_of
 from calibrate.io.labfile import check_parameter
@@ -62,10 +63,14 @@ class Session:
     def soil(self, values: Mapping[str, float | str] | None) -> SoilParameters:
         """The soil that the lab file describes with these values (SI, or with a unit) in place of
         its own; `InputError` where the lab's law does not have them, or leaves others."""
-        law = self.lab.particles.conventions
+        law, own = self.lab.particles.conventions, self.lab.differing()
+        given = {n: x for name, x in (values or {}).items() for n in own.get(name, [name])}
+        known = [name for every in own.values() for name in every]
         numbers = {
-            name: check_parameter(name, value, COMMAND_LINE, f"--set {name}", law)
-            for name, value in (values or {}).items()
+            name: check_parameter(
+                plain(name) if name in known else name, value, COMMAND_LINE, f"--set {name}", law
+            )
+            for name, value in given.items()
         }
         check_values(law, numbers, COMMAND_LINE, "--set ")
         return with_values(base_soil(self.lab), numbers)
@@ -79,6 +84,7 @@ class Session:
 
     def campaign_of_one(self, out: Path) -> Campaign:
         """The same where only tests on one specimen will do; those without soil are left out."""
+        self.lab.check_same_soil()
         if len(self.lab.specimens()) > 1:
             problem = "the tests are made on several specimens, this command takes one"
             repair = "keep the tests of one specimen, in a lab file of their own"

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibrate.core.errors import CalibrationError
 from calibrate.core.progress import AbstractProgress
+from calibrate.io.choices import differing, expanded
 from calibrate.io.lab import Lab
 from calibrate.labtests.base import AbstractLabTest, Shown
 from calibrate.labtests.composite import names_of
@@ -58,11 +59,12 @@ def campaign(
             progress,
             preparation=preparation,
             place=place,
+            moisture=tested.cylinder.moisture,
         )
-        for number in range(len(lab.specimens()))
+        for number, tested in enumerate(lab.specimens())
     )
     machine = bare_machine(lab)
-    if machine is None and len(parts) == 1:
+    if machine is None and len(parts) == 1 and not lab.differing():
         return parts[0]
     return JointCampaign(parts, machine and BareCampaign(machine, folder, progress))
 
@@ -286,5 +288,8 @@ def check_some_sound(runs: Sequence[Run], which: str = "packings", result: objec
 
 
 def soil_json(soil: SoilParameters) -> dict[str, float]:
-    """All parameters of the soil's law by name, SI."""
-    return {name: float(value) for name, value in own_values(soil).items()}
+    """All parameters of the soil's law by name, SI; one that differs with moisture once for each of
+    its values."""
+    values = differing(soil.further)
+    own = expanded(own_values(soil), values)
+    return {name: float(soil.further.get(name, value)) for name, value in own.items()}

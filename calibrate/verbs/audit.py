@@ -16,7 +16,7 @@ from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.audit import RESPONSE, Audit, audit_json, checked_strategies, traces
 from calibrate.inference.audit import audit as slopes_of
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.parameters import candidates, space
+from calibrate.inference.parameters import candidates_of, space
 from calibrate.records.audit import AuditRecord
 from calibrate.reports.audit import passed
 from calibrate.simulation.joint import AbstractCampaign
@@ -129,7 +129,7 @@ def audit(
     folder, names = Path(out), checked_strategies(listed(strategies))
     session = Session.open(lab, preset, folder, dask, batch=batch).resized(spheres)
     base = session.soil(values)
-    audited = space(session.lab, candidates(session.lab.particles.conventions), base)
+    audited = space(session.lab, candidates_of(session.lab), base)
     seeds = range(100 * seed, 100 * seed + packings)
     campaign = session.campaign_of_one if traces(names) else session.on_soil().campaign
     work = campaign(folder)

@@ -18,7 +18,7 @@ from calibrate import figures
 from calibrate.core import runtime
 from calibrate.core.errors import COMMAND_LINE, BadValue, CalibrationError, InputError, shown
 from calibrate.core.files import as_json, write_text
-from calibrate.core.units import LENGTH, positive_quantity
+from calibrate.core.units import FRACTION, LENGTH, positive_quantity, unsigned_quantity
 from calibrate.io.labfile import check_parameter
 from calibrate.records.base import Record, record
 
@@ -235,6 +235,11 @@ def understood(option: str, text: str | None, read: Callable[[str], R]) -> R | N
 def length(text: str) -> float:
     """A length with its unit, in m."""
     return positive_quantity(text, LENGTH)
+
+
+def fraction(text: str) -> float:
+    """A share with its unit, such as "8 %"."""
+    return unsigned_quantity(text, FRACTION)
 
 
 def line(sentence: str) -> Text:

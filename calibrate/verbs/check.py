@@ -8,11 +8,11 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from calibrate.core.errors import InputError
-from calibrate.inference.parameters import ranges
+from calibrate.inference.parameters import ranges_of
 from calibrate.inference.problem import Problem, begun_late, pose
+from calibrate.io.choices import unit_of
 from calibrate.io.conventions import origin, said
 from calibrate.io.lab import Lab, lab_of
-from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.io.soil import base_soil
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import label, names_of
@@ -74,7 +74,7 @@ class CheckResult(AbstractResult):
         for name, value in self.content["parameters"].items():
             role = "held" if name in self.content["held"] else "may be freed"
             role = "free" if name in self.content["free"] else role
-            table.add_row(name, f"{value:.4g}", PARAMETER_UNITS[name], role)
+            table.add_row(name, f"{value:.4g}", unit_of(name), role)
         return table
 
 
@@ -119,7 +119,7 @@ def check(lab: options.LabFile = None) -> CheckResult:
         "tests": [_test(read, test) for test in read.tests],
         "numbers": _compared(read, problem),
         **origin(law),
-        "parameters": {name: float(soil.values()[name]) for name in ranges(law)},
+        "parameters": {name: float(soil.values()[name]) for name in ranges_of(read)},
         "free": [name for name, choice in chosen.items() if choice.free],
         "held": [name for name, choice in chosen.items() if choice.free is False],
         "diagnosis": _diagnosis(read),

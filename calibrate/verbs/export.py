@@ -17,6 +17,7 @@ from calibrate.exporters.source import Found, find, find_draws
 from calibrate.verbs import options
 from calibrate.verbs.base import (
     AbstractDrawnResult,
+    fraction,
     length,
     line,
     parameter_values,
@@ -86,6 +87,10 @@ def export(
     force: Annotated[
         bool, typer.Option("--force", help="Also of a fit that missed its data.")
     ] = False,
+    moisture: Annotated[
+        str | None,
+        typer.Option("--moisture", help='"8 %": where parameters differ with it, which of them.'),
+    ] = None,
     draws: Annotated[
         int, typer.Option("--draws", min=0, max=100, help="Soils of a posterior, a file each.")
     ] = 0,
@@ -99,6 +104,8 @@ def export(
         values: parameters in place of the fitted ones, by name, in SI units or with a unit.
         out: the file to write; None: in results/export.
         force: also of a fit that missed its data.
+        moisture: of the soil, with its unit ("8 %"), where parameters differ with it; None: they do
+            not.
         draws: so many soils of the folder of a posterior, spread along what its tests leave most
             open, each in a file of its own in the folder `out`; 0: the parameters of a fit.
 
@@ -118,7 +125,7 @@ def export(
     if draws:
         every = find_draws(place, draws, changed, size)
         return _each_in_a_file(every, EXPORTERS[to], FOLDER / "draws" if out is None else Path(out))
-    found = find(place, changed, size)
+    found = find(place, changed, size, understood("--moisture", moisture, fraction))
     if found.missed and not force:
         repair = "fit again, or give --force to export it all the same, with this warning"
         rest = len(found.missed) - 1

@@ -16,12 +16,12 @@ from calibrate.discrepancy.library.stand_in import served
 from calibrate.inference.calibration import Calibrated, Explored, calibrate, explore, fit_json
 from calibrate.inference.estimate import estimate_json, estimated
 from calibrate.inference.on_response import OnResponse
-from calibrate.inference.parameters import checked_free, ranges
+from calibrate.inference.parameters import checked_free, ranges_of
 from calibrate.inference.prediction import prediction_json, prediction_sentences
 from calibrate.inference.resolutions import Coarse
 from calibrate.inference.verified import parts, predicted
+from calibrate.io.choices import unit_of
 from calibrate.io.lab import Lab
-from calibrate.io.labfile import PARAMETER_UNITS
 from calibrate.labtests.composite import label
 from calibrate.records.fit import FitRecord
 from calibrate.reports.terminal import history_table, observables_table, warned_of_observables
@@ -125,7 +125,7 @@ class FitResult(AbstractRecordedResult[FitRecord]):
             f"stopped: {found.stopped}; {len(found.history)} evaluations, "
             f"{found.simulations} simulations in this start"
         )
-        held = [name for name in ranges(self.lab.particles.conventions) if name not in self.free]
+        held = [name for name in ranges_of(self.lab) if name not in self.free]
         yield "held at their starting values: " + ", ".join(held)
         for direction in found.identifiability.directions:
             weights = " ".join(f"{w:+.2f} {name}" for name, w in direction.weights.items())
@@ -194,7 +194,7 @@ def parameters_table(
     for name, both in values.items():
         low, high = intervals[name]
         cells = [f"{x:.4g}" for x in both]
-        table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", PARAMETER_UNITS[name])
+        table.add_row(name, *cells, f"{low:.4g} to {high:.4g}", unit_of(name))
     return table
 
 

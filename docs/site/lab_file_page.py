@@ -60,6 +60,7 @@ MEANING = {
     "SpecimenTable.diameter": "inner diameter of the mould",
     "SpecimenTable.height": "of the soil in the mould",
     "SpecimenTable.mould_height": "of the mould, if known",
+    "SpecimenTable.moisture": "water over dry mass; chooses among values by moisture",
     "ConfinedTest.rate": "speed of the platen in the laboratory",
     "ConfinedTest.pressed_at": "of a simulation that stands for a laboratory: how fast it pressed",
     "ConfinedTest.force_low": "the depression depth counts from here",
@@ -129,6 +130,7 @@ MEANING = {
     "ParameterTable.value": "where a fit begins",
     "ParameterTable.low": "lower bound of a fit",
     "ParameterTable.high": "upper bound of a fit",
+    "ParameterTable.by_moisture": "a value for each moisture of specimens, in place of one",
     "ParameterTable.prior_sd": "prior standard deviation of ln p; 0.1 is about 10 %",
     "ParameterTable.free": "true: fit it, hold the rest; false: hold it; no true: the data choose",
 }
@@ -138,6 +140,7 @@ EXAMPLES = {
     "porosity": "porosity = 0.43",
     "published_error": 'published_error = "3 %"',
     "mould_height": 'mould_height = "150 mm"',
+    "by_moisture": 'by_moisture = { "4 %" = "0.4 J/m^2", "12 %" = "0.5 J/m^2" }',
     "source": 'source = "own tests, 2026"',
     "value": "value = 7e6",
     "low": "low = 2e6",

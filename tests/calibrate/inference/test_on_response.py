@@ -32,7 +32,8 @@ from calibrate.inference.on_response import (
 )
 from calibrate.inference.parameters import space
 from calibrate.inference.problem import Problem, pose
-from calibrate.io.lab import ParameterChoice, bundled_lab, load_lab
+from calibrate.io.choices import ParameterChoice
+from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import with_values
 from calibrate.labtests.diagnosis.curves import TARGETS, TESTS, feature_values
 from calibrate.labtests.features import (

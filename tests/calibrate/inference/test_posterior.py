@@ -33,7 +33,8 @@ from calibrate.inference.sampling import (
     starts,
     values_of,
 )
-from calibrate.io.lab import ParameterChoice, bundled_lab
+from calibrate.io.choices import ParameterChoice
+from calibrate.io.lab import bundled_lab
 from calibrate.simulation.specimens import Seeds
 from calibrate.verbs.export import export
 from tests import ROOT

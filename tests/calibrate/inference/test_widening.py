@@ -16,7 +16,7 @@ from calibrate.inference.identifiability import WIDEST, assess, by_profiles
 from calibrate.inference.parameters import space
 from calibrate.inference.resolutions import Coarse
 from calibrate.inference.widening import FARTHEST, Outlook
-from calibrate.io.lab import ParameterChoice as Choice
+from calibrate.io.choices import ParameterChoice as Choice
 from calibrate.io.soil import base_soil
 from calibrate.labtests.measured import Curve, Target
 from calibrate.simulation.resolution import PRESETS

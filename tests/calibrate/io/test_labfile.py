@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from calibrate.core.errors import BadValue, InputError, suggestion
 from calibrate.core.units import FORCE, LENGTH, OFTEN, Kind, by_pint, quantity, unit_factor
-from calibrate.io.lab import Lab, ParameterChoice, bundled_lab, load_lab
+from calibrate.io.choices import ParameterChoice
+from calibrate.io.lab import Lab, bundled_lab, load_lab
 from calibrate.io.labfile import PARAMETER_RANGES, PARAMETER_UNITS, check_parameter
 from calibrate.labtests.measured import Target
 from jdem.core.parameter import FRACTION, NOT_NEGATIVE, POSITIVE, Accepted
