@@ -12,6 +12,8 @@ from calibrate.io.lab import Lab
 from calibrate.labtests.composite import label
 from calibrate.simulation.specimens import coarse
 
+ACROSS = 2  # observables that stand beside each other in a narrow window
+
 
 def course(result: dict) -> str:
     """How the runs went: how finely the specimen is resolved, how quasi-static and how fast they
@@ -41,17 +43,27 @@ def warned_of_observables(result: dict) -> Iterator[Text]:
 
 
 def observables_table(lab: Lab, groups: dict[str, dict]) -> Table:
-    """Observables of groups of runs below what was measured, each with its scatter."""
+    """Observables of groups of runs beside what was measured, each with its scatter; the groups in
+    rows, or, where observables are too many for columns, in columns."""
     names = list(next(iter(groups.values()))["observables"])
-    table = Table("", *map(label, names), title=lab.name, title_justify="left")
-    measured = [
-        f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
-        for n in names
-    ]
-    table.add_row("measured (± one repeat)", *measured)
+    cells = {
+        "measured (± one repeat)": [
+            f"{lab.targets[n].mean:.4g} ± {lab.targets[n].scatter:.2g}" if n in lab.targets else "-"
+            for n in names
+        ]
+    }
     for which, group in groups.items():
-        cells = [f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names]
-        table.add_row(f"{which} (± one packing)", *cells)
+        cells[f"{which} (± one packing)"] = [
+            f"{group['observables'][n]:.4g} ± {group['spread'][n]:.2g}" for n in names
+        ]
+    labels = [label(name) for name in names]
+    if len(names) <= ACROSS:
+        rows, columns = [[which, *row] for which, row in cells.items()], labels
+    else:
+        rows, columns = list(zip(labels, *cells.values(), strict=True)), list(cells)
+    table = Table("", *columns, title=lab.name, title_justify="left")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

@@ -222,8 +222,12 @@ def _bad_course(lab: VirtualLab, outcome: Outcome) -> str:
     """Tests that did not come to their end."""
     if not bool(outcome.record.finished):
         return "the tests took longer than their capacity of samples"
-    if not all(np.isfinite(leaf) for leaf in jax.tree.leaves(outcome.observables)):
-        return "a number of the result is not finite: the tests took an unforeseen course"
+    for test in lab.tests.apparatus:
+        for source, value in outcome.observables[test.name].items():
+            if not np.isfinite(value):
+                return (
+                    f"{test.name}: no number for the {source.replace('_', ' ')}: {test.no_number}"
+                )
     return ""
 
 

@@ -197,6 +197,11 @@ class AbstractApparatus(eqx.Module):
         """Of the tool, m; 0 where there is none, or where it is not known."""
         return 0.0
 
+    @property
+    def no_number(self) -> str:
+        """Why an observable may be no number."""
+        return "the test took an unforeseen course"
+
     def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real] | None:
         """Shear rate (1/s) and pressure (Pa) of soil of this mean diameter (m) where a tool moves
         it, of which the inertial number is made; None where none is stated."""
@@ -272,6 +277,10 @@ class Gauged(AbstractApparatus):
     @property
     def width(self) -> float:
         return self.test.width
+
+    @property
+    def no_number(self) -> str:
+        return self.test.no_number
 
     def sheared(self, observables: dict[str, Array], diameter: Real) -> tuple[Real, Real] | None:
         return self.test.sheared(observables, diameter)

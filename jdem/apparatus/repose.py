@@ -85,6 +85,13 @@ class LiftedCylinder(AbstractApparatus):
         return ("repose_angle", "repose_angle_by_height", "repose_angle_by_top", "heap_height")
 
     @property
+    def no_number(self) -> str:
+        return (
+            "the heap has no flank between a fifth and four fifths of its height: the soil stands "
+            "as it stood in the tube, or its spheres are too large"
+        )
+
+    @property
     def tools(self) -> tuple[Tool, ...]:
         return (self.tube,)
 
@@ -172,7 +179,7 @@ def _slope(place: Array, height: Array, whole: Array) -> Array:
     """Angle (rad) of the least-squares line through the flank of a profile (points,); NaN where
     fewer than two points are on it."""
     chosen = jnp.where((height > FLANK[0] * whole) & (height < FLANK[1] * whole), 1.0, 0.0)
-    count = jnp.sum(chosen)
+    count = jnp.where(jnp.sum(chosen) < 2, jnp.nan, jnp.sum(chosen))
     x, y = (part - jnp.sum(chosen * part) / count for part in (place, height))
     return jnp.arctan(-jnp.sum(chosen * x * y) / jnp.sum(chosen * x * x))
 

@@ -19,6 +19,7 @@ from jdem.apparatus.penetration import (
     cone_length,
     plate,
 )
+from jdem.apparatus.repose import SOLID, Heap
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.base import DOWN, FAR, UP, along, point
 from jdem.boundaries.revolved import Revolved
@@ -223,3 +224,36 @@ def test_pressures_are_read_between_and_at_depths():
     beyond = MeanPressure(area=2e-4, low=0.02, high=0.04).of(curve, jnp.zeros(81))
     assert np.isnan(float(beyond))  # and not the mean of what there is
     assert float(along(DOWN, at([0.0, 0.0, -2.0]))[0]) == 2.0
+
+
+# ------------------------------------------------------------------ heaps
+
+
+def heap_of(height, spacing=0.001):
+    """Spheres on a shaken cubic lattice, as dense as a heap is reckoned with, below `height` (m) by
+    distance from the axis (m)."""
+    ticks = np.arange(-0.06, 0.06, spacing) + spacing / 2
+    places = np.stack(np.meshgrid(ticks, ticks, ticks[ticks > 0], indexing="ij"))
+    places += spacing * (np.random.default_rng(1).random(places.shape) - 0.5)
+    off = np.hypot(*places[:2])
+    off, x, y, z = (part[places[2] < height(off)] for part in (off, *places))
+    radius = np.full(len(z), spacing * (SOLID * 3 / (4 * np.pi)) ** (1 / 3))
+    return Heap(*map(jnp.asarray, (off, np.arctan2(y, x), z, radius, np.ones(len(z)))))
+
+
+@pytest.mark.parametrize("degrees", [20.0, 35.0])
+def test_the_slope_of_a_cone_is_its_angle(degrees):
+    """The highest spheres' is flatter, since some rings lack theirs, height over base steeper."""
+    slope = np.tan(np.radians(degrees))
+    found = heap_of(lambda off: slope * (0.035 - off)).measured()
+    assert np.degrees(found["repose_angle"]) == pytest.approx(degrees, abs=0.5)
+    assert degrees - 3 < np.degrees(found["repose_angle_by_top"]) < degrees
+    assert degrees < np.degrees(found["repose_angle_by_height"]) < degrees + 3
+    assert found["heap_height"] == pytest.approx(0.035 * slope, abs=0.001)
+
+
+def test_a_heap_without_a_flank_has_no_slope():
+    """A cylinder as high as wide: one ring of spheres at its edge is half full."""
+    found = heap_of(lambda off: np.where(off < 0.02, 0.03, 0.0)).measured()
+    assert np.isnan(found["repose_angle"])
+    assert found["heap_height"] == pytest.approx(0.03, abs=0.002)
