@@ -3,6 +3,7 @@
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
     python -m verification.audit --others 4            some 30 minutes on two cores
     python -m verification.audit --seeds 21 22 --halved plasticity_ratio      some 3 minutes
+    python -m verification.audit --seeds 21 22 --finer 2000       some 35 minutes on two cores
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
 +-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same
@@ -10,10 +11,11 @@ packings; then all of it again on others.  With --others the library alone, at s
 bundled lab file's prior, each on packings of its own; there it is also asked for its own regression
 over the same steps, which tells a bent response from a wrong one.  With --halved the reference of
 these parameters is taken again over half the steps: where a response bends, that is another number.
+With --finer the library alone, at the bundled soil with so many spheres.
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes after every seed
 notebooks/data/audit.json, the first section of verification/results/audit.md and
-docs/images/audit*.png; after every other soil the second section of the page.
+docs/images/audit*.png; after every other soil, and so on, a section of the page.
 """
 
 import argparse
@@ -272,6 +274,26 @@ def audit_others(chosen: argparse.Namespace) -> None:
         reporting.write_section("audit", text)
 
 
+# ---------------------------------------------------------------- more spheres
+
+
+def audit_finer(chosen: argparse.Namespace) -> None:
+    """Writes the section of the bundled soil with another number of spheres, after every seed."""
+    audits = []
+    for seed in chosen.seeds:
+        seeds = range(100 * seed, 100 * seed + chosen.packings)
+        found, chords = audited(chosen.finer, seeds, chosen.folder, [RESPONSE])
+        audits.append(_with_chords(found.rows(RESPONSE), chords))
+        origin, rows = reporting.provenance(), pooled(audits)
+        text = (
+            f"# {chosen.finer} spheres\n\nBundled soil, {len(audits) * chosen.packings} packings: "
+            f"slopes of the library of runs, {tally(rows)} (within 15 % for H and 25 % for F).\n\n"
+            + _table(rows)
+            + reporting.footer(origin)
+        )
+        reporting.write_section("audit", text)
+
+
 # ---------------------------------------------------------------- half the steps
 
 
@@ -326,8 +348,11 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="cache of runs")
     parser.add_argument("--halved", nargs="+", default=[], choices=[*FACTORS, "shear_modulus"])
     parser.add_argument("--others", type=int, default=0, help="soils of the prior, and no other")
+    parser.add_argument("--finer", type=int, default=0, help="spheres, for the library alone")
     chosen = parser.parse_args()
     reporting.configure()
+    if chosen.finer:
+        return audit_finer(chosen)
     if chosen.others:
         return audit_others(chosen)
     if chosen.halved:
