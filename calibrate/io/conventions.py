@@ -68,6 +68,13 @@ def check_needed(name: str, values: Mapping[str, float | None], file: str) -> No
             raise InputError(file, f"parameters.{parameter}", problem, example)
 
 
+def check_sized(name: str, diameter: float | None, file: str) -> None:
+    """Refuse a reference diameter where the law states nothing at one."""
+    if diameter is not None and "reference_diameter" not in parameters_of(name):
+        problem = f"the law '{name}' states nothing at a diameter"
+        raise InputError(file, "particles.reference_diameter", problem, "leave it out")
+
+
 def held_by(name: str, file: str, field: str) -> dict[str, float]:
     """What the conventions of this name hold; `InputError` where there are none."""
     if name not in CONVENTIONS:

@@ -24,6 +24,7 @@ from calibrate.io.choices import (
 from calibrate.io.conventions import (
     check_free,
     check_needed,
+    check_sized,
     check_values,
     chosen,
     held_by,
@@ -234,6 +235,7 @@ def _as_its_conventions(lab: Lab) -> Lab:
     values = {n: c.value for n, c in choices.items()}
     if name in WHOLE:
         check_needed(name, values, lab.file)
+        check_sized(name, lab.particles.reference_diameter, lab.file)
         return lab
     check_values(name, values, lab.file, "parameters.")
     check_free(name, [n for n, c in choices.items() if c.free], lab.file, "parameters.")

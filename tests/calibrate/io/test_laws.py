@@ -126,6 +126,10 @@ REFUSED = [  # particles, lines, field, words
     ("", "gamma = 2", "parameters.gamma", "the law 'eepa' has no gamma"),
     ('conventions = "liggghts"', "gamma = 2", "parameters.gamma", "the law 'eepa' has no gamma"),
     ('law = "jkr"', "gamma = 0", "parameters.gamma", "out of range"),
+    (
+        'law = "hertz_mindlin"\nreference_diameter = "80 um"', "", "particles.reference_diameter",
+        "states nothing at a diameter",
+    ),
     ('law = "jkr"', 'gamma = "0.5 N"', "parameters.gamma", "J/m^2"),
     ('law = "jkr"', "gamma = 5e4", "parameters.gamma", "usual"),
     ('law = "parallel_bond"', "", "parameters.normal_stiffness", "needs normal_stiffness"),
