@@ -15,7 +15,7 @@ With --finer the library alone, at the bundled soil with so many spheres.
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes after every seed
 notebooks/data/audit.json, the first section of verification/results/audit.md and
-docs/images/audit*.png; after every other soil, and so on, a section of the page.
+docs/images/audit.png; after every other soil, and so on, a section of the page.
 """
 
 import argparse
@@ -29,7 +29,7 @@ import numpy as np
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library.stand_in import served
 from calibrate.figures import save
-from calibrate.figures.audit import audit_figure, curve_slopes_figure
+from calibrate.figures.audit import audit_figure
 from calibrate.inference.audit import (
     REFERENCE,
     RESPONSE,
@@ -368,8 +368,6 @@ def main() -> None:
         if seed == chosen.seeds[0]:
             drawn = record(AuditSlopes, whole)
             save(audit_figure(drawn), reporting.IMAGES / "audit.png")
-            slopes = curve_slopes_figure(drawn)
-            save(slopes, reporting.IMAGES / "audit_curves.png")
         origin = reporting.provenance()
         text = markdown(audits, chosen.spheres, chosen.packings, origin)
         content = {**origin, "spheres": chosen.spheres, "audits": audits}

@@ -238,7 +238,8 @@ def _save(sizes: dict) -> None:
         "the platen's work; quality columns give the worst packing.\n\n"
     )
     text = head + tables + reporting.footer(origin)
-    reporting.write("convergence", {**origin, "sizes": sizes}, text)
+    reporting.write_content("convergence", {**origin, "sizes": sizes})
+    reporting.write_section("convergence", text)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ with a longer one: that is the margin.
     python -m verification.prior --spheres 2000 --soils 20
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-verification/results/prior.md; other sizes of beds keep their rows.
+a section of verification/results/convergence.md; other sizes of beds keep their rows.
 """
 
 import argparse
@@ -112,7 +112,8 @@ def main() -> None:
     found = reporting.earlier("prior", "sizes")
     found[str(chosen.spheres)] = compared(*runs)
     origin = reporting.provenance()
-    reporting.write("prior", {**origin, "sizes": found}, markdown(found, origin))
+    reporting.write_content("prior", {**origin, "sizes": found})
+    reporting.write_section("convergence", markdown(found, origin))
 
 
 if __name__ == "__main__":

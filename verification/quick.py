@@ -177,8 +177,8 @@ def soils(folder: Path) -> Measured:
 
 def compare_soils(found: Measured, root: Path) -> list[Reading]:
     row, where = "any plausible soil", {"spheres": str(SPHERES)}
-    failed = Cell("prior", "failed", where).read(root)
-    largest = Cell("prior", "H changed by half the step, largest", where).read(root)
+    failed = Cell("convergence", "failed", where).read(root)
+    largest = Cell("convergence", "H changed by half the step, largest", where).read(root)
     change = 100 * max(found["changes"])
     return [
         Reading(row, f"soils that fail, of {SOILS}", failed, found["failed"][0], 0.0),

@@ -247,7 +247,7 @@ ROWS = (
         ("for all {soils:.0f} soils drawn", "changed H by {median:.2f} % (median) and at most "
          "{largest:.1f} %", "time step {longer:.0f} of the {soils:.0f} failed"),
         "prior",
-        {name: Cell("prior", column, {"spheres": "500"}) for name, column in (
+        {name: Cell("convergence", column, {"spheres": "500"}) for name, column in (
             ("soils", "soils"), ("failed", "failed"), ("median", "median"),
             ("largest", "H changed by half the step, largest"),
             ("longer", "failed with 1.3 times the step"))},

@@ -11,14 +11,14 @@ SCRIPTS = {
         "studies", needs=("liggghts", "yade"),
     ),
     "fuzz": Script((RUN + "fuzz",), 5, "reliability", "Malformed files", physics=False),
-    "convergence": Script((RUN + "convergence --packings 8",), 5, "convergence"),
+    "convergence": Script((RUN + "convergence --packings 8",), 5, "convergence", "Convergence"),
     "again": Script(
         (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
     ),
     "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
     "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
-    "prior": Script((RUN + "prior",), 12, "prior"),
+    "prior": Script((RUN + "prior",), 12, "convergence", "Soils from the whole prior"),
     "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4",
                      RUN + "audit --seeds 21 22 --halved plasticity_ratio",
                      RUN + "audit --seeds 21 22 --finer 2000"), 165, "audit"),
