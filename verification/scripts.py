@@ -15,7 +15,7 @@ SCRIPTS = {
     "again": Script(
         (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
     ),
-    "snap": Script((RUN + "snap",), 8, "tangents", "A chain that is pulled apart"),
+    "chain": Script((RUN + "tangents --chain",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
     "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),
     "prior": Script((RUN + "prior",), 12, "convergence", "Soils from the whole prior"),
@@ -56,6 +56,7 @@ SCRIPTS = {
         ),
         190, "sizes",
     ),
+    "other_tests": Script((RUN + "other_tests",), 120, "posterior", "Tests that took no part"),
     "hidden_soils": Script((RUN + "hidden_soils",), 240, "posterior", "Hidden soils"),
     "codes": Script(
         ("python -m studies.liggghts.codes --soils wheat_after_rice trumao strong",),

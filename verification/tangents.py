@@ -6,6 +6,8 @@ Too little drag lets it grow; too much holds contacts that slide, and then depth
 tangential multiplier is too large.  Differences of runs over +-20 % stand beside it.
 
     python -m verification.tangents               some 20 minutes on two cores
+    python -m verification.tangents --chain       some 4 minutes: why a derivative does not see a
+                                                  crushing force
 
 What values with seven derivatives cost, in forward runs, is measured in turn with values alone.
 
@@ -35,9 +37,14 @@ from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
 from calibrate.simulation import Campaign
 from calibrate.simulation.resolution import PRESETS, specimen, virtual_lab
+from jdem.core.vector import Vector
+from jdem.engine.loop import AbstractDerivative, run, start
+from jdem.engine.segment import cell_segment, stack
+from jdem.engine.state import TangentDrag
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.packing.specimen import Packing
-from jdem.sensitivity.overdamped import Overdamped
+from jdem.sensitivity.overdamped import Overdamped, OverdampedMotion
+from tests.support.hand_made_beds import FAR, RADIUS, Smoothing, bed_of, soil_of, spheres_of
 from verification import reporting
 
 SEVEN = ("restitution", "static_friction", "rolling_friction", "surface_energy", "plasticity_ratio",
@@ -257,6 +264,79 @@ def markdown(found: dict, packings: int, origin: dict) -> str:
     )
 
 
+# ---------------------------------------------------------------- a chain that is pulled apart
+
+TRAVEL, SPEED, STEPS = 4e-3, 0.05, 10  # m, m/s
+CHAINS = ((4, 2.0), (12, 5.0))  # spheres, exponent of the adhesive branch
+CHAIN = ("spheres", "tensile exponent", "largest tension (N)", "difference (mN)",
+          "pathwise", "overdamped")  # fmt: skip
+
+
+def pulled(count: int, exponent: float):
+    """Platen's forces (N) while pulling, as a function of the shift in ln surface energy."""
+    plain = {"plasticity_ratio": 0.5, "shear_modulus": 1e6, "restitution": 0.4}
+    time_step = bed_of(spheres_of(count), soil_of(**plain), gravity=0.0).time_step
+    z = RADIUS * (2 * jnp.arange(count) + 1.0)
+    legs = stack(
+        [
+            cell_segment(platen_speed=v, duration=way / SPEED, damping=500.0)
+            for v, way in ((SPEED, TRAVEL), (-SPEED, 2 * TRAVEL))
+        ]
+    )
+
+    @eqx.filter_jit
+    def force(shift, derivative: AbstractDerivative | None = None):
+        adhesion = {"surface_energy": 60 * jnp.exp(shift), "wall_adhesion": 1.0}
+        soil = soil_of(**plain, **adhesion, tensile_exponent=exponent)
+        bed = bed_of(spheres_of(count), soil, gravity=0.0, smoothing=Smoothing())
+        bed = eqx.tree_at(lambda b: b.time_step, bed, time_step)
+        state = start(bed, Vector(0 * z, 0 * z, z), 2 * RADIUS * count, FAR)
+        samples = run(bed, state, legs, jnp.asarray(STEPS), 4096, derivative=derivative).samples
+        return jnp.where(samples.segment == 1, samples.platen_force, jnp.nan)
+
+    return force
+
+
+def of_chain(count: int, exponent: float) -> dict:
+    """Mean slope (N per ln surface energy) while pulling, by differences and both derivatives."""
+    force, given = pulled(count, exponent), Overdamped()
+    drag = TangentDrag(given.background, given.contact)
+    ways = {"pathwise": None, "overdamped": OverdampedMotion(drag, turning=())}
+    up, down = (np.asarray(force(jnp.asarray(s))) for s in (STEP, -STEP))
+    difference = float(np.nanmean(up - down) / (2 * STEP))
+    slopes = {}
+    for name, way in ways.items():
+        _, slope = jax.jvp(lambda x, way=way: force(x, way), (jnp.zeros(()),), (jnp.ones(()),))
+        slopes[name] = float(np.nansum(slope) / np.sum(np.isfinite(up)))
+    tension = -float(np.nanmin(np.asarray(force(jnp.zeros(())))))
+    return {"spheres": count, "exponent": exponent, "tension": tension,
+            "difference": difference, **slopes}  # fmt: skip
+
+
+def chain() -> None:
+    """Writes the section of chains of spheres that are pressed and pulled apart: far from the
+    moment when one contact lets go, the force does not know how strong it is."""
+    found = [of_chain(*chain) for chain in CHAINS]
+    rows = [
+        [
+            str(each["spheres"]),
+            f"{each['exponent']:g}",
+            f"{each['tension']:.3f}",
+            f"{1e3 * each['difference']:.2f}",
+            *(f"{each[way] / each['difference']:.0%}" for way in ("pathwise", "overdamped")),
+        ]
+        for each in found
+    ]
+    origin = reporting.provenance()
+    text = (
+        "# A chain that is pulled apart\n\nMean over the pulling of d(force)/d ln(surface energy): "
+        f"by differences over +-{STEP:g}, and the share of it that each derivative finds.\n\n"
+        + reporting.table(CHAIN, rows)
+        + reporting.footer(origin)
+    )
+    reporting.write_section("tangents", text)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -264,8 +344,11 @@ def main() -> None:
     parser.add_argument("--packings", type=int, default=2)
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--folder", type=Path, default=reporting.CACHE, help="what is kept")
+    parser.add_argument("--chain", action="store_true", help="the chain that is pulled apart")
     chosen = parser.parse_args()
     reporting.configure()
+    if chosen.chain:
+        return chain()
     kept = reporting.kept("tangents", chosen.folder) / f"{chosen.packings}.json"
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for spheres in chosen.sizes:
