@@ -18,6 +18,8 @@ from calibrate.simulation.joint import JointCampaign
 from calibrate.simulation.resolution import PRESETS
 from calibrate.simulation.session import Session
 from calibrate.simulation.specimens import campaign, simulate, soil_json
+from calibrate.verbs import fit as fit_verb
+from calibrate.verbs.report import report
 
 TINY = replace(PRESETS["quick"], spheres=48, packings=1)
 ENERGIES = {"4 %": 4.0, "12 %": 12.0}  # J/m^2
@@ -154,7 +156,7 @@ def test_each_specimen_is_simulated_with_the_soil_at_its_moisture(read, tmp_path
 
 @pytest.mark.slow
 def test_energies_at_both_moistures_come_back(read, tmp_path):
-    """From depths that two soils showed, with all else known."""
+    """From depths that two soils showed, with all else known; results say which is which."""
     lab, preset = read(), replace(TINY, packings=2, fresh=2)
     work = campaign(lab, preset, tmp_path, Silent())
     free = space(lab, tuple(NAMES))
@@ -164,6 +166,10 @@ def test_energies_at_both_moistures_come_back(read, tmp_path):
     measured = replace(lab, targets=targets)
     done = fit(measured, preset, tuple(NAMES), base_soil(lab), 0, work)
     assert done.met
+    found = fit_verb.kept(Session(measured, preset, tmp_path, Silent()), done)
+    assert set(NAMES) < set(found.parameters) and list(found.free) == NAMES
+    assert find(tmp_path, {}, 4e-3, 0.12)[ENERGY] == found.parameters[NAMES[1]]
+    assert "surface energy@12%" in report(tmp_path).path.read_text(encoding="utf-8")
     for name, ends, true in zip(
         NAMES, done.result.identifiability.interval, (2.5, 20.0), strict=True
     ):
