@@ -3,7 +3,7 @@
 A load is a force or a stress; a travel is a displacement, a strain, a void ratio or a degree
 of consolidation.  One table may hold several specimens side by side: then the kinds of columns
 repeat, in groups (t F s  t F s), or beside one shared column (s  F F F,  sigma  e e e).  Of a test
-with a tool, its `AbstractRecord` says which kinds are load and travel.
+with a tool, its `AbstractMachineRecord` says which kinds are load and travel.
 """
 
 import re
@@ -16,7 +16,7 @@ from calibrate.core.errors import BadValue, shown
 from calibrate.instrument_import.headings import Heading, meant
 from calibrate.instrument_import.tables import FEWEST_ROWS, Table
 from calibrate.instrument_import.vocabulary import WORDS, Kinds, Quantity, kind_of
-from calibrate.labtests.measured import AbstractRecord, RecordedColumn
+from calibrate.labtests.measured import AbstractMachineRecord, MachineColumn
 
 LOADS = (Quantity.FORCE, Quantity.STRESS)  # the first that a table holds is taken
 TRAVELS = (Quantity.DISPLACEMENT, Quantity.STRAIN, Quantity.VOID_RATIO, Quantity.CONSOLIDATION)
@@ -81,13 +81,13 @@ def channels_in(table: Table, fewest: int, kinds: Kinds = ()) -> list[Channel]:
     ]
 
 
-def further_kinds(record: AbstractRecord | None) -> Kinds:
+def further_kinds(record: AbstractMachineRecord | None) -> Kinds:
     """The kinds of columns beyond the usual ones that a test's machine writes."""
     kinds = map(Quantity, record.kinds if record is not None else ())
     return tuple(kind for kind in kinds if kind in WORDS.tools.columns)
 
 
-def recorded_channels(table: Table, record: AbstractRecord) -> list[Channels]:
+def recorded_channels(table: Table, record: AbstractMachineRecord) -> list[Channels]:
     """The specimens of a table of a test with a tool; none if it lacks load or travel."""
     found = channels_in(table, FEWEST_ROWS, further_kinds(record))
     loads, travels = (_first_of(_kinds(each), found) for each in (record.loads, record.travels))
@@ -102,7 +102,7 @@ def recorded_channels(table: Table, record: AbstractRecord) -> list[Channels]:
     return [replace(a, condition=c) for a, c in zip(several, conditions, strict=True)]
 
 
-def _kinds(columns: Iterable[RecordedColumn]) -> Kinds:
+def _kinds(columns: Iterable[MachineColumn]) -> Kinds:
     return tuple(Quantity(column.kind) for column in columns)
 
 
@@ -140,7 +140,7 @@ def _first_of(kinds: tuple[Quantity, ...], channels: list[Channel]) -> list[Chan
     return next((some for some in of_kind if some), [])
 
 
-def explain_missing(tables: list[Table], record: AbstractRecord | None = None) -> BadValue:
+def explain_missing(tables: list[Table], record: AbstractMachineRecord | None = None) -> BadValue:
     """Why no table could be used: which of load and travel was not found, and where."""
     headings = [h for table in tables for h in table.headings if h.name or h.unit]
     wanted = ((Quantity.FORCE, LOADS), (Quantity.DISPLACEMENT, TRAVELS))
@@ -167,7 +167,7 @@ def explain_missing(tables: list[Table], record: AbstractRecord | None = None) -
     return BadValue(problem, f"export the recorded points with columns {columns}")
 
 
-def _serves(missing: Quantity | str, record: AbstractRecord | None) -> str:
+def _serves(missing: Quantity | str, record: AbstractMachineRecord | None) -> str:
     """What a file may hold in the place of the column that is missing."""
     words = {Quantity.FORCE: "a stress", Quantity.DISPLACEMENT: "a strain or a void ratio"}
     if record is not None:

@@ -41,7 +41,7 @@ from calibrate.instrument_import.steps import are_steps
 from calibrate.instrument_import.tables import FEWEST_ROWS, FEWEST_STEPS, Table, tables_in
 from calibrate.instrument_import.tools import Place, Tool, tool_of
 from calibrate.instrument_import.vocabulary import RECORDED, Kinds, Quantity, test_named_in
-from calibrate.labtests.measured import AbstractRecord
+from calibrate.labtests.measured import AbstractMachineRecord
 
 MINOR = 0.1  # tables with fewer rows than this share of the longest are no recordings
 MOST_SPECIMENS = 60
@@ -61,7 +61,7 @@ class Choices:
     points: bool | None = None
 
     @property
-    def record(self) -> AbstractRecord | None:
+    def record(self) -> AbstractMachineRecord | None:
         """What the machine of the test writes, where that is more than force and displacement."""
         return RECORDED.get(self.test or "")
 

@@ -4,7 +4,7 @@
     p          F = p A                          of a cone or a plate
     tau        F = tau A                        of a shear box
 
-The `AbstractRecord` of each test says so.  Sizes come from the command line, else from the lines
+The `AbstractMachineRecord` of each test says so.  Sizes come from the command line, else from the lines
 above the table, else they are the usual ones of the test, and a warning says that.
 """
 
@@ -24,7 +24,7 @@ from calibrate.instrument_import.vocabulary import WORDS, Quantity, holds, plain
 from calibrate.io.labfile import validated
 from calibrate.labtests.base import AbstractLabTest
 from calibrate.labtests.composite import TYPES
-from calibrate.labtests.measured import AbstractRecord, Cylinder, RecordedColumn
+from calibrate.labtests.measured import AbstractMachineRecord, Cylinder, MachineColumn
 
 Row = list[str]
 Sentences = tuple[str, ...]
@@ -54,7 +54,7 @@ class Tool:
     record says; `notes` and `warnings` are sentences.
     """
 
-    record: AbstractRecord
+    record: AbstractMachineRecord
     entries: dict[str, Any]
     test: AbstractLabTest
     cylinder: Cylinder
@@ -71,7 +71,7 @@ class Tool:
         room = self.record.bed(test)
         return Cylinder(self.mould.diameter or room.diameter, self.mould.height or room.height)
 
-    def travel(self, kind: Quantity) -> RecordedColumn:
+    def travel(self, kind: Quantity) -> MachineColumn:
         """What the record says of this kind of travel."""
         return _of_kind(self.record.travels, kind)
 
@@ -103,7 +103,7 @@ class Tool:
         return f"{what} is {column.words}{taken} times {per:.6g} {unit} per {kept}"
 
 
-def _of_kind(columns: Sequence[RecordedColumn], kind: Quantity) -> RecordedColumn:
+def _of_kind(columns: Sequence[MachineColumn], kind: Quantity) -> MachineColumn:
     return next(column for column in columns if column.kind == kind)
 
 
@@ -154,7 +154,7 @@ def tool_of(test: str, size: Size, place: Place, condition: Column | None) -> To
 
 
 def _own_bed(
-    record: AbstractRecord, size: Size, stated: Stated
+    record: AbstractMachineRecord, size: Size, stated: Stated
 ) -> tuple[Cylinder, Sentences, Sentences]:
     """The specimen that was tested, of the usual size where none is stated; in words, and what of
     it is assumed."""
@@ -181,7 +181,7 @@ def _own_bed(
 
 
 def _tool_sizes(
-    test: str, record: AbstractRecord, size: Size, above: Sequence[Row]
+    test: str, record: AbstractMachineRecord, size: Size, above: Sequence[Row]
 ) -> tuple[tuple[float, ...], Sentences, Sentences]:
     """The sizes of a tool (m), as many as are known; in words, and what of it is assumed."""
     if len(size.tool) > len(record.tool):
@@ -200,7 +200,7 @@ def _tool_sizes(
     return sizes, (f"{record.called}: {about}, {where}",), ()
 
 
-def _stated_sizes(record: AbstractRecord, above: Sequence[Row]) -> Iterator[float]:
+def _stated_sizes(record: AbstractMachineRecord, above: Sequence[Row]) -> Iterator[float]:
     """The sizes that lines which name the tool state, up to the first that none does."""
     lines = [" ".join(cell.strip() for cell in row if cell.strip()) for row in above]
     of_tool = [line for line in lines if holds(plain(line), WORDS.tools.tool[record.called])]
@@ -223,7 +223,11 @@ def _first(lines: Sequence[str], kind: Kind, words: Iterator[str]) -> float | No
 
 
 def _condition(
-    record: AbstractRecord, size: Size, place: Place, column: Column | None, cylinder: Cylinder
+    record: AbstractMachineRecord,
+    size: Size,
+    place: Place,
+    column: Column | None,
+    cylinder: Cylinder,
 ) -> tuple[float, str, tuple[str, ...]]:
     """What a specimen was tested under (SI): as given, as its column, the lines above or its name
     say; that in words, and a warning where it varies."""
@@ -248,7 +252,7 @@ def _condition(
 
 
 def _stated_condition(
-    record: AbstractRecord, place: Place, cylinder: Cylinder
+    record: AbstractMachineRecord, place: Place, cylinder: Cylinder
 ) -> tuple[float | None, str]:
     """A condition (SI) from the table's own lines, else the specimen's name, else the lines above
     earlier tables, the nearest first; and where it stands."""
@@ -265,7 +269,7 @@ def _stated_condition(
 
 
 def _condition_in_lines(
-    record: AbstractRecord, rows: Sequence[Row], cylinder: Cylinder
+    record: AbstractMachineRecord, rows: Sequence[Row], cylinder: Cylinder
 ) -> tuple[float | None, str]:
     for row in reversed(rows):
         line = " ".join(cell.strip() for cell in row if cell.strip())

@@ -39,7 +39,7 @@ from calibrate.labtests.features import (
     path_features,
 )
 from calibrate.labtests.measured import (
-    AbstractRecord,
+    AbstractMachineRecord,
     Curve,
     CurveTable,
     Cylinder,
@@ -136,7 +136,7 @@ class Observable:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class ResultChannel:
     """What a test records beside its curve: `source` is its name in the apparatus, `name` in
     results, which ends in its unit, and `scale` takes it there from SI."""
 
@@ -197,12 +197,12 @@ class AbstractLabTest(AbstractTable):
     observables: ClassVar[tuple[Observable, ...]]
     further: ClassVar[tuple[Observable, ...]] = ()
     axes: ClassVar[tuple[str, str]] = AXES
-    channels: ClassVar[tuple[Recorded, ...]] = ()
+    channels: ClassVar[tuple[ResultChannel, ...]] = ()
     plain: ClassVar[bool] = False
     shape: ClassVar[Literal["", "softens", "stiffens", "steps"]] = ""
     with_soil: ClassVar[bool] = True
     in_mould: ClassVar[bool] = False
-    record: ClassVar[AbstractRecord | None] = None
+    record: ClassVar[AbstractMachineRecord | None] = None
 
     type: Text | None = None
     name: Annotated[str, AfterValidator(_test_name)] | None = None

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from calibrate.labtests.ball import BallTest
-from calibrate.labtests.base import AbstractLabTest, Observable, Recorded
+from calibrate.labtests.base import AbstractLabTest, Observable, ResultChannel
 from calibrate.labtests.confined import ConfinedTest
 from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.machine import MachineTest
@@ -67,9 +67,9 @@ def names_observed(tests: Iterable[AbstractApparatus]) -> Called:
     return names((test.name, source) for test in tests for source in test.observables)
 
 
-def channel(source: str) -> Recorded:
+def channel(source: str) -> ResultChannel:
     """What a recorded channel is called in results; one that no type of test knows stays in SI."""
-    return CHANNELS.get(source, Recorded(source, source))
+    return CHANNELS.get(source, ResultChannel(source, source))
 
 
 def described(name: str) -> Observable:

@@ -16,12 +16,12 @@ from pydantic import model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed, Stress, required
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded, Shown
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, ResultChannel, Shown
 from calibrate.labtests.measured import (
-    AbstractRecord,
+    AbstractMachineRecord,
     Curve,
     Cylinder,
-    RecordedColumn,
+    MachineColumn,
     millimetres,
 )
 from calibrate.labtests.penetration import whole_steps
@@ -56,25 +56,25 @@ def _on_plane(test: Any, cylinder: Cylinder) -> float:
     return 1e3 * cylinder.area
 
 
-class ShearRecord(AbstractRecord):
+class ShearRecord(AbstractMachineRecord):
     """Shear force or shear stress over the way of the moved half, under a normal stress."""
 
     loads = (
-        RecordedColumn("shear force"),
-        RecordedColumn("shear stress", _on_plane),
-        RecordedColumn("force", said="the shear force"),
-        RecordedColumn("stress", _on_plane, said="the shear stress"),
+        MachineColumn("shear force"),
+        MachineColumn("shear stress", _on_plane),
+        MachineColumn("force", said="the shear force"),
+        MachineColumn("stress", _on_plane, said="the shear stress"),
     )
     travels = (
-        RecordedColumn("shear displacement"),
-        RecordedColumn("displacement", said="the shear displacement"),
+        MachineColumn("shear displacement"),
+        MachineColumn("displacement", said="the shear displacement"),
     )
     beside = ("normal displacement",)
     called = "box"
     condition = "normal_stress"
     conditions = (
-        RecordedColumn("normal stress", lambda test, cylinder: 1e3),
-        RecordedColumn("normal force", lambda test, cylinder: 1 / cylinder.area),
+        MachineColumn("normal stress", lambda test, cylinder: 1e3),
+        MachineColumn("normal force", lambda test, cylinder: 1 / cylinder.area),
     )
     own_bed = True
 
@@ -116,9 +116,9 @@ class DirectShearTest(AbstractLabTest):
     observables = (PEAK, RESIDUAL, ON_PLANE)
     axes = ("shear displacement (mm)", "shear force (N)")
     channels = (
-        Recorded("plane_force", "plane_force_n"),
-        Recorded("lid_force", "lid_force_n"),
-        Recorded("lid_height", "lid_height_mm", 1e3),
+        ResultChannel("plane_force", "plane_force_n"),
+        ResultChannel("lid_force", "lid_force_n"),
+        ResultChannel("lid_height", "lid_height_mm", 1e3),
     )
     shape = "softens"
     in_mould = True

@@ -2,7 +2,7 @@
 
 Curves are force or stress against displacement, strain or void ratio; stress and strain become
 force and displacement by the specimen's size.  What the machine of a test with a tool writes, such
-as torque and angle, is an `AbstractRecord` of that test.
+as torque and angle, is an `AbstractMachineRecord` of that test.
 """
 
 import abc
@@ -71,7 +71,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class RecordedColumn:
+class MachineColumn:
     """A kind of column that a machine writes, and what makes it one of its test's curve.
 
     `per` is N in one N, kPa or N m of a load, mm in one mm or rad of a travel, or an entry's SI
@@ -87,7 +87,7 @@ class RecordedColumn:
     said: str = ""
 
 
-class AbstractRecord(abc.ABC):
+class AbstractMachineRecord(abc.ABC):
     """What the machine of a test writes, and what of it the test's entries in a lab file are.
 
     loads, travels: kinds of columns, of which the first that a file holds is taken; beside: kinds
@@ -97,13 +97,13 @@ class AbstractRecord(abc.ABC):
     the specimen is the soil that was tested, and no bed around a tool.
     """
 
-    loads: ClassVar[tuple[RecordedColumn, ...]]
-    travels: ClassVar[tuple[RecordedColumn, ...]]
+    loads: ClassVar[tuple[MachineColumn, ...]]
+    travels: ClassVar[tuple[MachineColumn, ...]]
     beside: ClassVar[tuple[str, ...]] = ()
     tool: ClassVar[tuple[str, ...]] = ()
     called: ClassVar[str] = "tool"
     condition: ClassVar[str] = ""
-    conditions: ClassVar[tuple[RecordedColumn, ...]] = ()
+    conditions: ClassVar[tuple[MachineColumn, ...]] = ()
     own_bed: ClassVar[bool] = False
 
     @property

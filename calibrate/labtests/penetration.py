@@ -15,12 +15,12 @@ from pydantic import Field, model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Speed
 from calibrate.core.units import LENGTH, SPEED, STRESS, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, ResultChannel
 from calibrate.labtests.measured import (
-    AbstractRecord,
+    AbstractMachineRecord,
     Curve,
     Cylinder,
-    RecordedColumn,
+    MachineColumn,
     millimetres,
 )
 from calibrate.labtests.reading import displacement_on_rise, mean_force
@@ -91,21 +91,21 @@ def _pressed(test: Any, cylinder: Cylinder) -> float:
 
 
 PRESSED = (
-    RecordedColumn("force"),
-    RecordedColumn("resistance", _pressed),
-    RecordedColumn("stress", _pressed),
+    MachineColumn("force"),
+    MachineColumn("resistance", _pressed),
+    MachineColumn("stress", _pressed),
 )
 
 
-class ConeRecord(AbstractRecord):
+class ConeRecord(AbstractMachineRecord):
     """Force or pressure on the base, and its depth; or the travel from where the apex touches."""
 
     loads = PRESSED
     travels = (
-        RecordedColumn(
+        MachineColumn(
             "depth", counts="as written", said="the depth of the cone's base, as in ASABE EP542"
         ),
-        RecordedColumn(
+        MachineColumn(
             "displacement",
             counts="contact",
             datum=lambda test: 1e3 * cone_length(test.diameter, test.angle),
@@ -139,13 +139,13 @@ class ConeRecord(AbstractRecord):
         return {CONE_INDEX.name: 1e-3 * mean / _area(test)}
 
 
-class PlateRecord(AbstractRecord):
+class PlateRecord(AbstractMachineRecord):
     """Force or pressure, and sinkage."""
 
     loads = PRESSED
     travels = (
-        RecordedColumn("depth", counts="as written"),
-        RecordedColumn("displacement", counts="contact"),
+        MachineColumn("depth", counts="as written"),
+        MachineColumn("displacement", counts="contact"),
     )
     tool = ("diameter", "thickness")
     called = "plate"
@@ -188,7 +188,7 @@ class ConeTest(AbstractLabTest):
     title = "cone penetration"
     observables = (CONE_INDEX,)
     axes = ("depth of the cone's base (mm)", "force on the cone (N)")
-    channels = (Recorded("shaft", "shaft_force_n"),)
+    channels = (ResultChannel("shaft", "shaft_force_n"),)
     shape = "stiffens"
     in_mould = True
     record = ConeRecord()

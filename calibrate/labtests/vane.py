@@ -15,12 +15,12 @@ from pydantic import Field, model_validator
 from calibrate.core.errors import BadValue
 from calibrate.core.tables import Length, Rotation, Speed
 from calibrate.core.units import ROTATION, STRESS, TORQUE, Range
-from calibrate.labtests.base import AbstractLabTest, Observable, Pace, Recorded
+from calibrate.labtests.base import AbstractLabTest, Observable, Pace, ResultChannel
 from calibrate.labtests.measured import (
-    AbstractRecord,
+    AbstractMachineRecord,
     Curve,
     Cylinder,
-    RecordedColumn,
+    MachineColumn,
     millimetres,
 )
 from calibrate.labtests.penetration import DEPTH, PUSHED, TOOL, check_room, roomy
@@ -49,11 +49,11 @@ THIN = 0.1  # of the vane's width
 TURNS = (10.0, 720.0)  # degrees
 
 
-class VaneRecord(AbstractRecord):
+class VaneRecord(AbstractMachineRecord):
     """Torque (N m) over the vane's angle (rad)."""
 
-    loads = (RecordedColumn("torque", lambda test, cylinder: 2 / test.diameter),)
-    travels = (RecordedColumn("angle", lambda test, cylinder: 1e3 * test.diameter / 2),)
+    loads = (MachineColumn("torque", lambda test, cylinder: 2 / test.diameter),)
+    travels = (MachineColumn("angle", lambda test, cylinder: 1e3 * test.diameter / 2),)
     tool = ("diameter", "height")
     called = "vane"
 
@@ -104,8 +104,8 @@ class VaneTest(AbstractLabTest):
     observables = (PEAK, RESIDUAL, STRENGTH)
     axes = ("way of the blades' rim (mm)", "force at the rim (N)")
     channels = (
-        Recorded("angle", "angle_deg", math.degrees(1.0)),
-        Recorded("torque", "torque_mnm", 1e3),
+        ResultChannel("angle", "angle_deg", math.degrees(1.0)),
+        ResultChannel("torque", "torque_mnm", 1e3),
     )
     shape = "softens"
     in_mould = True
