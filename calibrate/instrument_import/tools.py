@@ -4,8 +4,8 @@
     p          F = p A                          of a cone or a plate
     tau        F = tau A                        of a shear box
 
-The `AbstractMachineRecord` of each test says so.  Sizes come from the command line, else from the lines
-above the table, else they are the usual ones of the test, and a warning says that.
+The `AbstractMachineRecord` of each test says so.  Sizes come from the command line, else from the
+lines above the table, else they are the usual ones of the test, and a warning says that.
 """
 
 import re
