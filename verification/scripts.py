@@ -46,7 +46,7 @@ SCRIPTS = {
     "reference_beds": Script(
         (RUN + "reference_beds",), 60, "reference_beds", "Tools on the beds of another code"
     ),
-    "starts": Script((RUN + "starts",), 90, "recovery", "Fits from several starts"),
+    "starts": Script((RUN + "starts --hidden",), 60, "recovery", "Fits from several starts"),
     "wall": Script((RUN + "wall",), 10, "reference_beds", "A smooth wall, beside Rankine"),
     "sizes": Script(
         (
