@@ -227,7 +227,7 @@ ROWS = (
                     rf"times \(({NUMBER}) to ({NUMBER}),")
          for part, name in enumerate(("middle", "low", "high"))},
         "no more is left than was promised, and not less than two thirds of it",
-        lambda n: 0.67 <= n["low"] and n["high"] <= 1.0,
+        lambda n: n["low"] >= 0.67 and n["high"] <= 1.0,
     ),
     Row(
         "slopes of fits", SURE,

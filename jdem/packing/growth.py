@@ -97,7 +97,7 @@ def _grown_in(
     container: Specimen, wanted: Specimen, seed: int, soil: SoilParameters | None
 ) -> tuple[Packing, float]:
     """The bed that the wanted specimen's spheres make when they grow in this container, and how
-    fast they still are (m/s, root mean square)."""
+    fast they still are (m/s, root mean square), before the platen comes or when it has come."""
     rng = np.random.default_rng(seed)
     radius = _radii(wanted, rng)
     solid = 4 / 3 * np.pi * float(np.sum(radius**3)) / _volume(container)
@@ -112,11 +112,18 @@ def _grown_in(
     full = _advanced(wanted, begun, soft, _growth(), Growing(small, GROWTH, 0.0))
     begun = eqx.tree_at(lambda p: p.position, begun, full.state.motion.position)
     record = _advanced(wanted, begun, firm, _levelling(), Growing(1.0, GROWTH, 1.0))
-    last = int(np.flatnonzero(record.samples.segment >= 0)[-1])
+    sunk, last = (int(np.flatnonzero(at)[-1]) for at in _ends(record))
     height = float(record.samples.platen_height[last])
     packing = Packing(record.state.motion.position, spheres, height, container.diameter / 2)
-    speed = float(np.sqrt(2 * record.samples.kinetic_energy[last] / mass.sum()))
-    return packing, speed
+    energy = min(float(record.samples.kinetic_energy[end]) for end in (sunk, last))
+    return packing, float(np.sqrt(2 * energy / mass.sum()))
+
+
+def _ends(record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Which samples come before the platen, and which at all: a platen that has just come pushes a
+    flat bed, which stands all the same."""
+    segment = np.asarray(record.samples.segment)
+    return segment == 0, segment >= 0
 
 
 def _volume(specimen: Specimen) -> float:

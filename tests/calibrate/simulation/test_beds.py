@@ -216,3 +216,12 @@ def test_the_usual_porosity_rises_with_the_size_of_spheres():
     found = [Specimen(count=n).at_usual_porosity().porosity for n in (150, 1000, 20000)]
     assert found[0] > found[1] > found[2] > 0.38
     assert jnp.isfinite(Specimen(count=1000).at_usual_porosity().mean_radius())
+
+
+@pytest.mark.slow
+def test_a_flat_bed_stands_also_where_the_platen_has_just_met_it():
+    """Six layers of spheres: the platen's first touch moves a large share of them."""
+    flat = Specimen(diameter=0.0618, height=0.02, count=2000).at_usual_porosity()
+    bed = prepare(flat, 2)
+    assert float(bed.height) == pytest.approx(flat.height, rel=0.01)
+    assert 1 - float(bed.solid_fraction()) == pytest.approx(flat.porosity, abs=0.005)
