@@ -89,12 +89,16 @@ def view(
         "soil": session.lab.name,
         "preset": session.preset.name,
         "seed": seed,
-        "frames": [
-            {"movement": f.movement, "time_s": f.time, "platen_force_n": f.platen_force}
-            for f in seen
-        ],
+        "frames": [_moment(f, c) for f, c in zip(seen, touching, strict=True)],
     }
     write_json(folder / "view.json", content)
     found = ViewResult(seen, touching, folder, content)
     found.save_figures()
     return found
+
+
+def _moment(frame: Frame, contacts: Contacts) -> dict:
+    """What view.json says of one moment."""
+    bonds = {"intact_bonds": int(contacts.bond.sum())} if frame.bed.particle_law.bonds else {}
+    moment = {"movement": frame.movement, "time_s": frame.time}
+    return {**moment, "platen_force_n": frame.platen_force, **bonds}

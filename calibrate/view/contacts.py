@@ -4,7 +4,7 @@ Forces are those of the contact law at standstill (springs, plasticity, adhesion
 left out, so that a picture shows what the bed carries and not how it rattles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +22,13 @@ from jdem.mechanics.contact import Contact
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Touching contacts; arrays of shape (contacts,), `start` and `end` (contacts, 3).
+    """Contacts that touch or that a whole bond holds; arrays of shape (contacts,), `start` and
+    `end` (contacts, 3).
 
     `first` is a sphere; `second` a sphere, or -1 - wall for base, platen and mould.  `start`
     and `end` (m) are the centres, or the centre and the point on the wall.  Normal force (N)
-    is positive in compression; tangential is its size.
+    is positive in compression; tangential is its size; overlap (m) is negative where a bond
+    spans a gap.  `bond` is 1 where it is whole, 0 where there is none.
     """
 
     first: np.ndarray
@@ -36,6 +38,7 @@ class Contacts:
     overlap: np.ndarray
     normal_force: np.ndarray
     tangential_force: np.ndarray
+    bond: np.ndarray
 
     def load(self, spheres: int) -> np.ndarray:
         """Sum of the sizes of normal forces on each sphere (N), shape (spheres,)."""
@@ -51,7 +54,7 @@ class Contacts:
 
 
 def contacts_of(bed: Bed, state: BedState) -> Contacts:
-    """All contacts of spheres with spheres and walls that touch."""
+    """All contacts of spheres with spheres and walls that touch or are bonded."""
     parts = [_between_spheres(bed, state), _with_walls(bed, state)]
     names = Contacts.__dataclass_fields__
     return Contacts(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
@@ -69,6 +72,8 @@ def _between_spheres(bed: Bed, state: BedState) -> Contacts:
         mass=mass[one] * mass[two] / (mass[one] + mass[two]),
         friction=bed.friction * jnp.ones_like(distance),
     )
+    if bed.particle_law.bonds:
+        contact = replace(contact, smaller=jnp.minimum(radius[one], radius[two]))
     ends = (position.at(one), position.at(two))
     return _touching(bed.particle_law, contact, state.pairs, ends, np.asarray(two))
 
@@ -104,9 +109,10 @@ def _touching(
     ends: tuple[Vector, Vector],
     second: np.ndarray,
 ) -> Contacts:
-    """The listed contacts that overlap, with their forces."""
+    """The listed contacts that overlap or have a whole bond, with their forces."""
     force, _ = jax.jit(jax.vmap(law.force))(contact, listed.history)
-    touching = np.asarray((listed.alive > 0) & (contact.overlap > 0))
+    bond = np.asarray(listed.alive * law.whole_bonds(listed.history))
+    touching = np.asarray((listed.alive > 0) & (contact.overlap > 0)) | (bond > 0)
     traction = force.tangential
     return Contacts(
         first=np.asarray(listed.first)[touching],
@@ -116,4 +122,5 @@ def _touching(
         overlap=np.asarray(contact.overlap)[touching],
         normal_force=np.asarray(force.normal.hysteretic)[touching],
         tangential_force=np.asarray(smooth.norm(traction))[touching],
+        bond=bond[touching].astype(int),
     )

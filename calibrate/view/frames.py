@@ -101,15 +101,18 @@ class _Pieces:
 
     def run(self) -> Iterator[tuple[Frame, bool]]:
         """Frames of all movements, each with whether it ends its movement."""
-        for movement in self.lab.tests.movements():
-            yield from self._movement(movement.name, movement.segment)
+        joining = self.lab.tests.joining if self.bed.particle_law.bonds else None
+        for number, movement in enumerate(self.lab.tests.movements()):
+            yield from self._movement(movement.name, movement.segment, number == joining)
 
-    def _movement(self, name: str, segment: Segment) -> Iterator[tuple[Frame, bool]]:
+    def _movement(self, name: str, segment: Segment, joins: bool) -> Iterator[tuple[Frame, bool]]:
+        """Where it `joins`, bonds form within its first sampling interval."""
         left, target = float(segment.duration), float(segment.force_target)
         while True:
-            length = min(self.samples * self.interval, left)
-            force, taken = self._advance(eqx.tree_at(_duration, segment, jnp.asarray(length)))
-            left -= taken
+            length = min((1 if joins else self.samples) * self.interval, left)
+            piece = eqx.tree_at(_duration, segment, jnp.asarray(length))
+            force, taken = self._advance(piece, joins)
+            left, joins = left - taken, False
             reached = abs(force - target) < float(segment.tolerance)
             ended = reached or left < 0.5 * self.interval
             yield Frame(name, float(self.state.time), force, self.bed, self.state), ended
@@ -117,11 +120,14 @@ class _Pieces:
                 return
             segment = replace(segment, placed=jnp.full_like(segment.placed, KEEP))
 
-    def _advance(self, segment: Segment) -> tuple[float, float]:
-        """Runs one piece; the load cell's mean reading in its last sample (N), its duration (s)."""
+    def _advance(self, segment: Segment, joins: bool) -> tuple[float, float]:
+        """Runs one piece, in which bonds form or do not; the load cell's mean reading in its last
+        sample (N), its duration (s)."""
+        law = self.bed.particle_law.joining(jnp.asarray(joins))
+        bed = replace(self.bed, particle_law=law)
         programme = cast(stack([segment]), jnp.dtype(self.lab.numerics.dtype))
         before = float(self.state.time)
-        record: Record = self.loop(self.bed, self.state, programme, self.steps, self.lab.capacity)
+        record: Record = self.loop(bed, self.state, programme, self.steps, self.lab.capacity)
         if bool(record.overflow_of(self.bed.grid)):
             raise _FullError(record.explain_overflow(self.bed.grid))
         self.state = record.state

@@ -22,7 +22,7 @@ def write_series(frames: list[Frame], contacts: list[Contacts], folder: Path) ->
     for number, (frame, touching) in enumerate(zip(frames, contacts, strict=True)):
         for kind, mesh in (
             ("particles", particle_mesh(frame, touching)),
-            ("contacts", contact_mesh(touching)),
+            ("contacts", contact_mesh(frame, touching)),
         ):
             name = f"vtk/{kind}_{number:04d}.vtu"
             with whole(folder / name) as part:
@@ -54,8 +54,9 @@ def particle_mesh(frame: Frame, touching: Contacts) -> meshio.Mesh:
     )
 
 
-def contact_mesh(touching: Contacts) -> meshio.Mesh:
-    """Contacts as lines from centre to centre, or from centre to wall."""
+def contact_mesh(frame: Frame, touching: Contacts) -> meshio.Mesh:
+    """Contacts as lines from centre to centre, or from centre to wall; of a law with bonds, which
+    of them are whole."""
     count = len(touching.first)
     points = np.concatenate([touching.start, touching.end]).astype(float)
     lines = np.stack([np.arange(count), np.arange(count) + count], axis=1)
@@ -66,6 +67,8 @@ def contact_mesh(touching: Contacts) -> meshio.Mesh:
         "overlap_m": touching.overlap,
         "wall": wall,  # 0 base, 1 platen, 2 mould, -1 none
     }
+    if frame.bed.particle_law.bonds:
+        data["bond"] = touching.bond
     return meshio.Mesh(
         points=points,
         cells=[("line", lines)],

@@ -87,5 +87,8 @@ class AcrossGaps(AbstractContactLaw):
     def joining(self, now):
         return replace(self, inner=self.inner.joining(now))
 
+    def whole_bonds(self, history: Memory):
+        return self.inner.whole_bonds(history)
+
     def memory(self, shape, dtype):
         return self.inner.memory(shape, dtype)

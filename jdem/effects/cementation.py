@@ -104,6 +104,10 @@ class Bonded(AbstractContactLaw):
     def joining(self, now):
         return replace(self, inner=self.inner.joining(now))
 
+    def whole_bonds(self, history: BondedMemory):
+        """Those of the law within: its own lose their strength by degrees."""
+        return self.inner.whole_bonds(history.inner)
+
     def memory(self, shape, dtype):
         zero = jnp.zeros(shape, dtype)
         bond = Bond(zero, zero, Vector.zeros(shape, dtype), zero)

@@ -34,8 +34,9 @@ class Sample(eqx.Module):
 
     reference (boundaries, 3) in m, the reference points, is the value at the interval's middle;
     loads (boundaries, 7) as in `BedState`; `reading` is what the load cell reads; kinetic energy
-    in J and time in s at its end; segment is -1 in rows that were not reached.  Properties are
-    those of the testing cell: height in m, forces in N.
+    in J, time in s and the number of whole bonds between spheres at its end, the last one None of
+    laws without; segment is -1 in rows that were not reached.  Properties are those of the testing
+    cell: height in m, forces in N.
     """
 
     segment: Array
@@ -44,6 +45,7 @@ class Sample(eqx.Module):
     loads: Array
     reading: Array
     kinetic_energy: Array
+    bonds: Array | None = None
 
     @property
     def platen_height(self) -> Array:
@@ -219,7 +221,7 @@ def run(
     count = jnp.shape(programme.duration)[0]
     prepared = _prepared(bed, state, row_of(programme, 0))
     none = jnp.zeros((), jnp.int32)
-    samples = _empty_samples(capacity, len(state.boundaries), state.time.dtype)
+    samples = _empty_samples(capacity, bed, state)
     update, memory = ListUpdate.begin(bed, prepared), around.begin(state.time.dtype)
     progress = _Progress(prepared, none, state.time, none, samples, update, memory)
 
@@ -275,7 +277,8 @@ def _until(
     return jax.lax.while_loop(unfinished, advance, progress)
 
 
-def _empty_samples(capacity: int, boundaries: int, dtype) -> Sample:
+def _empty_samples(capacity: int, bed: Bed, state: BedState) -> Sample:
+    boundaries, dtype = len(state.boundaries), state.time.dtype
     blank = jnp.zeros(capacity, dtype)
     return Sample(
         segment=jnp.full(capacity, -1, jnp.int32),
@@ -284,6 +287,7 @@ def _empty_samples(capacity: int, boundaries: int, dtype) -> Sample:
         loads=jnp.zeros((capacity, boundaries, LOADS), dtype),
         reading=blank,
         kinetic_energy=blank,
+        bonds=blank if bed.particle_law.bonds else None,
     )
 
 
@@ -340,8 +344,14 @@ def _sampled(
         loads=loads.reshape(count, LOADS),
         reading=reading[0],
         kinetic_energy=kinetic_energy(bed.spheres, state.motion),
+        bonds=_bonds(bed, state) if bed.particle_law.bonds else None,
     )
     return state, sample, update, watched
+
+
+def _bonds(bed: Bed, state: BedState) -> Array:
+    """How many bonds between spheres are whole."""
+    return jnp.sum(state.pairs.alive * bed.particle_law.whole_bonds(state.pairs.history))
 
 
 def _probe(boundaries: Boundaries, loads: Array, reading: Array) -> Array:

@@ -118,6 +118,9 @@ class TestSequence(eqx.Module):
         return TestSequence(tuple(test.sampled(ratio) for test in self.apparatus))
 
 
+INTACT_BONDS = "intact_bonds"  # the channel that each test has of a soil with bonds: their number
+
+
 class Outcome(eqx.Module):
     """Results of one specimen: observables in SI units, curves, and further channels at their rows
     by name, all by test, and the full record.
@@ -315,7 +318,11 @@ def _read(
     travel = test.travel.read(samples, ahead)
     readings = Readings(travel, shown, window, further, samples.time)
     readings = recorded(effects, readings, felt, time)
-    return test.read(readings, samples.segment - tests.first_movement(number))
+    found = test.read(readings, samples.segment - tests.first_movement(number))
+    if samples.bonds is None:
+        return found
+    bonds = {INTACT_BONDS: samples.bonds * found.curve.valid}
+    return replace(found, channels=found.channels | bonds)
 
 
 def nominal_time(tests: TestSequence, samples: Sample) -> Array:

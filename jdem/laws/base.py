@@ -118,6 +118,10 @@ class AbstractContactLaw(eqx.Module):
         """The law where bonds form (`now` is true) or do not: itself, unless it has bonds."""
         return self
 
+    def whole_bonds(self, history: Memory) -> Real:
+        """1 where a contact that remembers this has a whole bond, 0 elsewhere: 0 unless said so."""
+        return 0.0
+
     def memory(self, shape, dtype) -> Memory:
         """What new contacts remember, zeros of this shape: nothing, unless said so."""
         return ()

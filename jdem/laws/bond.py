@@ -141,6 +141,10 @@ class ParallelBond(AbstractContactLaw):
         dtype = jnp.asarray(self.forming).dtype
         return replace(self, forming=jnp.where(now, 1.0, 0.0).astype(dtype))
 
+    def whole_bonds(self, history: BondedMemory):
+        """Those that formed and did not break."""
+        return history.bond.whole()
+
     def longest_step(self, mass, radius):
         """The law's own and the bond's, whose rates (1/s2) of approach, slip, bending and twist
         are added; 1/m + r^2/I of slip and spin are those of equal spheres."""

@@ -285,6 +285,9 @@ def test_a_tiny_bed_is_simulated(lab_of, tmp_path, law):
     assert not run.failure and 0.3 < run.observables["depression_depth_mm"] < 20
     assert set(result["parameters"]) == set(parameters_of(law))
     assert run.quality["energy_balance"] < 0.02 and not run.quality["overflow"]
+    curve = result["curves"]["confined"]
+    assert ("intact_bonds" in curve) == (law == "parallel_bond")
+    assert len({len(column) for column in curve.values()}) == 1
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ import subprocess
 from types import SimpleNamespace
 from typing import cast
 
+import equinox as eqx
+import jax.numpy as jnp
 import meshio
 import numpy as np
 import pytest
@@ -19,24 +21,31 @@ from calibrate.core.errors import CalibrationError
 from calibrate.figures import bed
 from calibrate.view import frames as series
 from calibrate.view.contacts import contacts_of
-from calibrate.view.frames import frames
-from calibrate.view.vtk import write_series
+from calibrate.view.frames import Frame, frames
+from calibrate.view.vtk import contact_mesh, write_series
 from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.engine.bed import reach_of
 from jdem.engine.step import GRAVITY
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
+from jdem.materials.catalogue import soil_of
 from jdem.packing.composite import prepare
 from jdem.packing.specimen import Packing
-from tests.support.effect_lab import SMALL, SOIL, small_lab
+from tests.support.effect_lab import NUMERICS, SMALL, SOIL, small_lab
+from tests.support.hand_made_beds import bed_of, listed, spheres_of, state_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.thorough]
 SEATED = 1.0  # N; the servo's tolerance is 0.75 N
 
 
 @pytest.fixture(scope="module")
-def seen():
+def packing():
+    return prepare(SMALL, 0)
+
+
+@pytest.fixture(scope="module")
+def seen(packing):
     """Packing, laboratory, frames, and the contacts of each."""
-    packing = prepare(SMALL, 0)
     confined = ConfinedCompression(
         simulated_rate=0.05, force_low=100.0, force_high=200.0, stroke=0.2 * SMALL.height
     )
@@ -113,6 +122,65 @@ def test_files_for_paraview_hold_the_bed(seen, tmp_path):
     collection = (tmp_path / "particles.pvd").read_text()
     assert collection.count("<DataSet") == len(states)
     assert all((tmp_path / f"vtk/contacts_{k:04d}.vtu").exists() for k in range(len(states)))
+
+
+# ------------------------------------------------------------------ bonds
+
+
+@pytest.fixture(scope="module")
+def bonded_soil():
+    stated = {"normal_stiffness": 1e9, "shear_stiffness": 4e8, "shear_modulus": 2e6}
+    return soil_of("parallel_bond", tensile_strength=5e4, shear_strength=5e4, **stated)
+
+
+def test_a_bond_across_a_gap_is_shown_with_what_it_carries(bonded_soil):
+    """F = k_n pi r^2 gap, r of the smaller one of two spheres; a third one only touches."""
+    spheres = spheres_of(3, spread=0.3)
+    bed = bed_of(spheres, bonded_soil)
+    small, middle, large = np.asarray(spheres.radius)
+    gap, depth = 1e-6, 2e-6
+    heights = np.cumsum([1.0, small + middle + gap, middle + large - depth])
+    state = listed(bed, state_of(bed, np.outer(heights, [0.0, 0.0, 1.0])))
+    pairs = state.pairs
+    joined = (pairs.first == 0) & (pairs.second == 1) & (pairs.alive > 0)
+    formed = jnp.where(joined, 1.0, 0.0)
+    state = eqx.tree_at(lambda s: s.pairs.history.bond.formed, state, formed)
+    contacts = contacts_of(bed, state)
+    assert (contacts.first.tolist(), contacts.second.tolist()) == ([0, 1], [1, 2])
+    np.testing.assert_allclose(contacts.overlap, [-gap, depth], rtol=1e-6)
+    assert contacts.normal_force[0] == pytest.approx(-1e9 * np.pi * small**2 * gap, rel=1e-6)
+    assert contacts.normal_force[1] > 0
+    mesh = contact_mesh(Frame("crushing", 0.0, 0.0, bed, state), contacts)
+    assert contacts.bond.tolist() == [1, 0]
+    np.testing.assert_array_equal(mesh.cell_data["bond"][0], contacts.bond)
+
+
+def test_bonds_form_as_the_mould_opens_and_break_one_after_the_other(packing, bonded_soil):
+    confined = ConfinedCompression(simulated_rate=0.2, force_low=20.0, force_high=60.0, stroke=0.02)
+    tests = TestSequence((confined, UnconfinedCompression(simulated_rate=0.3, stroke=4e-3)))
+    reach = 1.05 * reach_of(bonded_soil, 2 * SMALL.mean_radius(), SMALL.max_radius())
+    lab = VirtualLab.of(SMALL, tests, NUMERICS, reach=reach)
+    states = frames(lab, packing, bonded_soil, 6)
+    contacts = [contacts_of(frame.bed, frame.state) for frame in states]
+    counts = [int(each.bond.sum()) for each in contacts]
+    assert counts == [
+        int(jnp.sum(pairs.alive * pairs.history.bond.whole()))
+        for pairs in (frame.state.pairs for frame in states)
+    ]
+    opening = [frame.movement for frame in states].index("opening")
+    pressed, freed = counts[:opening], counts[opening:]
+    assert pressed and not any(pressed)
+    assert freed == sorted(freed, reverse=True) and freed[0] > freed[-1]
+    assert any(np.any(each.overlap[each.bond > 0] < 0) for each in contacts)
+
+
+def test_soils_without_bonds_have_no_array_of_them(seen):
+    _, _, states, contacts = seen
+    assert "bond" not in contact_mesh(states[-1], contacts[-1]).cell_data
+    assert not contacts[-1].bond.any()
+
+
+# ------------------------------------------------------------------ lists, pictures
 
 
 def test_full_contact_lists_are_made_larger_once(monkeypatch):

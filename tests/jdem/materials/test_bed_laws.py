@@ -242,16 +242,16 @@ elastic = {"restitution": 1.0, "static_friction": 0.0, "rolling_friction": 0.0}
 joined = eqx.filter_jit(eqx.debug.assert_max_traces(run, max_traces=1))
 
 
-def bonded(places, speeds):
+def bonded(places, speeds, steps=100):
     """Whole bonds, broken ones, and speeds (m/s) of three spheres along a line, after they were
-    left to themselves; places are in radii."""
+    left to themselves for 30 samples of so many steps; places are in radii."""
     spheres = spheres_of(3)
     bed = bed_of(spheres, soil("parallel_bond", **elastic), gravity=0.0, safety=0.02)
     rows = [np.outer(each, [1.0, 0.0, 0.0]) for each in (np.array(places) * RADIUS, speeds)]
     state = state_of(bed, rows[0] + [0.0, 0.0, 9 * RADIUS], rows[1])
-    programme = stack([Segment(duration=30 * 100 * bed.time_step)])
+    programme = stack([Segment(duration=30 * steps * bed.time_step)])
     around = Joining(Unchanging(), 0)
-    record = joined(bed, state, programme, jnp.asarray(100), CAPACITY, around)
+    record = joined(bed, state, programme, jnp.asarray(steps), CAPACITY, around)
     assert not record.overflow_of(bed.grid)
     pairs, motion = record.state.pairs, record.state.motion
     whole, broken = (
@@ -268,6 +268,20 @@ def test_two_spheres_part_at_the_work_that_breaks_their_bond():
         assert (whole, broken) == ((1, 0) if holds else (0, 1))
         way = np.ptp(np.asarray(record.state.motion.position.x)[:2])
         assert (way < 2.2 * RADIUS) == holds
+
+
+def test_the_count_of_bonds_falls_at_the_load_that_breaks_one():
+    """Two spheres swing apart: load over strength is 1.2 sin(omega t), of a step before."""
+    share, steps = 1.2, 2
+    speed = share * BREAKING / 2
+    samples = bonded([0, 2, 9], [-speed, speed, 0.0], steps)[3].samples
+    time, count = (np.asarray(each)[np.asarray(samples.segment) >= 0]
+                   for each in (samples.time, samples.bonds))  # fmt: skip
+    rate = np.sqrt(BOND["normal_stiffness"] * AREA / (MASS / 2))
+    load = share * np.sin(rate * (time - time[0] / steps))
+    held = int(count.sum())
+    assert count.tolist() == [1.0] * held + [0.0] * (len(count) - held)
+    assert load[held - 1] < 1 <= load[held] < load[held - 1] + 0.04
 
 
 def test_bonds_form_at_once_where_spheres_are_near_and_never_later():
@@ -371,3 +385,14 @@ def test_a_bonded_specimen_is_stronger_and_loses_bonds():
         for pairs in (each.record.state.pairs for each in found)
     ]
     assert intact[0] > intact[1] > intact[2] > intact[3] == 0
+    for each, left in zip(found, intact, strict=True):
+        before, counts = (counted(each, test) for test in ("confined", "unconfined"))
+        assert len(before) and not before.any()
+        assert np.all(np.diff(counts) <= 0) and counts[-1] == left
+    assert counted(found[1], "unconfined")[0] > intact[1]
+
+
+def counted(outcome, test):
+    """Whole bonds at each row of a test's curve."""
+    rows = np.asarray(outcome.curves[test].valid) > 0
+    return np.asarray(outcome.channels[test]["intact_bonds"])[rows]
