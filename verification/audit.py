@@ -3,7 +3,7 @@
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
     python -m verification.audit --others 4            some 30 minutes on two cores
     python -m verification.audit --seeds 21 22 --halved plasticity_ratio      some 3 minutes
-    python -m verification.audit --seeds 21 22 --finer 2000       some 35 minutes on two cores
+    python -m verification.audit --seeds 21 --finer 2000          some 15 minutes on two cores
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
 +-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same

@@ -230,6 +230,15 @@ ROWS = (
         lambda n: n["low"] >= 0.67 and n["high"] <= 1.0,
     ),
     Row(
+        "slopes at other soils", "docs/derivatives.md",
+        ("{h:.0f} % of {hs:.0f} of H and {f:.0f} % of {fs:.0f} of F lie within three errors",),
+        "audit",
+        {name: Cell("audit", part=part, line=rf"{of}: .* of (\d+) slopes .*, (\d+) % .* 3 errors")
+         for of, names in (("depth_mm", "hs h"), ("force_n", "fs f"))
+         for part, name in enumerate(names.split())},
+        "at least 90 %", lambda n: min(n["h"], n["f"]) >= 90,
+    ),
+    Row(
         "slopes of fits", SURE,
         ("every slope of H was within {depth:.0f} % of the reference",
          "Slopes of F were within {force:.0f} %, except those below 30 N",

@@ -21,7 +21,7 @@ SCRIPTS = {
     "prior": Script((RUN + "prior",), 12, "convergence", "Soils from the whole prior"),
     "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4",
                      RUN + "audit --seeds 21 22 --halved plasticity_ratio",
-                     RUN + "audit --seeds 21 22 --finer 2000"), 165, "audit"),
+                     RUN + "audit --seeds 21 --finer 2000"), 135, "audit"),
     "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
     "designs": Script((RUN + "designs",), 40, "designs"),
     "kills": Script((RUN + "kills",), 40, "reliability", "Kills at random moments", physics=False),
