@@ -8,8 +8,8 @@ on packings that none of them saw.  Its mean is to lie within the interval for s
     python -m verification.other_tests                 some two hours of a core
     python -m verification.other_tests --soils 0 1 --tests direct_shear
 
-Runs are kept in results/benchmarks, and a second call goes on.  Writes a section of
-verification/results/posterior.md after each soil.
+Soils that verification/results/other_tests.json holds are not made again; runs are kept in
+results/benchmarks.  Writes a section of verification/results/posterior.md after each soil.
 """
 
 import argparse
@@ -171,10 +171,15 @@ def main() -> None:
         reporting.earlier("hidden_soils", "entries"),
         predicted(chosen.tests, chosen.drawn),
     )
-    found: dict[str, dict] = {}
     for number in chosen.soils:
-        found[str(number)] = about.soil(number, hidden[str(number)])
-        origin = reporting.provenance()
+        found = dict(reporting.earlier("other_tests", "soils"))
+        known = found.get(str(number), {})
+        if not set(chosen.tests) <= set(known.get("tests", ())):
+            numbers = {**known, **about.soil(number, hidden[str(number)])}
+            found[str(number)] = {**numbers, "tests": [*known.get("tests", ()), *chosen.tests]}
+        found = dict(sorted(found.items(), key=lambda each: int(each[0])))
+        origin = {**reporting.provenance(), "command": "python -m verification.other_tests"}
+        reporting.write_content("other_tests", {**origin, "soils": found})
         reporting.write_section("posterior", markdown(found, origin))
 
 

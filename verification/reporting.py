@@ -53,7 +53,12 @@ ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"  # what is committed
 OF_NOTEBOOKS = ROOT / "notebooks" / "data"
 SHOWN = ("audit", "calibration", "tangents")  # what notebooks draw, in a folder beside them
-COMMITTED = ("hidden_soils", "resolution", "sound_soils")  # what later calls go on from
+COMMITTED = (
+    "hidden_soils",
+    "other_tests",
+    "resolution",
+    "sound_soils",
+)  # what later calls go on from
 
 
 def provenance() -> dict:
