@@ -42,6 +42,20 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+MOST_MAPS = 30_000  # of memory, of which a system grants a process 65,530
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Every compiled program takes maps of memory; a process that has too many ends without a
+    word, so it forgets its programs before."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
+
+
 @pytest.fixture
 def cheaply_compiled(request):
     """Programs of a quick test are compiled without optimisation, in two thirds of the time: for

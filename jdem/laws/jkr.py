@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.core import smooth
+from jdem.core.cube_root import cube_root
 from jdem.core.fusion import once
 from jdem.core.parameter import POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, quantity
@@ -58,7 +59,7 @@ def relative_root(gap: Array) -> Array:
     curve is above g.
     """
     near = 1 + jnp.sqrt((gap + 3) / 6)
-    far = 4 ** (1 / 3) + jnp.maximum(gap, 0.0) ** 0.25
+    far = 4 ** (1 / 3) + jnp.sqrt(jnp.sqrt(jnp.maximum(gap, 0.0)))
     root = jnp.minimum(near, far)
     for _ in range(NEWTON):
         root = root - (root**4 - 4 * root - gap) / (4 * root**3 - 4)
@@ -104,7 +105,7 @@ class JKRStiffness(AbstractStiffness):
 
     def tear_off_radius(self, radius):
         """a_t, m."""
-        return jnp.cbrt(jnp.pi * self.work_of_adhesion * radius**2 / (8 * self.hertz.modulus))
+        return cube_root(jnp.pi * self.work_of_adhesion * radius**2 / (8 * self.hertz.modulus))
 
     def reach(self, radius):
         """The gap at which contacts tear off, 3 a_t^2/R*, m."""
