@@ -1,5 +1,5 @@
-"""The cube root in arithmetic that vectorises: XLA's CPU compiler calls the C library for it, number
-by number, and a contact law asks for millions a second.
+"""The cube root in arithmetic that vectorises: XLA's CPU compiler calls the C library for it,
+number by number, and a contact law asks for millions a second.
 
     c <- c (c^3 + 2 x)/(2 c^3 + x)
 
