@@ -54,13 +54,13 @@ def grown(specimen: Specimen, seed: int, soil: SoilParameters | None = None) -> 
     """
     container, tried = specimen.height, []
     while len(tried) < TRIES:
-        packing, speed = _grown_in(replace(specimen, height=container), specimen, seed, soil)
+        packing, sunk, speed = _grown_in(replace(specimen, height=container), specimen, seed, soil)
         height = float(packing.height)
         tried.append((container, height))
+        if abs(height / specimen.height - 1) < CLOSE and min(sunk, speed) <= STILL:
+            return with_density(packing, specimen.density)
         if speed > STILL:
             break
-        if abs(height / specimen.height - 1) < CLOSE:
-            return with_density(packing, specimen.density)
         container = _next_container(tried, specimen.height)
     raise ValueError(_out_of_reach(specimen, tried))
 
@@ -95,9 +95,9 @@ def _out_of_reach(specimen: Specimen, tried: list[tuple[float, float]]) -> str:
 
 def _grown_in(
     container: Specimen, wanted: Specimen, seed: int, soil: SoilParameters | None
-) -> tuple[Packing, float]:
+) -> tuple[Packing, float, float]:
     """The bed that the wanted specimen's spheres make when they grow in this container, and how
-    fast they still are (m/s, root mean square), before the platen comes or when it has come."""
+    fast they still are (m/s, root mean square) before the platen comes and when it has come."""
     rng = np.random.default_rng(seed)
     radius = _radii(wanted, rng)
     solid = 4 / 3 * np.pi * float(np.sum(radius**3)) / _volume(container)
@@ -115,8 +115,9 @@ def _grown_in(
     sunk, last = (int(np.flatnonzero(at)[-1]) for at in _ends(record))
     height = float(record.samples.platen_height[last])
     packing = Packing(record.state.motion.position, spheres, height, container.diameter / 2)
-    energy = min(float(record.samples.kinetic_energy[end]) for end in (sunk, last))
-    return packing, float(np.sqrt(2 * energy / mass.sum()))
+    energy = np.asarray(record.samples.kinetic_energy)[[sunk, last]]
+    before, after = np.sqrt(2 * energy / mass.sum())
+    return packing, float(before), float(after)
 
 
 def _ends(record: Record) -> tuple[np.ndarray, np.ndarray]:
