@@ -1,6 +1,6 @@
 """The gallery of `calibrate example`: each one run, its numbers beside its reference, a picture.
 
-    python -m verification.examples                   some hour and a half of a core
+    python -m verification.examples                   some two hours of a core
     python -m verification.examples vane_shear jkr    these alone; the others as they were
 
 Runs are kept in results/benchmarks, and a second call goes on.  Writes verification/results/

@@ -29,7 +29,7 @@ SCRIPTS = {
     "made_lab": Script((RUN + "made_lab",), 50, "made_lab"),
     "calibration": Script((RUN + "calibration",), 50, "calibration"),
     "resolution": Script((RUN + "resolution",), 50, "resolution", "Resolution"),
-    "examples": Script((RUN + "examples",), 60, "examples"),
+    "examples": Script((RUN + "examples",), 110, "examples"),
     "whole_curves": Script((RUN + "whole_curves",), 50, "whole_curves"),
     "recovery": Script((RUN + "recovery",), 60, "recovery"),
     "sound_soils": Script((RUN + "sound_soils",), 60, "posterior", "Sound soils"),

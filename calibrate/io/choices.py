@@ -91,13 +91,26 @@ def of_one_soil(values: Mapping[str, T], moisture: float | None, file: str) -> d
 # ---------------------------------------------------------------- entries of a lab file
 
 
-def choices(name: str, table: ParameterTable, file: str, law: str) -> Mapping[str, ParameterChoice]:
+def choices(
+    tables: Mapping[str, ParameterTable], file: str, law: str
+) -> dict[str, ParameterChoice]:
+    """The entries of [parameters] by name; of one that differs, those of its values too."""
+    found: dict[str, ParameterChoice] = {}
+    for name, table in tables.items():
+        found |= _choices(name, table, file, law)
+    return found
+
+
+def _choices(name: str, table: ParameterTable, file: str, law: str) -> dict[str, ParameterChoice]:
     """One entry of [parameters] by name, or one for each moisture and what stands for all: the mean
     of their logarithms, which a fit holds."""
     field = f"parameters.{name}"
-    entry_of(name, file, field, law)
+    entry = entry_of(name, file, field, law)
     if not table.by_moisture:
         return {name: _choice(name, table, table.value, field, file, law)}
+    if entry.search is None:
+        problem = f"{name} cannot differ with moisture"
+        raise InputError(file, f"{field}.by_moisture", problem, "give it one value")
     if table.value is not None:
         problem = "it has both one value and values by moisture"
         raise InputError(file, f"{field}.value", problem, "leave out one of them")
@@ -113,9 +126,21 @@ def choices(name: str, table: ParameterTable, file: str, law: str) -> Mapping[st
     return {name: ParameterChoice(usual, None, None, None, False), **found}
 
 
-def named_set(set_name: str, values: dict[str, Any], file: str, law: str) -> dict[str, float]:
-    """One of [named_sets], in SI."""
+def named_sets(
+    sets: Mapping[str, dict[str, Any]], differ: Iterable[str], file: str, law: str
+) -> dict[str, dict[str, float]]:
+    """All of [named_sets], in SI; refused where one has a parameter of those that `differ`."""
+    return {name: _named_set(name, values, differ, file, law) for name, values in sets.items()}
+
+
+def _named_set(
+    set_name: str, values: dict[str, Any], differ: Iterable[str], file: str, law: str
+) -> dict[str, float]:
     field = f"named_sets.{set_name}"
+    for name in values:
+        if name in differ:
+            problem = f"{name} differs with moisture, and a named set has one value"
+            raise InputError(file, f"{field}.{name}", problem, "leave it out")
     return {n: check_parameter(n, x, file, f"{field}.{n}", law) for n, x in values.items()}
 
 

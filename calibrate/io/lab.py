@@ -18,7 +18,7 @@ from calibrate.io.choices import (
     check_moistures,
     choices,
     differing,
-    named_set,
+    named_sets,
     percent,
 )
 from calibrate.io.conventions import (
@@ -200,6 +200,7 @@ def load_lab(path: str | Path) -> Lab:
     law = particles.conventions if particles.conventions in BED_LAWS else DEFAULT
     cylinders = _cylinders(stated, tables.specimen.cylinder())
     _check_protocols(stated, cylinders, file)
+    parameters = choices(tables.parameters, file, law)
     lab = Lab(
         file=file,
         name=tables.soil.name,
@@ -211,12 +212,8 @@ def load_lab(path: str | Path) -> Lab:
         targets=_targets(stated, cylinders, Path(path), usual),
         curves=_curves(stated, cylinders, Path(path), usual),
         particles=particles,
-        parameters=dict(
-            pair
-            for name, table in tables.parameters.items()
-            for pair in choices(name, table, file, law).items()
-        ),
-        named_sets={n: named_set(n, table, file, law) for n, table in tables.named_sets.items()},
+        parameters=parameters,
+        named_sets=named_sets(tables.named_sets, differing(parameters), file, law),
     )
     check_moistures(lab.parameters, _moistures(stated, cylinders), file)
     usual.finish()

@@ -96,6 +96,11 @@ REFUSED = [  # text, field, words
     (TEXT.replace("high = 40", "high = 10"), f"parameters.{ENERGY}", "low <= value <= high"),
     (TEXT.replace('"12 %" = 12.0', '"12 %" = "12 N"'), f"parameters.{ENERGY}", "J/m^2"),
     (TEXT.replace('"12 %" = 12.0', '"12 %" = 1e6'), f"parameters.{ENERGY}", "usual"),
+    (TEXT + f"[named_sets.one]\n{ENERGY} = 5\n", f"named_sets.one.{ENERGY}", "has one value"),
+    (
+        TEXT + '[parameters.slope_exponent.by_moisture]\n"4 %" = 1\n"12 %" = 1.5\n',
+        "parameters.slope_exponent", "cannot differ",
+    ),
     (TEXT.replace("'12 %'", "'1200 %'"), "tests[1].specimen.moisture", "usual"),
 ]  # fmt: skip
 

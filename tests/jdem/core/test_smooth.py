@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jdem.core import smooth
+from jdem.core.cube_root import cube_root
 from jdem.core.logarithm import logarithm
 from jdem.core.vector import Vector
 
@@ -198,3 +199,11 @@ def test_the_logarithm_is_the_logarithm():
     assert np.isnan(np.asarray(logarithm(jnp.asarray([np.nan, np.inf])))).all()
     single = logarithm(jnp.asarray([0.1, 3.0], jnp.float32))
     np.testing.assert_array_equal(single, jnp.log(jnp.asarray([0.1, 3.0], jnp.float32)))
+
+
+def test_the_cube_root_is_right_to_the_last_digits():
+    values = 10 ** np.random.default_rng(2).uniform(-30, 30, 1000)
+    found = cube_root(jnp.asarray(values))
+    np.testing.assert_allclose(found, np.cbrt(values), rtol=1e-15)
+    slope = jax.vmap(jax.grad(cube_root))(jnp.asarray(values))
+    np.testing.assert_allclose(slope, np.cbrt(values) / (3 * values), rtol=1e-14)
