@@ -8,8 +8,10 @@ the processor's clock, with the lists rebuilt as often as in a test.
 
     python benchmarks/scaling.py                      some five minutes of a core
     python benchmarks/scaling.py --spheres 2000 50000
+    python benchmarks/scaling.py --parts              where the time goes: two minutes
 
-Writes a section of benchmarks/results/README.md.
+With --parts, beds of soil of 500, 2000 and 10,000 spheres that a platen loads: each part of a step
+by itself, as often as a step does it.  Writes a section of benchmarks/results/README.md.
 """
 
 import argparse
@@ -23,18 +25,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import reporting
-from speed import SOIL, TIME_STEP, compiled_run, vector
+from speed import SOIL, TIME_STEP, compiled_run, loading, vector
 
+from calibrate.simulation.resolution import numerics_for
 from jdem.bodies.spheres import Spheres
+from jdem.core.fusion import fenced
 from jdem.core.quantity import cast
-from jdem.engine.bed import Numerics, build_bed, plan_grid
+from jdem.engine.bed import Numerics, build_bed, plan_grid, steps_per_sample
+from jdem.engine.loads import Loads, pair_loads, wall_loads
 from jdem.engine.loop import start
+from jdem.engine.neighbors import rebuild
 from jdem.engine.segment import cell_segment, stack
+from jdem.engine.state import Bed, BedState, Command
+from jdem.engine.step import next_motion, step
+from jdem.packing.composite import prepare
+from jdem.packing.specimen import Specimen
 
 COUNTS = (500, 2000, 10_000, 50_000, 100_000, 200_000)
 RADIUS, PRESSED = 2.5e-3, 0.995  # m; pitch of the lattice over the diameter
 WORK = 4e7  # particle-steps of a run
 EVERY = 16  # steps in a sampling interval
+WITH_PARTS = (500, 2000, 10_000)  # spheres of beds whose step is taken apart
 HEADER = ("spheres", "order", "processor time of a step (ms)", "per sphere and step (ns)",
           "contacts of a sphere", "memory (GiB)")  # fmt: skip
 
@@ -111,14 +122,120 @@ def _powers(rows: list[dict]) -> list[str]:
     return found
 
 
+# ---------------------------------------------------------------- where the time goes
+
+
+def loaded(count: int) -> tuple[Bed, BedState]:
+    """A bed of soil under 400 N."""
+    specimen = Specimen(diameter=0.05, height=0.1, density=1000.0, count=count)
+    packing, numerics = prepare(specimen, 0), numerics_for(specimen)
+    radius = np.asarray(packing.spheres.radius)
+    centres = np.asarray(packing.position.stack())
+    height = float((centres[:, 2] + radius).max())
+    extent = (0.05, 1.5 * height)
+    grid = plan_grid(count, float(radius.mean()), float(radius.max()), extent, numerics)
+    bed = build_bed(packing.spheres, SOIL, grid, numerics)
+    state, programme = start(bed, vector(centres), height, 0.025), loading(400.0, "float64")
+    every = steps_per_sample(bed, numerics)
+    capacity = int(np.ceil(0.3 / (float(every) * float(bed.time_step))))
+    compiled = compiled_run(bed, state, programme, int(every), capacity)
+    record = compiled(bed, state, programme, jnp.asarray(int(every)))
+    if bool(record.overflow_of(grid)):
+        raise SystemExit(record.explain_overflow(grid))
+    return bed, record.state
+
+
+def parts(count: int) -> dict[str, float]:
+    """Microseconds of the whole step, of each of its parts and of renewing the lists."""
+    bed, state = loaded(count)
+    rows, still = bed.spheres.rows(state.motion), jnp.zeros(())
+    blank = Loads(jnp.zeros((count, 8)), jnp.zeros(4), still)
+    command = Command(jnp.zeros((3, 3)), jnp.asarray(200.0), still)
+
+    def pairs(carry):
+        rows, listed = carry
+        loads, listed = pair_loads(bed, rows, listed)
+        return rows + 1e-40 * loads.rows[0, 0], listed
+
+    def walls(carry):
+        rows, listed, loads = carry
+        found, listed, _ = wall_loads(bed, rows, state.boundaries, listed, loads)
+        return rows + 1e-40 * found.rows[0, 0], listed, loads
+
+    def motion(carry):
+        motion, loads = carry
+        return next_motion(bed, motion, still, loads, command)[0], loads
+
+    def lists(carry):
+        position, listed, met = carry
+        listed, met, _ = rebuild(bed.grid, bed.spheres, state.boundaries, position, listed, met)
+        return position, listed, met
+
+    met = state.wall_contacts
+    return {
+        "step": _microseconds(lambda now: step(bed, now, command), state, count),
+        "pairs": _microseconds(pairs, (rows, state.pairs), count),
+        "walls": _microseconds(walls, (rows, met, blank), count),
+        "motion": _microseconds(motion, (state.motion, blank.rows), count),
+        "lists": _microseconds(lists, (state.motion.position, state.pairs, met), count),
+        "listed": float(np.sum(np.asarray(state.pairs.alive) > 0)),
+    }
+
+
+def _microseconds(part, carry, count: int) -> float:
+    """Least processor time of a turn, of three times so many turns that it takes a second."""
+    turns = max(50, int(1e6 / count))
+
+    @jax.jit
+    def turned(carry):
+        with fenced():
+            return jax.lax.fori_loop(0, turns, lambda _, now: part(now), carry)
+
+    spent = []
+    for _ in range(4):
+        begun = time.process_time()
+        jax.block_until_ready(turned(carry))
+        spent.append(time.process_time() - begun)
+    return 1e6 * min(spent[1:]) / turns
+
+
+def markdown_of_parts(found: dict[int, dict[str, float]], origin: dict) -> str:
+    rows = []
+    for count, row in found.items():
+        named = row["pairs"] + row["walls"] + row["motion"]
+        rows.append(
+            [
+                f"{count}", f"{row['step']:.0f}", f"{1e3 * row['step'] / count:.0f}",
+                *(f"{row[part]:.0f}" for part in ("pairs", "walls", "motion")),
+                f"{row['step'] - named:.0f}", f"{row['lists']:.0f}",
+                f"{1e3 * row['pairs'] / row['listed']:.0f}",
+            ]
+        )  # fmt: skip
+    header = (
+        "spheres", "step (us)", "per sphere (ns)", "contacts of spheres (us)",
+        "contacts with boundaries (us)", "motion (us)", "the rest (us)", "renewing lists (us)",
+        "per listed pair (ns)",
+    )  # fmt: skip
+    return (
+        "## Parts of a step\n\nBeds of soil under 400 N, one process on one core, float64. Lists "
+        "are renewed once in many steps.\n\n"
+        + reporting.table(header, rows)
+        + reporting.footer(origin)
+    )
+
+
 def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("--spheres", nargs="+", type=int, default=list(COUNTS))
     parser.add_argument("--orders", nargs="+", default=["shuffled", "space"])
     parser.add_argument("--one", action="store_true", help="the first bed, as JSON")
+    parser.add_argument("--parts", action="store_true", help="where the time of a step goes")
     chosen = parser.parse_args()
     reporting.configure()
+    if chosen.parts:
+        found = {count: parts(count) for count in WITH_PARTS}
+        return reporting.write_page(markdown_of_parts(found, reporting.provenance()))
     if chosen.one:
         found = measured(chosen.spheres[0], chosen.orders[0] == "shuffled")
         return print(json.dumps(found))
@@ -130,7 +247,7 @@ def main() -> None:
             rows.append(json.loads(done.stdout.splitlines()[-1]))
             print(rows[-1], flush=True)
     origin = reporting.provenance()
-    reporting.write("scaling", {**origin, "rows": rows}, markdown(rows, origin))
+    reporting.write_page(markdown(rows, origin))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ within the repeat scatter of their targets; its cost is counted in forward runs 
     python -m verification.calibration               about 25 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes.  Writes
-notebooks/data/calibration.json and verification/results/calibration.md after every start.
+notebooks/data/calibration.json and a section of verification/results/designs.md after every start.
 """
 
 import argparse
@@ -173,7 +173,8 @@ def main() -> None:
         starts[name] = measured(start, chosen.seed, chosen.folder)
         origin = reporting.provenance()
         content = {**origin, "seed": chosen.seed, "free": FREE, "starts": starts}
-        reporting.write("calibration", content, markdown(starts, origin))
+        reporting.write_content("calibration", content)
+        reporting.write_section("designs", markdown(starts, origin))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ tangent costs what `Overdamped.cost` says, and in processor seconds.
     python -m verification.derivatives                   some 40 minutes on two cores
 
 Runs are kept in results/benchmarks; a second call resumes, and then keeps the times of the first.
-Writes verification/results/derivatives.md after every fit.
+Writes a section of verification/results/tangents.md after every fit.
 """
 
 import argparse
@@ -136,7 +136,7 @@ def main() -> None:
                 done = fitted(free, factors, strategy, calibration)
                 found.setdefault(start, {})[way] = done
                 write_text(kept, json.dumps(found))
-            reporting.write_page("derivatives", markdown(found, chosen.spheres, origin))
+            reporting.write_section("tangents", markdown(found, chosen.spheres, origin))
 
 
 if __name__ == "__main__":

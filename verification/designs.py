@@ -103,7 +103,7 @@ def main() -> None:
     lab, quick = load_lab(bundled_lab()), PRESETS["quick"]
     work = Campaign(virtual_lab(lab, quick), specimen(lab, quick), chosen.folder, for_terminal())
     found = design(lab, quick, base_soil(lab), chosen.seed, work)
-    reporting.write_page("designs", markdown(found, reporting.provenance()))
+    reporting.write_section("designs", markdown(found, reporting.provenance()))
 
 
 if __name__ == "__main__":

@@ -104,7 +104,8 @@ def main() -> None:
             )
             origin = reporting.provenance()
             content = {**origin, "rows": found}
-            reporting.write("fresh_packings", content, markdown(found, origin))
+            reporting.write_content("fresh_packings", content)
+            reporting.write_section("fresh_packings", markdown(found, origin))
 
 
 if __name__ == "__main__":

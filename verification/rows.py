@@ -75,7 +75,7 @@ def _hidden(line: str, part: int = 0) -> Cell:
 
 
 def _curve(test: str, part: int = 0, column: str = "error") -> Cell:
-    return Cell("whole_curves", column, {"test": test}, part)
+    return Cell("fresh_packings", column, {"test": test}, part)
 
 
 def _variant(variant: str, column: str, part: int = 0) -> Cell:
@@ -96,7 +96,7 @@ def _again(name: str, column: str, part: int = 0) -> Cell:
 
 
 def _calibration(start: str, way: str) -> Cell:
-    return Cell("calibration", way, {"start": start})
+    return Cell("designs", way, {"start": start})
 
 
 STRONG, WEAK = "one effect above 6: named first", "one effect 2 to 6: named first"

@@ -22,15 +22,17 @@ SCRIPTS = {
     "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4",
                      RUN + "audit --seeds 21 22 --halved plasticity_ratio",
                      RUN + "audit --seeds 21 --finer 2000"), 135, "audit"),
-    "derivatives": Script((RUN + "derivatives",), 40, "derivatives"),
-    "designs": Script((RUN + "designs",), 40, "designs"),
+    "derivatives": Script(
+        (RUN + "derivatives",), 40, "tangents", "Fits by derivatives and by pairs of runs"
+    ),
+    "designs": Script((RUN + "designs",), 40, "designs", "Designed experiments and gradients"),
     "kills": Script((RUN + "kills",), 40, "reliability", "Kills at random moments", physics=False),
     "tangents": Script((RUN + "tangents",), 40, "tangents", "Growth of derivatives"),
     "made_lab": Script((RUN + "made_lab",), 50, "made_lab"),
-    "calibration": Script((RUN + "calibration",), 50, "calibration"),
+    "calibration": Script((RUN + "calibration",), 50, "designs", "Cost of a calibration"),
     "resolution": Script((RUN + "resolution",), 50, "resolution", "Resolution"),
     "examples": Script((RUN + "examples",), 110, "examples"),
-    "whole_curves": Script((RUN + "whole_curves",), 50, "whole_curves"),
+    "whole_curves": Script((RUN + "whole_curves",), 50, "fresh_packings", "Whole curves"),
     "recovery": Script((RUN + "recovery",), 60, "recovery"),
     "sound_soils": Script((RUN + "sound_soils",), 60, "posterior", "Sound soils"),
     "overdamped": Script(
@@ -41,7 +43,7 @@ SCRIPTS = {
     "fresh_packings": Script(
         tuple(f"{RUN}fresh_packings --soils {soil} --seeds {seeds}"
               for soil, seeds in (("wheat_after_rice", "0 1 2"), ("trumao", "0"))),
-        130, "fresh_packings",
+        130, "fresh_packings", "Fresh packings",
     ),
     "reference_beds": Script(
         (RUN + "reference_beds",), 60, "reference_beds", "Tools on the beds of another code"

@@ -13,8 +13,8 @@ Chen et al. 2023 state 2.8 % and 93.5 % for the confined, 3.7 % and 94.2 % for t
 
     python -m verification.whole_curves          some 25 minutes on two cores
 
-Runs are kept in results/benchmarks; a second call resumes.  Writes
-verification/results/whole_curves.md and a picture in results/benchmarks.
+Runs are kept in results/benchmarks; a second call resumes.  Writes a section of
+verification/results/fresh_packings.md and a picture in results/benchmarks.
 """
 
 import argparse
@@ -160,7 +160,7 @@ def main() -> None:
             for packing in result["packings"]["fresh"]
         ]
         found[test] = compared([run.curves[test] for run in runs], fresh, LAST[test])
-    reporting.write_page("whole_curves", markdown(result, found, reporting.provenance()))
+    reporting.write_section("fresh_packings", markdown(result, found, reporting.provenance()))
     picture(found)
 
 

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jdem.core.logarithm import logarithm
+from jdem.core.elementary import logarithm
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 

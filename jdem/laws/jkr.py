@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jdem.core import smooth
-from jdem.core.cube_root import cube_root
+from jdem.core.elementary import cube_root
 from jdem.core.fusion import once
 from jdem.core.parameter import POSITIVE, Parameter, Search
 from jdem.core.quantity import Real, quantity

@@ -161,7 +161,7 @@ def test_with_numbers_as_measured_every_row_holds():
         ("reliability", "traceback or other status", {"file": "lab"}, "malformed files"),
         ("fresh_packings", "error", {"soil": "trumao", "observable": "crushing force (N)"},
          "fresh packings, one by one"),
-        ("whole_curves", "error", {"test": "confined"}, "whole curves"),
+        ("fresh_packings", "error", {"test": "confined"}, "whole curves"),
     ],
 )  # fmt: skip
 def test_a_stored_number_that_is_changed_is_named(copied, page, column, where, row):

@@ -205,6 +205,7 @@ def test_a_fit_takes_no_run_for_slopes_and_few_to_meet_its_targets():
     assert content["history"][0]["parameters"]["shear_modulus"] == float(BASE.shear_modulus)
 
 
+@pytest.mark.slow
 def test_curves_are_met_as_well_as_chance_allows_and_no_better():
     """Records of three other packings: what is left of them is luck, which no evaluation chases."""
     soil = with_values(BASE, {"shear_modulus": 8e6})

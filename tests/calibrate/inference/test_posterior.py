@@ -257,6 +257,7 @@ def test_runs_are_asked_for_where_they_narrow_and_only_as_many_as_it_takes(asked
     assert further_points(loose, error, [], values, 3) == []
 
 
+@pytest.mark.slow
 def test_runs_that_were_asked_for_are_made_and_draws_are_taken_again(asked, tmp_path):
     """Depth measured to a thousandth: runs at the posterior narrow what the response leaves."""
     sure = replace(asked, problem=replace(asked.problem, target_variance=1e-6 * MEASURES**2))

@@ -141,6 +141,7 @@ def test_a_plate_on_one_sphere_follows_hertz(pressed):
     assert not bool(pressed.failed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rolling", "slides"), [(5.0, True), (0.1, False)])
 def test_a_box_reads_the_friction_of_a_block_and_the_resistance_of_a_roller(rolling, slides):
     """One sphere between floor and lid, N on it.  If it cannot roll, it slides as a block: mu N.
@@ -184,6 +185,7 @@ def test_each_test_numbers_its_own_tools():
     assert int(numbered(machine_segment(0, servo=PLATEN), 3, 0).servo) == PLATEN
 
 
+@pytest.mark.slow
 def test_tools_are_away_while_another_test_runs():
     """The platen presses the sphere first; cone and shaft, then a plate come to the same force."""
     pressing = ConfinedCompression(

@@ -124,6 +124,11 @@ def shell(name, **given):
     return Mesh.from_triangles(KEPT[f"corners/{name}"], two_sided=True, **given)
 
 
+def sometimes(name: str, *always: str):
+    """A case of `make test-slow`, but for some: each mesh compiles a program of its own."""
+    return pytest.param(name, marks=() if name in always else pytest.mark.slow)
+
+
 PLANES = {
     "2": grid_of(1),
     "288 regular": grid_of(12),
@@ -133,7 +138,7 @@ PLANES = {
 FLOOR = Plane.at(point(0, 0, 0, float), UP)
 
 
-@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize("name", [sometimes(name, "2", "288 irregular") for name in PLANES])
 def test_a_tessellated_plane_is_the_plane(name):
     """Anywhere, above edges and vertices too, with friction, on both sides of the shell."""
     corners, rng = PLANES[name], np.random.default_rng(0)
@@ -179,6 +184,7 @@ def moved_by(bed, boundaries, place, velocity, duration, spin=0.0, every=500):
     return [np.asarray(part.stack())[0] for part in parts], record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "place", "velocity"),
     [
@@ -274,7 +280,9 @@ DOUBLED = {  # from x to x, m
 }
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize(
+    "name", [sometimes(name, "over_apex", "kink_convex_10deg", "over_step") for name in SHAPES]
+)
 def test_forces_are_those_of_liggghts_where_it_counts_once(name):
     mesh = shell(SHAPES[name], smooth_below=0.1)
     rows = KEPT[f"curves/{name}"]

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jdem.core import smooth
-from jdem.core.cube_root import cube_root
-from jdem.core.logarithm import logarithm
+from jdem.core.elementary import cube_root, logarithm
 from jdem.core.vector import Vector
 
 pytestmark = pytest.mark.thorough

@@ -302,6 +302,7 @@ def test_a_broken_bond_does_not_come_back():
     assert speeds == pytest.approx([left, 4.0, -left], rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_bond_in_a_bed_is_as_wide_as_the_smaller_sphere_and_turns_with_its_pair():
     """Two spheres of different size that spin together about their line, the one shifted before:
     the force turns with them."""
