@@ -3,7 +3,7 @@
     python -m verification.audit --seeds 21 22         some 15 minutes on two cores
     python -m verification.audit --others 4            some 30 minutes on two cores
     python -m verification.audit --seeds 21 22 --halved plasticity_ratio      some 3 minutes
-    python -m verification.audit --seeds 21 --finer 2000          some 15 minutes on two cores
+    python -m verification.audit --seeds 21 22 --finer 2000       some 30 minutes on two cores
 
 The bundled soil, grown beds at the preset standard's rates: reference slopes by regression over
 +-20 %, one parameter at a time, against those of the library and of pairs of runs, on the same
@@ -278,15 +278,13 @@ def audit_others(chosen: argparse.Namespace) -> None:
 
 
 def audit_finer(chosen: argparse.Namespace) -> None:
-    """Writes the section of the bundled soil with another number of spheres, after every seed."""
-    audits = []
+    """Writes a section for each seed: the bundled soil with another number of spheres."""
     for seed in chosen.seeds:
         seeds = range(100 * seed, 100 * seed + chosen.packings)
         found, chords = audited(chosen.finer, seeds, chosen.folder, [RESPONSE])
-        audits.append(_with_chords(found.rows(RESPONSE), chords))
-        origin, rows = reporting.provenance(), pooled(audits)
+        origin, rows = reporting.provenance(), pooled([_with_chords(found.rows(RESPONSE), chords)])
         text = (
-            f"# {chosen.finer} spheres\n\nBundled soil, {len(audits) * chosen.packings} packings: "
+            f"# {chosen.finer} spheres, seed {seed}\n\nBundled soil, {chosen.packings} packings: "
             f"slopes of the library of runs, {tally(rows)} (within 15 % for H and 25 % for F).\n\n"
             + _table(rows)
             + reporting.footer(origin)

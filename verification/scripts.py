@@ -21,7 +21,7 @@ SCRIPTS = {
     "prior": Script((RUN + "prior",), 12, "convergence", "Soils from the whole prior"),
     "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4",
                      RUN + "audit --seeds 21 22 --halved plasticity_ratio",
-                     RUN + "audit --seeds 21 --finer 2000"), 135, "audit"),
+                     RUN + "audit --seeds 21 22 --finer 2000"), 170, "audit"),
     "derivatives": Script(
         (RUN + "derivatives",), 40, "tangents", "Fits by derivatives and by pairs of runs"
     ),
