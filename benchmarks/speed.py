@@ -32,7 +32,7 @@ import reporting
 
 from calibrate.simulation.resolution import numerics_for
 from jdem.bodies.spheres import Spheres
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.core.quantity import cast
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid

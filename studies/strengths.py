@@ -25,7 +25,7 @@ from calibrate.io.soil import base_soil
 from calibrate.labtests.composite import names_observed
 from calibrate.simulation import Campaign, side_by_side
 from calibrate.simulation.resolution import PRESETS, numerics_for, specimen, virtual_lab
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.effects.base import AbstractEffect
 from jdem.effects.composite import EFFECTS, with_strengths
 from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab

@@ -25,7 +25,7 @@ from calibrate.inference.problem import Problem
 from calibrate.labtests.composite import names_observed
 from calibrate.simulation import Campaign, Run, side_by_side
 from calibrate.simulation.keys import classes, content_hash
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.specimen import Packing

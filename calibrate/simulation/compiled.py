@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from calibrate.simulation.run import Run, repeated, summary
 from jdem.bodies.spheres import Spheres
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.core.vector import Vector
 from jdem.laboratory.virtual_lab import VirtualLab
 from jdem.materials.soil import SoilParameters

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.errors import CalibrationError
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.core.quantity import cast
 from jdem.engine.bed import build_bed, steps_per_sample
 from jdem.engine.loop import Record, begun, run

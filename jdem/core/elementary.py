@@ -16,7 +16,6 @@ It begins at exp(ln(x)/3) in single precision, which is right to 1e-6, and so en
 digits of a double.
 """
 
-
 import jax
 import jax.numpy as jnp
 from jax import Array

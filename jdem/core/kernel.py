@@ -8,6 +8,8 @@ docs/decisions/2026-11-24-beds.md).
 
 The mark is for elementary operations only.  A law of a user that does something else, and
 other backends than the CPU, compute as if there were no mark.
+
+Whole programs are compiled for the widest vectors that the processor has (`program`).
 """
 
 from collections.abc import Callable
@@ -42,6 +44,21 @@ _ARRANGING = (
 )
 _ENCLOSING = "closed_call custom_jvp_call jit scan while"
 _COMPILABLE = frozenset(f"{_ELEMENTWISE} {_ARRANGING} {_ENCLOSING}".split())
+
+
+_WIDEST = {"xla_cpu_prefer_vector_width": 512}  # bits
+
+
+def program(function: Callable) -> Callable:
+    """`function` jitted as `equinox.filter_jit` does it, for vectors of 512 bits on a CPU.
+
+    XLA compiles for 256 bits unless told otherwise; on a processor with AVX-512 a run of 1000
+    spheres takes 13 % longer that way, with the same numbers bit for bit.  A processor with
+    narrower vectors ignores the wish.
+    """
+    jitted: Any = eqx.filter_jit  # its signature leaves out the options that it hands on
+    options = _WIDEST if jax.default_backend() == "cpu" else {}
+    return jitted(function, compiler_options=options)
 
 
 def entrywise(

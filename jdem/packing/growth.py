@@ -21,7 +21,7 @@ from jax import Array
 from scipy.spatial import KDTree
 
 from jdem.bodies.spheres import Spheres
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.core.quantity import Real, quantity
 from jdem.core.vector import Vector
 from jdem.engine.bed import build_bed, reach_of, sample_capacity, steps_per_sample

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jdem.bodies.spheres import Spheres
-from jdem.core.program import program
+from jdem.core.kernel import program
 from jdem.core.vector import Vector
 from jdem.engine.bed import (
     Numerics,
