@@ -23,6 +23,7 @@ from scipy.stats import qmc
 
 from calibrate.core.progress import for_terminal
 from calibrate.discrepancy.library.stand_in import served
+from calibrate.inference.parameters import Space
 from calibrate.inference.posterior import Density, Question, Shown
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil, with_values
@@ -72,9 +73,9 @@ def question_at(values: dict[str, float], spheres: int) -> tuple[Question, Campa
     return Question.of(lab, base, library, work, seeds), work
 
 
-def beside(question: Question, centre: np.ndarray, count: int) -> list[np.ndarray]:
+def beside(space: Space, centre: np.ndarray, count: int) -> list[np.ndarray]:
     """Parameters (p,), SI, of soils within REACH of ln p = `centre`, spread evenly."""
-    low, high = question.space.log_bounds()
+    low, high = space.log_bounds()
     drawn = qmc.Sobol(len(centre), rng=0).random(count)
     return list(np.exp(np.clip(centre + REACH * (2 * drawn - 1), low, high)))
 
@@ -100,7 +101,7 @@ def rows_of(soil: dict, spheres: int, count: int) -> list[dict]:
     names = question.space.names
     values = np.array([soil["values"][name] for name in names])
     packings = range(FIRST, FIRST + PACKINGS)
-    places = [values, *beside(question, np.log(values), count - 1)]
+    places = [values, *beside(question.space, np.log(values), count - 1)]
     shown = [
         Shown.by(work, question.problem, question.space, at, packings, f"beside, soil {number}")
         for number, at in enumerate(places)

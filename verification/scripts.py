@@ -22,6 +22,7 @@ SCRIPTS = {
     "audit": Script((RUN + "audit --seeds 21 22", RUN + "audit --others 4",
                      RUN + "audit --seeds 21 22 --halved plasticity_ratio",
                      RUN + "audit --seeds 21 22 --finer 2000"), 170, "audit"),
+    "beside": Script((RUN + "beside",), 20, "audit", "Other soils, with runs beside them"),
     "derivatives": Script(
         (RUN + "derivatives",), 40, "tangents", "Fits by derivatives and by pairs of runs"
     ),

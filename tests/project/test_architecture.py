@@ -91,6 +91,7 @@ ORDER = {
         "overdamped",
         "posterior",
         "audit",
+        "beside",
         "hidden_soils",
         "other_tests",
         "sound_soils",

@@ -263,5 +263,6 @@ def test_a_script_runs_to_its_end(script, line, monkeypatch, tmp_path):
         script(f"-m verification.{line}")
     [page] = tmp_path.glob("*.md")
     name = line.partition(" ")[0]
-    assert page.stem == {"fuzz": "reliability", "prior": "convergence"}.get(name, name)
+    sections = {"fuzz": "reliability", "prior": "convergence", "calibration": "designs"}
+    assert page.stem == sections.get(name, name)
     assert "| --- |" in page.read_text(encoding="utf-8")

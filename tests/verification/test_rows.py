@@ -4,13 +4,17 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from calibrate.inference.posterior import FromRuns
 from jdem.physics import PHYSICS
 from tests import ROOT
 from verification import __main__ as engine
-from verification import quick, reference_beds, reporting
+from verification import beside, quick, reference_beds, reporting
 from verification.reporting import Cell, Row, Script
 from verification.rows import README, ROWS, SURE
 from verification.scripts import SCRIPTS
@@ -330,6 +334,33 @@ def test_footers_have_command_day_and_physics():
     origin = reporting.provenance()
     [found] = re.findall(reporting.MADE, reporting.footer(origin))
     assert found == (origin["date"], origin["command"], str(PHYSICS))
+
+
+def test_runs_beside_a_soil_mend_a_slope_that_is_wrong():
+    """A library that is off by 2 % and says so; runs at soils beside show by how much."""
+    rng, truth, names = np.random.default_rng(0), np.array([0.3, -0.2]), 2
+    centre = np.zeros(names)
+    space = SimpleNamespace(log_bounds=lambda: (centre - 1, centre + 1))
+    logs = np.log(beside.beside(space, centre, 32))  # pyright: ignore[reportArgumentType]
+    assert np.abs(logs).max() <= beside.REACH
+    own, distance, noise = 0.2, np.full(names, 1.5), 1e-3
+    apart = logs @ truth + noise * rng.normal(size=len(logs))
+    alike = np.exp(-0.5 * (((logs[:, None] - logs) / distance) ** 2).sum(axis=2))
+    inverse = np.linalg.inv(own**2 * alike + noise**2 * np.eye(len(logs)))
+    arrays = (logs, distance, (own * inverse @ apart)[None], (own**2 * inverse)[None])
+    density = SimpleNamespace(
+        runs=FromRuns(*map(jnp.asarray, arrays)),
+        features=lambda values: jnp.ones(1),
+        error=lambda logs: jnp.full((1, 1), own),
+    )
+    density.shown = lambda values: (
+        jnp.exp(own * density.runs(jnp.log(values))[0]),
+        jnp.ones((1, 1)),
+    )
+    slopes, errors = beside.slopes_of(density, centre)  # pyright: ignore[reportArgumentType]
+    assert np.all(errors < 0.1 * own / distance)
+    np.testing.assert_allclose(slopes[0], truth, atol=3 * errors.max() + 0.01)
+    assert all(len(soil["rows"]) > 3 for soil in beside.references())
 
 
 @pytest.mark.slow
