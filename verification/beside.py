@@ -50,9 +50,8 @@ def references() -> list[dict]:
     soils = []
     for number, line in re.findall(r"(?m)^(\d+)\. (.+)$", section):
         values = {name: float(value) for name, value in (e.split(" ") for e in line.split(", "))}
-        rows = re.findall(
-            rf"(?m)^\| {number} \| (\w+) \| (\w) \| (\S+) ± (\S+) \| (\S+) ±", section
-        )
+        slopes = r"(\w+) \| (\w) \| (\S+) ± (\S+) \| (\S+) ± (\S+) \|"
+        rows = re.findall(rf"(?m)^\| {number} \| {slopes}", section)
         soils.append({"values": values, "rows": [(n, of, *map(float, x)) for n, of, *x in rows]})
     return soils
 
