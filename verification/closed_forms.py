@@ -34,7 +34,6 @@ from jdem.apparatus.direct_shear import DirectShear, round_box
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.base import DOWN, UP, Axis, point
-from jdem.boundaries.composite import PLATEN
 from jdem.boundaries.plane import Plane
 from jdem.core.quantity import cast
 from jdem.core.vector import Vector
@@ -45,12 +44,11 @@ from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
 from jdem.materials.contact_laws import BED_LAWS
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import settled
-from jdem.packing.specimen import Packing, Specimen
+from jdem.packing.specimen import Specimen
 from tests.jdem.apparatus.test_vane import ring
 from verification import reporting
 
-GRAVITY = 9.81  # m/s2
-DENSITY, SPREAD = 1830.0, 0.15  # kg/m3 of spheres, of their radius
+GRAVITY, DENSITY, SPREAD = 9.81, 1830.0, 0.15  # m/s2; kg/m3 of spheres; of their radius
 
 # ---------------------------------------------------------------- Rankine
 
@@ -59,9 +57,8 @@ DENSE = 0.6  # solid fraction with which the height was chosen
 POURED, FRICTION = 0.05, 0.3  # friction between spheres as they fall, and afterwards
 WALL, FAR_WALL, LID = 1, 2, 5  # numbers of boundaries; 0 is the base
 STROKE, STRAIN = 4e-3, 0.06  # m, of the wall under gravity; of the length, without
-PUSHED = 0.5  # s; of both strokes
+PUSHED, LID_SPEED = 0.5, 0.05  # s, of all strokes; m/s
 SMOOTHED, END = 0.05, 0.1  # of the stroke: the peak is of means over it; the end
-LID_SPEED = 0.05  # m/s
 DRY = SoilParameters(
     restitution=0.3, surface_energy=0.0, rolling_friction=0.0, shear_modulus=1e6,
     poisson_ratio=0.3, conventions=BED_LAWS["hertz_mindlin"],
@@ -84,6 +81,12 @@ class Variant:
     @property
     def name(self) -> str:
         return f"{self.radius:g}-{self.seed}-{self.speed:g}-{self.step:g}"
+
+    def inertial(self, height: float) -> float:
+        """v/H d sqrt(rho/p), p the mean vertical stress."""
+        pressure = 0.5 * DENSE * DENSITY * GRAVITY * height
+        rate = self.speed * STROKE / PUSHED / height
+        return rate * 2 * self.radius * math.sqrt(DENSITY / pressure)
 
 
 def thrown(radius: float, seed: int) -> tuple[Spheres, np.ndarray]:
@@ -152,7 +155,7 @@ class DryBed:
         whole = stack([replace(s, duration=jnp.asarray(s.duration, float)) for s in programme])
         state = begun(bed, self.place, box())
         double = jnp.dtype("float64")
-        record: Record = _advance()(bed, state, cast(whole, double), steps, CAPACITY)
+        record: Record = _compiled(run)(bed, state, cast(whole, double), steps, CAPACITY)
         record = jax.block_until_ready(record)
         if bool(record.overflow_of(self.grid)) or not bool(record.finished):
             raise RuntimeError(record.explain_overflow(self.grid) or "too few samples")
@@ -160,8 +163,8 @@ class DryBed:
 
 
 @cache
-def _advance() -> Callable:
-    return eqx.filter_jit(run)
+def _compiled(function: Callable) -> Callable:
+    return eqx.filter_jit(function)
 
 
 def pushed(variant: Variant) -> dict:
@@ -183,10 +186,9 @@ def under_gravity(bed: DryBed, base: float, stroke: float, height: float) -> dic
     programme = [movement(0.05, damping=50.0), movement(0.02), movement(time, stroke / time)]
     record = bed.advanced(programme, FRICTION, base, GRAVITY)
     way, loads, _ = _last(record)
-    place, mass = record.state.motion.position, np.asarray(bed.spheres.mass)
-    x, z = np.asarray(place.x), np.asarray(place.z)
-    near = x < float(way[-1]) + 0.5 * height
-    present = GRAVITY * float((mass * z)[near].sum()) / (0.5 * height)  # N
+    place = record.state.motion.position
+    near = np.asarray(place.x) < float(way[-1]) + 0.5 * height
+    present = GRAVITY * float((bed.spheres.mass * place.z)[near].sum()) / (0.5 * height)  # N
     first = GRAVITY * bed.mass * height / 2 / LENGTH
     wall, far = -loads[:, WALL, 0], loads[:, FAR_WALL, 0]
     late = slice(-round(END * len(wall)), None)
@@ -238,7 +240,7 @@ BEDS = 3
 COHESIVE = SoilParameters(wall_friction=0.0)
 PRESS = ConfinedCompression()  # to 400 N, 204 kPa, and back to 0
 AREA = math.pi / 4 * SIDE**2
-TRAVEL, TRIES = 6e-3, 3  # m; times that lists may grow
+TRAVEL = 6e-3  # m
 
 
 def sheared(seed: int, stress: float, speed: float = 0.02) -> dict[str, float]:
@@ -250,52 +252,39 @@ def sheared(seed: int, stress: float, speed: float = 0.02) -> dict[str, float]:
         *halves, area=AREA, normal_force=stress * AREA, servo_width=0.15 * stress * AREA,
         stroke=TRAVEL, simulated_rate=speed, peak_rows=rows, name="shear",
     )  # fmt: skip
-    found, made = _tested(BOX, (PRESS, test), seed, 0.7)
+    found, _, porosity = _tested(BOX, (PRESS, test), seed, 0.7)
     seen = found.observables["shear"]
     peaks = {name: 1e-3 * float(seen[f"{name}_stress"]) for name in ("peak_shear", "plane")}
-    return peaks | {"porosity": _porosity(found, made)}
+    return peaks | {"porosity": porosity}
 
 
 def crushed(seed: int, speed: float = 0.05) -> dict[str, float]:
     """A bed that was pressed, without its mould between smooth platens: strength (kPa) over the
     area that it has at its peak, strain there, porosity."""
-    found, made = _tested(COLUMN, (PRESS, UnconfinedCompression(simulated_rate=speed)), seed, 0.0)
+    test = UnconfinedCompression(simulated_rate=speed)
+    found, height, porosity = _tested(COLUMN, (PRESS, test), seed, 0.0)
     curve = found.curves["unconfined"]
     rows = np.asarray(curve.valid) > 0
     force, way = np.asarray(curve.force)[rows], np.asarray(curve.displacement)[rows]
-    strain = way[int(np.argmax(force))] / float(_heights(found)[0])
+    strain = float(way[int(np.argmax(force))]) / height
     peak = float(found.observables["unconfined"]["crushing_force"])
     strong = 1e-3 * peak / AREA * (1 - strain)
-    return {"strength": strong, "strain": float(strain), "porosity": _porosity(found, made)}
+    return {"strength": strong, "strain": strain, "porosity": porosity}
 
 
-def _tested(specimen: Specimen, tests, seed: int, rough: float) -> tuple[Outcome, Packing]:
-    """Tests on a settled bed between platens of this friction; lists grow where they have to."""
+def _tested(specimen: Specimen, tests, seed: int, rough: float) -> tuple[Outcome, float, float]:
+    """Tests on a settled bed between platens of this friction; height (m) and porosity as the last
+    movement begins."""
     made, soil = settled(specimen, seed), replace(COHESIVE, platen_friction=jnp.asarray(rough))
-    lab, said = VirtualLab.of(specimen, TestSequence(tests), Numerics()), ""
-    for _ in range(TRIES):
-        found = _run()(lab, made, soil)
-        if not bool(found.failed):
-            return found, made
-        said, lab = found.record.explain_overflow(lab.grid), lab.roomier(specimen)
-    raise RuntimeError(f"bed {seed}: {said}")
-
-
-@cache
-def _run() -> Callable:
-    return eqx.filter_jit(VirtualLab.run)
-
-
-def _heights(found: Outcome) -> np.ndarray:
-    """Heights (m) of the platen in the last movement."""
-    segment = np.asarray(found.record.samples.segment)
-    return np.asarray(found.record.samples.reference)[segment == segment.max(), PLATEN, 2]
-
-
-def _porosity(found: Outcome, made: Packing) -> float:
-    """As the last movement begins (-)."""
-    solid = 4 / 3 * np.pi * float(np.sum(np.asarray(made.spheres.radius) ** 3))
-    return 1 - solid / (AREA * float(_heights(found)[0]))
+    lab = VirtualLab.of(specimen, TestSequence(tests), Numerics(pairs_per_sphere=6.0))
+    found = _compiled(VirtualLab.run)(lab, made, soil)
+    if bool(found.failed):
+        raise RuntimeError(f"bed {seed}: {found.record.explain_overflow(lab.grid)}")
+    samples = found.record.samples
+    first = int(np.argmax(np.asarray(samples.segment) == int(samples.segment.max())))
+    height = float(samples.platen_height[first])
+    solid = float(made.solid_fraction() * made.height) / height
+    return found, height, 1 - solid
 
 
 def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
@@ -304,8 +293,6 @@ def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
     phi = np.arctan(slope)
     return float(cohesion), float(phi), float(2 * cohesion * np.cos(phi) / (1 - np.sin(phi)))
 
-
-# ---------------------------------------------------------------- pages
 
 COARSE, FINE = 3.5e-3, 2.5e-3  # m, radii
 BASES = ("rough", "smooth")
@@ -340,12 +327,14 @@ def rankine_page() -> str:
         angle = np.degrees(2 * np.arctan(np.sqrt(peak)) - np.pi / 2)
         rows.append([
             f"{r['spheres']}", f"{r['height'] / v.radius / 2:.1f}", f"{v.seed}", f"{v.speed:g}",
-            f"{v.step:g}", f"{r['biaxial']['porosity']:.3f}", f"{angle:.1f}",
+            f"{v.step:g}", f"{v.inertial(r['height']):.1e}", f"{r['biaxial']['porosity']:.3f}",
+            f"{angle:.1f}",
             *(f"{x:.2f}" for x in (peak, end, *k, *(each / peak for each in k))),
+            f"{r['rough']['risen']:.2f}", f"{r['rough']['opposite'][-1]:.2f}",
         ])  # fmt: skip
-    head = ("spheres", "height/d", "seed", "speed", "step", "porosity", "phi (deg)",
+    head = ("spheres", "height/d", "seed", "speed", "step", "inertial", "porosity", "phi (deg)",
             "K_p: biaxial peak", "end", "wall, rough base", "smooth base", "ratio, rough",
-            "ratio, smooth")  # fmt: skip
+            "ratio, smooth", "weight before the wall over the first", "opposite wall")  # fmt: skip
     said = "".join(
         f"- {2e3 * radius:g} mm, {base} base: {mean([each[k] for each in found])} of K_p, "
         f"{len(found)} beds.\n"
@@ -379,12 +368,17 @@ def shear_page() -> str:
             f"{found[0]['porosity']:.3f}", f"{column['porosity']:.3f}",
         ])  # fmt: skip
     rows.append(["mean", "", *(mean([e[k] for e in ends]) for k in range(4)), "", "", ""])
+    slow = (
+        kept("shear-slow", lambda: sheared(0, STRESSES[1], 0.01))["peak_shear"],
+        kept("column-slow", lambda: crushed(0, 0.025))["strength"],
+    )
     head = ("bed", "sigma on the plane: tau (kPa)", "c (kPa)", "phi (deg)", "q_u of both (kPa)",
             "q_u measured (kPa)", "strain (%)", "porosity, box", "column")  # fmt: skip
     ratio = mean([e[3] / e[2] for e in ends])
     return (
         f"# Direct shear and unconfined strength\n\n{reporting.table(head, rows)}\n"
-        f"Measured over made of c and phi: {ratio}.\n"
+        f"Measured over made of c and phi: {ratio}. Bed 0 at half the speed: tau {slow[0]:.1f} kPa "
+        f"under {1e-3 * STRESSES[1]:g} kPa, q_u {slow[1]:.1f} kPa.\n"
     )
 
 
