@@ -71,7 +71,7 @@ def ring(ends: int) -> dict[str, float]:
     of strength x arm, and tau K; and tau (Pa), as the test finds it and as it is."""
     centres, arms = around_plug(ends)
     count, plug = len(centres), plate(DIAMETER, TALL)[0]
-    test = VaneShear(plug, constant=vane_constant(DIAMETER, TALL), stroke=0.05)
+    test = VaneShear(vane=plug, constant=vane_constant(DIAMETER, TALL), stroke=0.05)
     numerics = Numerics(smoothing=Smoothing.sharp(), sample_time=1e-4)
     extent = (2 * DIAMETER, 2 * TALL)
     grid = plan_grid(count, HELD, HELD, extent, numerics, touched=plug.area)
