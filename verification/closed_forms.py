@@ -45,7 +45,7 @@ from jdem.materials.contact_laws import BED_LAWS
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import settled
 from jdem.packing.specimen import Specimen
-from tests.jdem.apparatus.test_vane import ring
+from tests.jdem.apparatus.test_tools import ring
 from verification import reporting
 
 GRAVITY, DENSITY, SPREAD = 9.81, 1830.0, 0.15  # m/s2; kg/m3 of spheres; of their radius
