@@ -7,13 +7,14 @@
 
 None of the angles and strengths is assumed.  phi of Rankine is that of the SAME bed: without
 gravity, between smooth planes, the wall is pushed in under a lid that keeps the bed's mean vertical
-stress, and K_p is the ratio of both stresses (a biaxial test in plane strain).
+stress, and K_p is the ratio of both stresses (a biaxial test in plane strain).  The box of `shear`
+is eight spheres wide and over-reads: q_u is a quarter of what its c and phi make.
 
     python -m verification.closed_forms                  some twenty minutes of a core
     python -m verification.closed_forms --parts rankine vane
 
-Runs are kept in results/benchmarks; a second call resumes.  Beds have seeds 0, 1, 2, ...  Writes
-sections of verification/results/closed_forms.md.
+Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes sections
+of verification/results/closed_forms.md.
 """
 
 import argparse
