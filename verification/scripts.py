@@ -15,6 +15,12 @@ SCRIPTS = {
     "again": Script(
         (RUN + "resolution --check --most 500",), 6, "resolution", "The same once more"
     ),
+    "rankine": Script((RUN + "closed_forms --parts rankine",), 9, "closed_forms", "Rankine"),
+    "ring": Script((RUN + "closed_forms --parts vane",), 1, "closed_forms", "A ring around a vane"),
+    "mohr_coulomb": Script(
+        (RUN + "closed_forms --parts shear",), 9, "closed_forms",
+        "Direct shear and unconfined strength",
+    ),
     "chain": Script((RUN + "tangents --chain",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),
     "posterior": Script((RUN + "posterior",), 6, "posterior", "Posteriors"),

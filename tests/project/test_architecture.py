@@ -81,6 +81,7 @@ ORDER = {
     ),
     "verification": (
         "reporting",
+        "closed_forms",
         "made_lab",
         "convergence",
         "derivatives",
