@@ -56,7 +56,6 @@ SCRIPTS = {
         (RUN + "reference_beds",), 60, "reference_beds", "Tools on the beds of another code"
     ),
     "starts": Script((RUN + "starts --hidden",), 60, "recovery", "Fits from several starts"),
-    "wall": Script((RUN + "wall",), 10, "reference_beds", "A smooth wall, beside Rankine"),
     "sizes": Script(
         (
             RUN + "sizes --ways both",

@@ -7,6 +7,7 @@ Forces are N, displacements mm where a laboratory reads them, everything else SI
 """
 
 import abc
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -157,12 +158,13 @@ class Pace:
 
 @dataclass(frozen=True)
 class Shown:
-    """What a test showed on a simulated specimen: its cylinder, its curve (points, 2; mm, N), and
-    the test's observables by source, in their units."""
+    """What a test showed on a simulated specimen: its cylinder, its curve (points, 2; mm, N), the
+    test's observables by source, in their units, and how many spheres the specimen is wide."""
 
     cylinder: Cylinder
     curve: np.ndarray
     numbers: Mapping[str, float]
+    across: float = math.inf
 
 
 def clean_name(text: str) -> str:

@@ -48,6 +48,7 @@ WIDTH = 0.15  # of the lid's force, within which its servo slows down
 FARTHEST = 0.25  # of the diameter, by which the halves may move
 OPENS = 0.2  # of the height, which the gap may take
 TRAVEL = Range(LENGTH, "1 mm", "60 mm")
+LEAST_ACROSS = 10  # grains that a box is wide, in ASTM D3080
 RING = Cylinder(0.0618, 0.02)  # m; of GB/T 50123
 
 
@@ -159,12 +160,18 @@ class DirectShearTest(AbstractLabTest):
         return {LID: 1e-3 * self.normal_stress}
 
     def doubt(self, observable: Observable, shown: Shown) -> str:
-        if observable.source != PEAK.source or not still_rises(*shown.curve.T):
-            return ""
-        return (
-            f"the shear force still rises at the end of the travel, {1e3 * self.travel:.3g} mm: "
-            "there is no peak, the number is where the curve stops"
-        )
+        said = []
+        if shown.across < LEAST_ACROSS and observable in (PEAK, RESIDUAL):
+            said.append(
+                f"the box is {shown.across:.1f} spheres wide, and ASTM D3080 asks for "
+                f"{LEAST_ACROSS}: strengths depend on the spheres' size; give a finer --preset"
+            )
+        if observable.source == PEAK.source and still_rises(*shown.curve.T):
+            said.append(
+                f"the shear force still rises at the end of the travel, {1e3 * self.travel:.3g} "
+                "mm: there is no peak, the number is where the curve stops"
+            )
+        return "; ".join(said)
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         area = math.pi / 4 * cylinder.diameter**2

@@ -136,7 +136,8 @@ def _shown(lab: Lab, test: AbstractLabTest, run: Run) -> Shown:
     """What a test showed in one run."""
     called = names_of(lab.tests)
     numbers = {o.source: run.observables[called[test.called, o.source][0]] for o in test.given}
-    return Shown(lab.cylinder_of(test.called), run.curves[test.called], numbers)
+    across = run.quality.get("spheres_across", np.inf)
+    return Shown(lab.cylinder_of(test.called), run.curves[test.called], numbers, across)
 
 
 ACROSS = ("spheres_across", "tool_across", "porosity")

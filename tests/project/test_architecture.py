@@ -105,7 +105,6 @@ ORDER = {
         "sizes",
         "starts",
         "tangents",
-        "wall",
         "whole_curves",
         "scripts",
         "rows",

@@ -315,6 +315,19 @@ def test_soil_that_stands_has_no_angle_of_repose():
     assert not test.doubt(angle, Shown(Cylinder(0.06, 0.05, None), np.zeros((0, 2)), heap))
 
 
+@pytest.mark.parametrize(("across", "said"), [(9.9, "9.9 spheres wide"), (10.0, ""), (19.0, "")])
+def test_a_narrow_shear_box_is_doubted(across, said):
+    test = DirectShearTest.model_validate({"normal_stress": "50 kPa"})
+    peak, residual, on_plane = test.given
+    way = np.linspace(0, 6, 100)
+    flat = np.stack([way, 100 * np.minimum(way, 1)], axis=1)
+    shown = Shown(Cylinder(0.0618, 0.02, None), flat, {}, across)
+    for strength in (peak, residual):
+        assert said in test.doubt(strength, shown)
+        assert bool(test.doubt(strength, shown)) == bool(said)
+    assert not test.doubt(on_plane, shown)
+
+
 # ---------------------------------------------------------------- some fitted, others verified
 
 OWN = 'specimen = { diameter = "60 mm", height = "40 mm" }\n'
