@@ -56,6 +56,9 @@ SCRIPTS = {
         (RUN + "reference_beds",), 60, "reference_beds", "Tools on the beds of another code"
     ),
     "starts": Script((RUN + "starts --hidden",), 60, "recovery", "Fits from several starts"),
+    "hidden_starts": Script(
+        (RUN + "starts --hidden 0 1",), 40, "recovery", "Fits of hidden soils, both ways"
+    ),
     "sizes": Script(
         (
             RUN + "sizes --ways both",

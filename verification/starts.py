@@ -8,11 +8,11 @@ fresh packings.  The bundled soil is fitted from three starts; hidden soils
 (`verification.hidden_soils`) from the bundled soil.  Processor seconds are those of the whole fit,
 with compiling and the check; beds are grown before.
 
-    python -m verification.starts                    some hour and a half of a core
-    python -m verification.starts --hidden 0 1 2     hidden soils 0, 1 and 2 beside the starts
+    python -m verification.starts --hidden           the three starts, an hour of a core
+    python -m verification.starts --hidden 0 1 2     these hidden soils instead, as long
 
-Fits are kept in results/benchmarks; a second call goes on with the next one.  Writes a section of
-verification/results/recovery.md after each.
+Fits are kept in results/benchmarks; a second call goes on with the next one.  Writes one of two
+sections of verification/results/recovery.md after each.
 """
 
 import argparse
@@ -89,11 +89,11 @@ def _numbers(found: Calibrated) -> dict:
     }
 
 
-def markdown(rows: list[dict], origin: dict) -> str:
+def markdown(title: str, rows: list[dict], origin: dict) -> str:
     """A row for each fit and observable, then what both ways cost."""
     cells = [_cells(row, name) for row in rows for name in row["measured"]]
     return (
-        "# Fits from several starts\n\nFour packings of "
+        f"# {title}\n\nFour packings of "
         f"{STANDARD.spheres} spheres decide; smaller beds have {PRESETS['standard'].explored}.\n\n"
         + reporting.table(HEADER, cells)
         + "\n" + _summary(rows) + reporting.footer(origin)
@@ -130,23 +130,25 @@ def _summary(rows: list[dict]) -> str:
 
 def cases(hidden: list[int]) -> list[tuple[str, str, Lab]]:
     """(soil, start, lab) of every pair of fits."""
-    bundled = load_lab(bundled_lab())
-    found = [("bundled", start, bundled) for start in STARTS]
+    if not hidden:
+        bundled = load_lab(bundled_lab())
+        return [("bundled", start, bundled) for start in STARTS]
     soils = reporting.earlier("hidden_soils", "entries")
-    for number in hidden:
-        truth = soils[str(number)]["hidden"]
-        lab = Laboratory.made(number, truth, reporting.CACHE).lab
-        found.append((f"hidden {number}", "base", lab))
-    return found
+    return [
+        (f"hidden {number}", "base", Laboratory.made(number, truth, reporting.CACHE).lab)
+        for number in hidden
+        for truth in [soils[str(number)]["hidden"]]
+    ]
 
 
 def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
-    parser.add_argument("--hidden", nargs="*", type=int, default=[0, 1, 2])
+    parser.add_argument("--hidden", nargs="*", type=int, default=[])
     parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS)
     chosen = parser.parse_args()
     reporting.configure()
+    title = "Fits of hidden soils, both ways" if chosen.hidden else "Fits from several starts"
     folder, rows = reporting.kept("starts"), []
     for soil, start, lab in cases(chosen.hidden):
         prepared(lab, folder / "beds")
@@ -156,7 +158,7 @@ def main() -> None:
                          **fitted(lab, start, way, place, folder / "beds")})  # fmt: skip
             origin = reporting.provenance()
             reporting.write_content("starts", {**origin, "rows": rows})
-            reporting.write_section("recovery", markdown(rows, origin))
+            reporting.write_section("recovery", markdown(title, rows, origin))
             print(rows[-1], flush=True)
 
 
