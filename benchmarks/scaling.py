@@ -20,7 +20,9 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,54 +149,55 @@ def loaded(count: int) -> tuple[Bed, BedState]:
 
 def parts(count: int) -> dict[str, float]:
     """Microseconds of the whole step, of each of its parts and of renewing the lists."""
-    bed, state = loaded(count)
-    rows, still = bed.spheres.rows(state.motion), jnp.zeros(())
-    blank = Loads(jnp.zeros((count, 8)), jnp.zeros(4), still)
+    fixed = loaded(count)
+    bed, state = fixed
+    still, loads = jnp.zeros(()), jnp.zeros((count, 8))
+    rows, position = bed.spheres.rows(state.motion), state.motion.position
     command = Command(jnp.zeros((3, 3)), jnp.asarray(200.0), still)
 
-    def pairs(carry):
+    def pairs(fixed, carry):
         rows, listed = carry
-        loads, listed = pair_loads(bed, rows, listed)
-        return rows + 1e-40 * loads.rows[0, 0], listed
+        found, listed = pair_loads(fixed[0], rows, listed)
+        return rows + 1e-40 * found.rows[0, 0], listed
 
-    def walls(carry):
-        rows, listed, loads = carry
-        found, listed, _ = wall_loads(bed, rows, state.boundaries, listed, loads)
+    def walls(fixed, carry):
+        (bed, state), (rows, listed, loads) = fixed, carry
+        given = Loads(loads, jnp.zeros(4), still)
+        found, listed, _ = wall_loads(bed, rows, state.boundaries, listed, given)
         return rows + 1e-40 * found.rows[0, 0], listed, loads
 
-    def motion(carry):
-        motion, loads = carry
-        return next_motion(bed, motion, still, loads, command)[0], loads
+    def motion(fixed, carry):
+        return next_motion(fixed[0], carry[0], still, carry[1], command)[0], carry[1]
 
-    def lists(carry):
-        position, listed, met = carry
-        listed, met, _ = rebuild(bed.grid, bed.spheres, state.boundaries, position, listed, met)
-        return position, listed, met
+    def lists(fixed, carry):
+        (bed, state), (position, *old) = fixed, carry
+        return position, *rebuild(bed.grid, bed.spheres, state.boundaries, position, *old)[:2]
 
-    met = state.wall_contacts
+    listed, met = state.pairs, state.wall_contacts
     return {
-        "step": _microseconds(lambda now: step(bed, now, command), state, count),
-        "pairs": _microseconds(pairs, (rows, state.pairs), count),
-        "walls": _microseconds(walls, (rows, met, blank), count),
-        "motion": _microseconds(motion, (state.motion, blank.rows), count),
-        "lists": _microseconds(lists, (state.motion.position, state.pairs, met), count),
-        "listed": float(np.sum(np.asarray(state.pairs.alive) > 0)),
+        "step": _microseconds(lambda fixed, now: step(fixed[0], now, command), fixed, state),
+        "pairs": _microseconds(pairs, fixed, (rows, listed)),
+        "walls": _microseconds(walls, fixed, (rows, met, loads)),
+        "motion": _microseconds(motion, fixed, (state.motion, loads)),
+        "lists": _microseconds(lists, fixed, (position, listed, met)),
+        "listed": float(np.sum(np.asarray(listed.alive) > 0)),
     }
 
 
-def _microseconds(part, carry, count: int) -> float:
-    """Least processor time of a turn, of three times so many turns that it takes a second."""
-    turns = max(50, int(1e6 / count))
+def _microseconds(part: Callable, fixed: tuple[Bed, BedState], carry) -> float:
+    """Least processor time of a turn, of three times so many turns that it takes a second; the bed
+    is an argument, so that no program knows it."""
+    turns = max(50, int(1e6 / fixed[0].spheres.count))
 
-    @jax.jit
-    def turned(carry):
+    @eqx.filter_jit
+    def turned(fixed, carry):
         with fenced():
-            return jax.lax.fori_loop(0, turns, lambda _, now: part(now), carry)
+            return jax.lax.fori_loop(0, turns, lambda _, now: part(fixed, now), carry)
 
     spent = []
     for _ in range(4):
         begun = time.process_time()
-        jax.block_until_ready(turned(carry))
+        jax.block_until_ready(turned(fixed, carry))
         spent.append(time.process_time() - begun)
     return 1e6 * min(spent[1:]) / turns
 
