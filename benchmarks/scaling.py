@@ -221,7 +221,8 @@ def markdown_of_parts(found: dict[int, dict[str, float]], origin: dict) -> str:
     )  # fmt: skip
     return (
         "## Parts of a step\n\nBeds of soil under 400 N, one process on one core, float64. Lists "
-        "are renewed once in many steps.\n\n"
+        "are renewed once in many steps. A part by itself finds the caches in another state, so "
+        "that parts do not quite add up.\n\n"
         + reporting.table(header, rows)
         + reporting.footer(origin)
     )
