@@ -8,7 +8,7 @@
 None of the angles and strengths is assumed.  phi of Rankine is that of the SAME bed: without
 gravity, between smooth planes, the wall is pushed in under a lid that keeps the bed's mean vertical
 stress, and K_p is the ratio of both stresses (a biaxial test in plane strain).  The box of `shear`
-is eight spheres wide and over-reads: q_u is a quarter of what its c and phi make.
+is eight spheres wide and over-reads: q_u of bed 0 is a quarter of what its c and phi make.
 
     python -m verification.closed_forms                  some twenty minutes of a core
     python -m verification.closed_forms --parts rankine vane

@@ -136,8 +136,17 @@ def _shown(lab: Lab, test: AbstractLabTest, run: Run) -> Shown:
     """What a test showed in one run."""
     called = names_of(lab.tests)
     numbers = {o.source: run.observables[called[test.called, o.source][0]] for o in test.given}
-    across = run.quality.get("spheres_across", np.inf)
+    across = run.quality.get("spheres_across", np.inf) * _wider(lab, test)
     return Shown(lab.cylinder_of(test.called), run.curves[test.called], numbers, across)
+
+
+def _wider(lab: Lab, test: AbstractLabTest) -> float:
+    """How many times as many spheres across a test's specimen is as the narrowest of the lab: as
+    many spheres fill each, so that their diameter goes with the cube root of its volume."""
+    every = [lab.cylinder_of(each.called) for each in lab.tests if each.with_soil]
+    slender = min(each.diameter / each.height for each in every)
+    own = lab.cylinder_of(test.called)
+    return float((own.diameter / own.height / slender) ** (1 / 3))
 
 
 ACROSS = ("spheres_across", "tool_across", "porosity")

@@ -30,7 +30,7 @@ from calibrate.labtests.unconfined import FAILURE_STRAIN
 from calibrate.records.base import Measured, record
 from calibrate.simulation.resolution import Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
-from calibrate.simulation.specimens import campaign, measured_json, simulate
+from calibrate.simulation.specimens import _wider, campaign, measured_json, simulate
 from calibrate.verbs.example import examples
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -313,6 +313,21 @@ def test_soil_that_stands_has_no_angle_of_repose():
     assert "92 % as high" in said and "stands" in said
     assert not test.doubt(height, Shown(Cylinder(0.06, 0.04, None), np.zeros((0, 2)), heap))
     assert not test.doubt(angle, Shown(Cylinder(0.06, 0.05, None), np.zeros((0, 2)), heap))
+
+
+def test_a_box_beside_a_column_is_as_wide_as_it_is(tmp_path):
+    """A run knows how wide its narrowest specimen is; as many spheres fill the flat box."""
+    path = tmp_path / "lab.toml"
+    box = 'specimen = { diameter = "61.8 mm", height = "20 mm" }\n'
+    path.write_text(
+        '[soil]\nname = "both"\n[specimen]\ndiameter = "50 mm"\nheight = "100 mm"\n'
+        '[[tests]]\ntype = "confined"\n' + SHEAR.rstrip() + "\n" + box,
+        encoding="utf-8",
+    )
+    lab = load_lab(path)
+    column, sheared = lab.tests
+    assert _wider(lab, column) == 1.0
+    assert _wider(lab, sheared) == pytest.approx((0.0618 / 0.02 / 0.5) ** (1 / 3))
 
 
 @pytest.mark.parametrize(("across", "said"), [(9.9, "9.9 spheres wide"), (10.0, ""), (19.0, "")])
