@@ -152,7 +152,7 @@ class Archive:
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w") as file:
             for name, data in sorted(content.items()):
-                file.writestr(zipfile.ZipInfo(name), data)
+                file.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_LZMA)
         write_bytes(self.path, packed.getvalue())
 
 

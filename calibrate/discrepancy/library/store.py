@@ -88,7 +88,8 @@ def _write(path: Path, data: dict, names: dict, attributes: dict) -> None:
     from xarray import Dataset  # a second, which reading does without
 
     dataset = Dataset(data, coords=names, attrs=attributes)
-    packed = {name: {"zlib": True, "complevel": 6} for name in dataset.data_vars}
+    tight = {"zlib": True, "complevel": 9, "shuffle": True}
+    packed = {name: tight for name in dataset.data_vars}
     with whole(path) as part:
         dataset.to_netcdf(part, engine="h5netcdf", encoding=packed)
 
