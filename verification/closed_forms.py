@@ -1,16 +1,14 @@
-"""Beds of spheres beside three closed forms of soil mechanics.
+"""Beds of spheres beside two closed forms of soil mechanics.
 
     Rankine        P = K_p rho g H^2 W/2 on a smooth wall that is moved into dry soil,
                    K_p = tan^2(45 + phi/2)
     vane           T = tau pi D^2 H/2 (1 + D/(3 H)), tau the same on mantle and both ends
-    Mohr-Coulomb   q_u = 2 c cos(phi)/(1 - sin(phi)), tau = c + sigma tan(phi) in direct shear
 
 None of the angles and strengths is assumed.  phi of Rankine is that of the SAME bed: without
 gravity, between smooth planes, the wall is pushed in under a lid that keeps the bed's mean vertical
-stress, and K_p is the ratio of both stresses (a biaxial test in plane strain).  The box of `shear`
-is eight spheres wide and over-reads: q_u of bed 0 is a quarter of what its c and phi make.
+stress, and K_p is the ratio of both stresses (a biaxial test in plane strain).
 
-    python -m verification.closed_forms                  some twenty minutes of a core
+    python -m verification.closed_forms                  some fifteen minutes of a core
     python -m verification.closed_forms --parts rankine vane
 
 Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes sections
@@ -30,9 +28,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.core.files import write_json
-from jdem.apparatus.confined import ConfinedCompression
-from jdem.apparatus.direct_shear import DirectShear, round_box
-from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.bodies.spheres import Spheres
 from jdem.boundaries.base import DOWN, UP, Axis, point
 from jdem.boundaries.plane import Plane
@@ -41,11 +36,8 @@ from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid
 from jdem.engine.loop import Record, begun, run
 from jdem.engine.segment import KEEP, LOWER, Segment, stack
-from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
 from jdem.materials.contact_laws import BED_LAWS
 from jdem.materials.soil import SoilParameters
-from jdem.packing.settling import settled
-from jdem.packing.specimen import Specimen
 from tests.jdem.apparatus.test_tools import ring
 from verification import reporting
 
@@ -132,8 +124,8 @@ def movement(
 class DryBed:
     """Spheres of a variant in the box, and where they lie (m)."""
 
-    def __init__(self, variant: Variant):
-        self.variant = variant
+    def __init__(self, variant: Variant, soil: SoilParameters = DRY):
+        self.variant, self.soil = variant, soil
         self.spheres, centres = thrown(variant.radius, variant.seed)
         self.place = Vector.from_rows(jnp.asarray(centres))
         self.mass = float(np.sum(self.spheres.mass))
@@ -141,10 +133,14 @@ class DryBed:
         extent = (LENGTH, float(centres[:, 2].max()) + 2 * largest)
         self.grid = plan_grid(self.spheres.count, variant.radius, largest, extent, NUMERICS)
 
+    def pour(self) -> None:
+        falls = [movement(0.3, damping=20.0), movement(0.1, damping=100.0), movement(0.02)]
+        self.place = self.advanced(falls, POURED, POURED, GRAVITY).state.motion.position
+
     def advanced(self, programme: list[Segment], friction: float, base: float, gravity: float):
         """The record of a programme from where the spheres lie, with frictions of spheres and base
         (-) and gravity (m/s2)."""
-        soil = replace(DRY, static_friction=jnp.asarray(friction))
+        soil = replace(self.soil, static_friction=jnp.asarray(friction))
         bed = build_bed(
             self.spheres, soil, self.grid, NUMERICS, surfaces=("mould",) * (LID + 1), follows=None
         )
@@ -156,7 +152,7 @@ class DryBed:
         whole = stack([replace(s, duration=jnp.asarray(s.duration, float)) for s in programme])
         state = begun(bed, self.place, box())
         double = jnp.dtype("float64")
-        record: Record = _compiled(run)(bed, state, cast(whole, double), steps, CAPACITY)
+        record: Record = compiled(run)(bed, state, cast(whole, double), steps, CAPACITY)
         record = jax.block_until_ready(record)
         if bool(record.overflow_of(self.grid)) or not bool(record.finished):
             raise RuntimeError(record.explain_overflow(self.grid) or "too few samples")
@@ -164,15 +160,14 @@ class DryBed:
 
 
 @cache
-def _compiled(function: Callable) -> Callable:
+def compiled(function: Callable) -> Callable:
     return eqx.filter_jit(function)
 
 
 def pushed(variant: Variant) -> dict:
     """One bed: K of the wall on a rough base and on a smooth one, and in the biaxial test."""
     bed = DryBed(variant)
-    falls = [movement(0.3, damping=20.0), movement(0.1, damping=100.0), movement(0.02)]
-    bed.place = bed.advanced(falls, POURED, POURED, GRAVITY).state.motion.position
+    bed.pour()
     height = 2 * float(np.sum(bed.spheres.mass * bed.place.z)) / bed.mass
     found = {"spheres": bed.spheres.count, "height": height}
     found["rough"] = under_gravity(bed, FRICTION, STROKE, height)
@@ -198,7 +193,7 @@ def under_gravity(bed: DryBed, base: float, stroke: float, height: float) -> dic
             "opposite": _course(far / first)}  # fmt: skip
 
 
-def biaxial(bed: DryBed) -> dict:
+def biaxial(bed: DryBed, friction: float = FRICTION) -> dict:
     """Horizontal over vertical stress without gravity, on a smooth base; the height that carries
     stress is twice that of the centre of mass, as the lid touches few spheres."""
     time, load = PUSHED / bed.variant.speed, 0.5 * bed.mass * GRAVITY
@@ -206,7 +201,7 @@ def biaxial(bed: DryBed) -> dict:
         movement(0.2, damping=50.0, load=load, lid=LOWER), movement(0.03, load=load),
         movement(time, STRAIN * LENGTH / time, load=load),
     ]  # fmt: skip
-    record = bed.advanced(programme, FRICTION, 0.0, 0.0)
+    record = bed.advanced(programme, friction, 0.0, 0.0)
     way, loads, lid = _last(record)
     height = 2 * float(np.sum(bed.spheres.mass * record.state.motion.position.z)) / bed.mass
     filled = height / float(lid[-1])
@@ -229,70 +224,6 @@ def _last(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _course(values: np.ndarray) -> list[float]:
     """Means over a twentieth of the stroke each."""
     return [float(f"{part.mean():.4g}") for part in np.array_split(values, 20)]
-
-
-# ---------------------------------------------------------------- Mohr-Coulomb
-
-SIDE = 0.05  # m; diameter of box and column
-BOX = Specimen(diameter=SIDE, height=SIDE, count=500)
-COLUMN = Specimen(diameter=SIDE, height=2 * SIDE, count=1000)
-STRESSES = (12.5e3, 25e3, 50e3)  # Pa, of the lid
-BEDS = 3
-COHESIVE = SoilParameters(wall_friction=0.0)
-PRESS = ConfinedCompression()  # to 400 N, 204 kPa, and back to 0
-AREA = math.pi / 4 * SIDE**2
-TRAVEL = 6e-3  # m
-
-
-def sheared(seed: int, stress: float, speed: float = 0.02) -> dict[str, float]:
-    """A bed that was pressed, sheared under a lid of `stress` (Pa): peak and normal stress on the
-    plane (kPa), porosity."""
-    lower, upper = round_box(SIDE, SIDE, 0.45 * SIDE, 1e-3, 1.5 * TRAVEL)
-    rows = 2 * int(1e-4 / (speed * 2.5e-4) / 2) + 1
-    test = DirectShear(
-        lower=lower, upper=upper, area=AREA, normal_force=stress * AREA, stroke=TRAVEL,
-        servo_width=0.15 * stress * AREA, simulated_rate=speed, peak_rows=rows, name="shear",
-    )  # fmt: skip
-    found, _, porosity = _tested(BOX, (PRESS, test), seed, 0.7)
-    seen = found.observables["shear"]
-    peak, plane = (1e-3 * float(seen[f"{name}_stress"]) for name in ("peak_shear", "plane"))
-    return {"peak_shear": peak, "plane": plane, "porosity": porosity}
-
-
-def crushed(seed: int, speed: float = 0.05) -> dict[str, float]:
-    """A bed that was pressed, without its mould between smooth platens: strength (kPa) over the
-    area that it has at its peak, strain there, porosity."""
-    test = UnconfinedCompression(simulated_rate=speed)
-    found, height, porosity = _tested(COLUMN, (PRESS, test), seed, 0.0)
-    curve = found.curves["unconfined"]
-    rows = np.asarray(curve.valid) > 0
-    force, way = np.asarray(curve.force)[rows], np.asarray(curve.displacement)[rows]
-    strain = float(way[int(np.argmax(force))]) / height
-    peak = float(found.observables["unconfined"]["crushing_force"])
-    strong = 1e-3 * peak / AREA * (1 - strain)
-    return {"strength": strong, "strain": strain, "porosity": porosity}
-
-
-def _tested(specimen: Specimen, tests, seed: int, rough: float) -> tuple[Outcome, float, float]:
-    """Tests on a settled bed between platens of this friction; height (m) and porosity as the last
-    movement begins."""
-    made, soil = settled(specimen, seed), replace(COHESIVE, platen_friction=jnp.asarray(rough))
-    lab = VirtualLab.of(specimen, TestSequence(tests), Numerics(pairs_per_sphere=6.0))
-    found = _compiled(VirtualLab.run)(lab, made, soil)
-    if bool(found.failed):
-        raise RuntimeError(f"bed {seed}: {found.record.explain_overflow(lab.grid)}")
-    samples = found.record.samples
-    first = int(np.argmax(np.asarray(samples.segment) == int(samples.segment.max())))
-    height = float(samples.platen_height[first])
-    solid = float(made.solid_fraction() * made.height) / height
-    return found, height, 1 - solid
-
-
-def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
-    """c (kPa), phi (rad) and the q_u (kPa) that they make, by a line through peaks of one bed."""
-    slope, cohesion = np.polyfit([r["plane"] for r in rows], [r["peak_shear"] for r in rows], 1)
-    phi = np.arctan(slope)
-    return float(cohesion), float(phi), float(2 * cohesion * np.cos(phi) / (1 - np.sin(phi)))
 
 
 COARSE, FINE = 3.5e-3, 2.5e-3  # m, radii
@@ -352,35 +283,8 @@ def vane_page() -> str:
     return "# A ring around a vane\n\n" + reporting.table(head, rows)
 
 
-def shear_page() -> str:
-    rows, ends = [], []
-    for bed in range(BEDS):
-        found = [kept(f"shear-{bed}-{p:g}", lambda b=bed, p=p: sheared(b, p)) for p in STRESSES]
-        column = kept(f"column-{bed}", lambda b=bed: crushed(b))
-        c, phi, made = mohr_coulomb(found)
-        ends.append((c, np.degrees(phi), made, column["strength"]))
-        each = "; ".join(f"{r['plane']:.0f}: {r['peak_shear']:.0f}" for r in found)
-        rows.append([
-            f"{bed}", each, *(f"{x:.1f}" for x in ends[-1]), f"{100 * column['strain']:.1f}",
-            f"{found[0]['porosity']:.3f}", f"{column['porosity']:.3f}",
-        ])  # fmt: skip
-    rows.append(["mean", "", *(mean([e[k] for e in ends]) for k in range(4)), "", "", ""])
-    slow = (
-        kept("shear-slow", lambda: sheared(0, STRESSES[1], 0.01))["peak_shear"],
-        kept("column-slow", lambda: crushed(0, 0.025))["strength"],
-    )
-    head = ("bed", "sigma on the plane: tau (kPa)", "c (kPa)", "phi (deg)", "q_u of both (kPa)",
-            "q_u measured (kPa)", "strain (%)", "porosity, box", "column")  # fmt: skip
-    ratio = mean([e[3] / e[2] for e in ends])
-    return (
-        f"# Direct shear and unconfined strength\n\n{reporting.table(head, rows)}\n"
-        f"Measured over made of c and phi: {ratio}. Bed 0 at half the speed: tau {slow[0]:.1f} kPa "
-        f"under {1e-3 * STRESSES[1]:g} kPa, q_u {slow[1]:.1f} kPa.\n"
-    )
-
-
 PARTS: dict[str, Callable[[], str]] = {
-    "rankine": lambda: rankine_page("Rankine", VARIANTS), "vane": vane_page, "shear": shear_page,
+    "rankine": lambda: rankine_page("Rankine", VARIANTS), "vane": vane_page,
     "checks": lambda: rankine_page("Rankine, slower and with a smaller step", CHECKS),
 }  # fmt: skip
 

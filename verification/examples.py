@@ -159,7 +159,7 @@ def _section(name: str, row: dict) -> str:
         [label(each), _number(value, row["spread"][each]), _measured(row["targets"].get(each))]
         for each, value in row["observables"].items()
     ]
-    rows += [[each.replace("_", " "), f"{x:.4g}", ""] for each, x in row["together"].items()]
+    rows += [[label(each), f"{x:.4g}", ""] for each, x in row["together"].items()]
     failed = f", of which {row['failed']} failed" if row["failed"] else ""
     warned = "".join(f"\nWarning: {each}.\n" for each in dict.fromkeys(row["warnings"]))
     return (

@@ -47,6 +47,7 @@ height = "20 mm"
 [[tests]]
 type = "direct_shear"
 normal_stress = "50 kPa"
+gap = "1 mm"  # 0.3 of a sphere
 targets.peak_shear_stress = { mean = "60 kPa", scatter = "5 kPa", repeats = 4 }  # not looked at
 
 [[tests]]

@@ -149,11 +149,12 @@ class ResultChannel:
 @dataclass(frozen=True)
 class Pace:
     """How a simulation moves: platen speeds (m/s) with the specimen in its mould, and free; the
-    time (s) between samples."""
+    time (s) between samples; the mean diameter of its spheres (m), 0 where there are none."""
 
     in_mould: float
     free: float
     sample_time: float
+    sphere: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,10 @@ PEAK_TRAVEL = 1e-4  # m, over which the peak is averaged
 WIDTH = 0.15  # of the lid's force, within which its servo slows down
 FARTHEST = 0.25  # of the diameter, by which the halves may move
 OPENS = 0.2  # of the height, which the gap may take
+HALF, CAUGHT = 0.5, 0.4  # of a sphere: how far the halves stand apart; below it spheres are caught
 TRAVEL = Range(LENGTH, "1 mm", "60 mm")
-LEAST_ACROSS = 10  # grains that a box is wide, in ASTM D3080
+ASTM_ACROSS = 10  # grains that a box is wide, in ASTM D3080
+WIDE_ACROSS = 60  # of sands without an effect of size: doi 10.3390/civileng3010005
 RING = Cylinder(0.0618, 0.02)  # m; of GB/T 50123
 
 
@@ -80,7 +82,7 @@ class ShearRecord(AbstractMachineRecord):
     own_bed = True
 
     def entries(self, tool: Sequence[float]) -> tuple[dict[str, Any], str]:
-        return {}, "the gap between the halves"
+        return {}, ""
 
     def bed(self, test: Any) -> Cylinder:
         return RING
@@ -92,9 +94,7 @@ class ShearRecord(AbstractMachineRecord):
             problem = f"the halves of the box move by {1e3 * travel:.3g} mm"
             repair = f"export {TRAVEL.low} to {TRAVEL.high}, or check the unit of displacement"
             raise BadValue(problem, repair)
-        usual = DirectShearTest.model_fields["gap"].default
-        gap = min(usual, OPENS * cylinder.height, travel / 2)
-        return {"travel": millimetres(travel), "gap": millimetres(gap)}
+        return {"travel": millimetres(travel)}
 
     def numbers(self, test: Any, cylinder: Cylinder, curve: Curve) -> dict[str, float]:
         """The peak, and the stress at the end where the peak lies before."""
@@ -109,8 +109,11 @@ class ShearRecord(AbstractMachineRecord):
 
 
 class DirectShearTest(AbstractLabTest):
-    """Shear under a `normal_stress` (Pa) of the lid at `rate` (m/s) through `travel` (m); `gap` (m)
-    between the halves."""
+    """Shear under a `normal_stress` (Pa) of the lid at `rate` (m/s) through `travel` (m).
+
+    `gap` (m) is that between the halves, half a sphere unless stated: a laboratory opens its box by
+    a large grain, and spheres larger than the gap's grains are caught by the edges of both halves.
+    """
 
     type_name = "direct_shear"
     title = "direct shear"
@@ -128,11 +131,11 @@ class DirectShearTest(AbstractLabTest):
     normal_stress: Annotated[Stress, SHEARED] = required('normal_stress = "50 kPa"')
     rate: Annotated[Speed, Range(SPEED, "0.001 mm/min", "100 mm/s")] = 1e-3 / 60
     travel: Annotated[Length, TRAVEL] = 6e-3
-    gap: Annotated[Length, Range(LENGTH, "0.1 mm", "20 mm")] = 1e-3
+    gap: Annotated[Length, Range(LENGTH, "0.1 mm", "20 mm")] | None = None
 
     @model_validator(mode="after")
     def _check_gap(self) -> "DirectShearTest":
-        if self.gap >= self.travel:
+        if self.gap is not None and self.gap >= self.travel:
             raise BadValue("the gap is wider than the travel", "give a narrower one", "gap")
         return self
 
@@ -140,7 +143,7 @@ class DirectShearTest(AbstractLabTest):
         if self.travel > FARTHEST * cylinder.diameter:
             problem = "the halves move by more than a quarter of their diameter"
             raise BadValue(problem, "give less travel, or a wider specimen", "travel")
-        if self.gap > OPENS * cylinder.height:
+        if self.gap is not None and self.gap > OPENS * cylinder.height:
             raise BadValue("the gap is a large part of the height", "give a narrower one", "gap")
 
     @classmethod
@@ -161,10 +164,17 @@ class DirectShearTest(AbstractLabTest):
 
     def doubt(self, observable: Observable, shown: Shown) -> str:
         said = []
-        if shown.across < LEAST_ACROSS and observable in (PEAK, RESIDUAL):
+        if shown.across < WIDE_ACROSS and observable in (PEAK, RESIDUAL):
+            least = f" (ASTM D3080 asks for {ASTM_ACROSS})" * (shown.across < ASTM_ACROSS)
             said.append(
-                f"the box is {shown.across:.1f} spheres wide, and ASTM D3080 asks for "
-                f"{LEAST_ACROSS}: strengths depend on the spheres' size; give a finer --preset"
+                f"the box is {shown.across:.1f} spheres wide{least}: below {WIDE_ACROSS} strengths "
+                "read high, and a fit to them finds too little friction for other tests"
+            )
+        sphere = shown.cylinder.diameter / shown.across
+        if self.gap is not None and self.gap < CAUGHT * sphere and observable in (PEAK, RESIDUAL):
+            said.append(
+                f"the gap of {1e3 * self.gap:.3g} mm is {self.gap / sphere:.2f} of a sphere: the "
+                "edges of both halves catch spheres, and strengths read too high; leave `gap` out"
             )
         if observable.source == PEAK.source and still_rises(*shown.curve.T):
             said.append(
@@ -175,8 +185,10 @@ class DirectShearTest(AbstractLabTest):
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         area = math.pi / 4 * cylinder.diameter**2
+        usual = min(HALF * pace.sphere, OPENS * cylinder.height)
+        gap = usual if self.gap is None else self.gap
         lower, upper = round_box(
-            cylinder.diameter, cylinder.height, cylinder.height / 2, self.gap, LIP * self.travel
+            cylinder.diameter, cylinder.height, cylinder.height / 2, gap, LIP * self.travel
         )
         speed = SLOWER * pace.free
         rows = 2 * int(PEAK_TRAVEL / (speed * pace.sample_time) / 2) + 1

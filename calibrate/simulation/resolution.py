@@ -81,7 +81,8 @@ def virtual_lab(
     tested = lab.specimens()[number]
     filled = _filled(lab, tested.cylinder, preset)
     numerics = numerics_for(filled, dtype=preset.dtype) if numerics is None else numerics
-    pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time)
+    sphere = 2 * filled.mean_radius()
+    pace = Pace(preset.rate_in_mould, preset.rate_free, numerics.sample_time, sphere)
     apparatus = tuple(test.machine(tested.cylinder, pace) for test in tested.tests)
     return VirtualLab.of(filled, TestSequence(apparatus), numerics, reach=_reach(lab, filled))
 

@@ -82,6 +82,7 @@ ORDER = {
     "verification": (
         "reporting",
         "closed_forms",
+        "shear_boxes",
         "made_lab",
         "convergence",
         "derivatives",

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -21,14 +22,14 @@ from calibrate.inference.problem import pose
 from calibrate.inference.verified import parts
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
-from calibrate.labtests.base import Shown
+from calibrate.labtests.base import Pace, Shown
 from calibrate.labtests.composite import TYPES
 from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.repose import ReposeTest
 from calibrate.labtests.unconfined import FAILURE_STRAIN
 from calibrate.records.base import Measured, record
-from calibrate.simulation.resolution import Preset, specimen, virtual_lab
+from calibrate.simulation.resolution import PRESETS, Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
 from calibrate.simulation.specimens import _wider, campaign, measured_json, simulate
 from calibrate.verbs.example import examples
@@ -330,9 +331,14 @@ def test_a_box_beside_a_column_is_as_wide_as_it_is(tmp_path):
     assert _wider(lab, sheared) == pytest.approx((0.0618 / 0.02 / 0.5) ** (1 / 3))
 
 
-@pytest.mark.parametrize(("across", "said"), [(9.9, "9.9 spheres wide"), (10.0, ""), (19.0, "")])
-def test_a_narrow_shear_box_is_doubted(across, said):
-    test = DirectShearTest.model_validate({"normal_stress": "50 kPa"})
+@pytest.mark.parametrize(
+    ("across", "gap", "said"),
+    [(9.9, {}, "9.9 spheres wide (ASTM D3080 asks for 10)"), (10.0, {}, "10.0 spheres wide: "),
+     (59.0, {}, "strengths read high"), (60.0, {}, ""),
+     (60.0, {"gap": "0.3 mm"}, "0.29 of a sphere"), (60.0, {"gap": "0.5 mm"}, "")],
+)  # fmt: skip
+def test_a_shear_box_that_is_narrow_or_catches_spheres_is_doubted(across, gap, said):
+    test = DirectShearTest.model_validate({"normal_stress": "50 kPa", **gap})
     peak, residual, on_plane = test.given
     way = np.linspace(0, 6, 100)
     flat = np.stack([way, 100 * np.minimum(way, 1)], axis=1)
@@ -341,6 +347,27 @@ def test_a_narrow_shear_box_is_doubted(across, said):
         assert said in test.doubt(strength, shown)
         assert bool(test.doubt(strength, shown)) == bool(said)
     assert not test.doubt(on_plane, shown)
+
+
+def test_the_halves_of_a_box_stand_half_a_sphere_apart_unless_stated():
+    usual = DirectShearTest.model_validate({"normal_stress": "50 kPa"})
+    stated = DirectShearTest.model_validate({"normal_stress": "50 kPa", "gap": "2 mm"})
+    ring, pace = Cylinder(0.0618, 0.02, None), Pace(0.05, 0.05, 1e-3, sphere=4e-3)
+    assert eqx.tree_equal(usual.apparatus(ring, pace), stated.apparatus(ring, pace))
+    large = replace(pace, sphere=6e-3)
+    assert not eqx.tree_equal(usual.apparatus(ring, large), stated.apparatus(ring, large))
+    assert eqx.tree_equal(stated.apparatus(ring, large), stated.apparatus(ring, pace))
+
+
+def test_a_simulated_box_knows_its_spheres(tmp_path):
+    """The machine of the lab file's test is that of a gap of half the mean sphere."""
+    lab, preset = lab_of(tmp_path, SHEAR), replace(PRESETS["quick"], spheres=1500)
+    filled = specimen(lab, preset)
+    gap = f"{1e3 * filled.mean_radius():.12g} mm"
+    stated = lab_of(tmp_path, SHEAR.replace("travel =", f'gap = "{gap}"\ntravel ='))
+    machines = (virtual_lab(each, preset).tests.apparatus for each in (lab, stated))
+    half, same = (jax.tree.leaves(eqx.filter(each, eqx.is_inexact_array)) for each in machines)
+    assert all(np.allclose(a, b, rtol=1e-9) for a, b in zip(half, same, strict=True))
 
 
 # ---------------------------------------------------------------- some fitted, others verified

@@ -1,0 +1,211 @@
+"""Does a shear box show the strength that a column and a biaxial test show?
+
+    column     q_u = 2 c cos(phi)/(1 - sin(phi)), of c and phi of the box, tau = c + sigma tan(phi)
+    biaxial    sin(phi) = (K - 1)/(K + 1) of dry spheres, where the box has tan(phi) = tau/sigma
+
+Boxes and columns are pressed alike, and spheres have one size.  Boxes differ in how many spheres
+they are wide, and in how far their halves stand apart: at a narrow gap both edges catch spheres.
+
+    python -m verification.shear_boxes                  some twenty minutes of a core
+
+Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes a section of
+verification/results/closed_forms.md.
+"""
+
+import argparse
+import math
+from dataclasses import replace
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+
+from jdem.apparatus.confined import ConfinedCompression
+from jdem.apparatus.direct_shear import DirectShear, round_box
+from jdem.apparatus.unconfined import UnconfinedCompression
+from jdem.engine.bed import Numerics
+from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
+from jdem.materials.soil import SoilParameters
+from jdem.packing.settling import settled
+from jdem.packing.specimen import Specimen
+from verification import reporting
+from verification.closed_forms import (
+    COARSE,
+    DRY,
+    DryBed,
+    Variant,
+    biaxial,
+    compiled,
+    kept,
+    mean,
+)
+
+NARROW, WIDE = 0.05, 0.1  # m, diameters; eight and sixteen spheres
+TALL, BOX_HEIGHT, COUNT = 0.1, 0.05, 500  # m, of a column and a box; spheres in a narrow box
+STRESSES = (12.5e3, 25e3, 50e3)  # Pa, of the lid
+THIN, HALF = 1e-3, 3e-3  # m, between the halves; a sixth and half of a sphere
+BOXES = ((NARROW, THIN, (0,)), (NARROW, HALF, (0, 1, 2)), (WIDE, THIN, (0,)), (WIDE, HALF, (0,)))
+COLUMNS = ((NARROW, TALL, (0, 1, 2)), (WIDE, BOX_HEIGHT, (0,)))
+STIFF = SoilParameters(
+    wall_friction=0.0, static_friction=0.4, rolling_friction=0.1, shear_modulus=3e7
+)  # so stiff that a box has its peak within the travel
+ADHESION, NONE = 17.158, 0.0  # J/m2, surface energy
+PRESSED = 204e3  # Pa, before both tests
+TRAVEL = 6e-3  # m
+
+
+def filled(diameter: float, height: float) -> Specimen:
+    """With spheres of one size, whatever its own."""
+    share = (diameter / NARROW) ** 2 * height / BOX_HEIGHT
+    return Specimen(diameter=diameter, height=height, count=round(COUNT * share))
+
+
+def pressing(area: float) -> ConfinedCompression:
+    """To PRESSED, and back to 0."""
+    force, wide = PRESSED * area, area / (math.pi / 4 * NARROW**2)
+    return ConfinedCompression(
+        force_low=force / 2, force_high=force, servo_width=1.5 * wide, tolerance=0.75 * wide,
+        seating_force=2.0 * wide,
+    )  # fmt: skip
+
+
+def sheared(
+    diameter: float,
+    gap: float,
+    seed: int,
+    stress: float,
+    adhesion: float = ADHESION,
+    speed: float = 0.02,
+) -> dict[str, float]:
+    """A bed that was pressed, sheared under a lid of `stress` (Pa): peak and normal stress on the
+    plane (kPa), porosity; its adhesion is a surface energy (J/m2)."""
+    area = math.pi / 4 * diameter**2
+    lower, upper = round_box(diameter, BOX_HEIGHT, 0.45 * BOX_HEIGHT, gap, 1.5 * TRAVEL)
+    test = DirectShear(
+        lower=lower, upper=upper, area=area, normal_force=stress * area, stroke=TRAVEL,
+        servo_width=0.15 * stress * area, simulated_rate=speed, name="shear",
+        peak_rows=2 * int(1e-4 / (speed * 2.5e-4) / 2) + 1,
+    )  # fmt: skip
+    box = filled(diameter, BOX_HEIGHT)
+    found, _, porosity = _tested(box, (pressing(area), test), seed, 0.7, adhesion)
+    seen = found.observables["shear"]
+    peak, plane = (1e-3 * float(seen[f"{name}_stress"]) for name in ("peak_shear", "plane"))
+    return {"peak_shear": peak, "plane": plane, "porosity": porosity}
+
+
+def crushed(diameter: float, height: float, seed: int) -> dict[str, float]:
+    """A bed that was pressed, without its mould between smooth platens: strength (kPa) over the
+    area that it has at its peak, strain there, porosity."""
+    area, test = math.pi / 4 * diameter**2, UnconfinedCompression(simulated_rate=0.05)
+    column = filled(diameter, height)
+    found, tall, porosity = _tested(column, (pressing(area), test), seed, 0.0)
+    curve = found.curves["unconfined"]
+    rows = np.asarray(curve.valid) > 0
+    force, way = np.asarray(curve.force)[rows], np.asarray(curve.displacement)[rows]
+    strain = float(way[int(np.argmax(force))]) / tall
+    peak = float(found.observables["unconfined"]["crushing_force"])
+    strong = 1e-3 * peak / area * (1 - strain)
+    return {"strength": strong, "strain": strain, "porosity": porosity}
+
+
+def _tested(
+    specimen: Specimen, tests, seed: int, rough: float, adhesion: float = ADHESION
+) -> tuple[Outcome, float, float]:
+    """Tests on a settled bed between platens of this friction; height (m) and porosity as the last
+    movement begins."""
+    made, own = settled(specimen, seed), {"platen_friction": rough, "surface_energy": adhesion}
+    soil = replace(STIFF, **{name: jnp.asarray(value) for name, value in own.items()})
+    lab = VirtualLab.of(specimen, TestSequence(tests), Numerics(pairs_per_sphere=6.0))
+    found = compiled(VirtualLab.run)(lab, made, soil)
+    if bool(found.failed):
+        raise RuntimeError(f"bed {seed}: {found.record.explain_overflow(lab.grid)}")
+    samples = found.record.samples
+    first = int(np.argmax(np.asarray(samples.segment) == int(samples.segment.max())))
+    height = float(samples.platen_height[first])
+    solid = float(made.solid_fraction() * made.height) / height
+    return found, height, 1 - solid
+
+
+def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
+    """c (kPa), phi (rad) and the q_u (kPa) that they make, by a line through peaks of one bed."""
+    slope, cohesion = np.polyfit([r["plane"] for r in rows], [r["peak_shear"] for r in rows], 1)
+    phi = np.arctan(slope)
+    return float(cohesion), float(phi), float(2 * cohesion * np.cos(phi) / (1 - np.sin(phi)))
+
+
+def biaxial_angle(seed: int) -> dict[str, float]:
+    """phi (deg) of dry spheres with the same frictions, poured and pushed between smooth planes."""
+    bed = DryBed(Variant(COARSE, seed), replace(DRY, rolling_friction=STIFF.rolling_friction))
+    bed.pour()
+    peak = biaxial(bed, float(STIFF.static_friction))["peak"]
+    return {"phi": math.degrees(math.asin((peak - 1) / (peak + 1)))}
+
+
+# ---------------------------------------------------------------- the page
+
+
+def markdown() -> str:
+    return (
+        f"# Direct shear and unconfined strength\n\n{_boxes()}\n{_columns()}\n"
+        f"## Dry spheres\n\n{_dry()}"
+    )
+
+
+def _boxes() -> str:
+    rows = []
+    for wide, gap, beds in BOXES:
+        for bed in beds:
+            name = f"box-{1e3 * wide:g}-{1e3 * gap:g}-{bed}"
+            found = [kept(f"{name}-{p:g}", partial(sheared, wide, gap, bed, p)) for p in STRESSES]
+            c, phi, made = mohr_coulomb(found)
+            each = "; ".join(f"{r['plane']:.1f}: {r['peak_shear']:.1f}" for r in found)
+            rows.append([
+                f"{1e3 * wide:g}", f"{1e3 * gap:g}", f"{bed}", each, f"{c:.1f}",
+                f"{np.degrees(phi):.1f}", f"{made:.0f}", f"{found[0]['porosity']:.3f}",
+            ])  # fmt: skip
+    slowly = partial(sheared, NARROW, HALF, 0, STRESSES[1], speed=0.01)
+    slow = kept("box-slow", slowly)["peak_shear"]
+    head = ("width (mm)", "gap (mm)", "bed", "sigma on the plane: tau (kPa)", "c (kPa)",
+            "phi (deg)", "q_u of both (kPa)", "porosity")  # fmt: skip
+    return (
+        f"{reporting.table(head, rows)}\n"
+        f"At half the speed, width {1e3 * NARROW:g} mm, gap {1e3 * HALF:g} mm, bed 0: "
+        f"{slow:.1f} kPa under {1e-3 * STRESSES[1]:g} kPa.\n"
+    )
+
+
+def _dry() -> str:
+    """tau/sigma of dry spheres by the width of the box, and their angle in a biaxial test."""
+    rows = []
+    for wide in (NARROW, WIDE):
+        make = partial(sheared, wide, HALF, 0, STRESSES[1], adhesion=NONE)
+        r = kept(f"dry-{1e3 * wide:g}-0", make)
+        angle = math.degrees(math.atan2(r["peak_shear"], r["plane"]))
+        rows.append([f"{1e3 * wide:g}", f"{r['plane']:.1f}", f"{r['peak_shear']:.1f}",
+                     f"{angle:.1f}", f"{r['porosity']:.3f}"])  # fmt: skip
+    angles = [kept(f"biaxial-{bed}", partial(biaxial_angle, bed))["phi"] for bed in range(3)]
+    head = ("width (mm)", "sigma on the plane (kPa)", "tau (kPa)", "phi (deg)", "porosity")
+    return f"{reporting.table(head, rows)}\nIn a biaxial test: {mean(angles)} degrees, 3 beds.\n"
+
+
+def _columns() -> str:
+    rows = [
+        [f"{1e3 * wide:g} x {1e3 * tall:g}", f"{bed}", f"{r['strength']:.1f}",
+         f"{100 * r['strain']:.1f}", f"{r['porosity']:.3f}"]
+        for wide, tall, beds in COLUMNS for bed in beds
+        for r in [kept(f"column-{1e3 * wide:g}-{bed}", partial(crushed, wide, tall, bed))]
+    ]  # fmt: skip
+    head = ("column (mm)", "bed", "q_u measured (kPa)", "strain (%)", "porosity")
+    return reporting.table(head, rows)
+
+
+def main() -> None:
+    plain = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args()
+    reporting.configure()
+    page = markdown() + reporting.footer(reporting.provenance())
+    reporting.write_section("closed_forms", page)
+
+
+if __name__ == "__main__":
+    main()
