@@ -11,6 +11,9 @@ with compiling and the check; beds are grown before.
     python -m verification.starts --hidden           the three starts, an hour of a core
     python -m verification.starts --hidden 0 1 2     these hidden soils instead, as long
 
+With --equal, a fit on smaller beds is stopped when it has used the processor time that the
+library's fit of the same soil took as a whole; it has then met nothing.
+
 Fits are kept in results/benchmarks; a second call goes on with the next one.  Writes one of two
 sections of verification/results/recovery.md after each.
 """
@@ -18,7 +21,10 @@ sections of verification/results/recovery.md after each.
 import argparse
 import json
 import shutil
+import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,17 +51,43 @@ HEADER = ("soil", "start", "explored on", "met", "processor (s)", "runs", "obser
           "fresh packings: mean ± s.e.", "error")  # fmt: skip
 
 
-def fitted(lab: Lab, start: str, way: str, folder: Path, beds: Path) -> dict:
-    """One fit, what it cost, and what fresh packings give."""
+class TimeIsUp(Exception):
+    """A fit has used the processor time that it was given."""
+
+
+@contextmanager
+def processor_seconds(allowed: float) -> Iterator[None]:
+    """Raise TimeIsUp inside when this process has used so many; infinity never ends."""
+
+    def stop(*_: object) -> None:
+        raise TimeIsUp
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, allowed if np.isfinite(allowed) else 0.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def fitted(
+    lab: Lab, start: str, way: str, folder: Path, beds: Path, allowed: float = np.inf
+) -> dict:
+    """One fit within processor seconds, what it cost, and what fresh packings give."""
     done = folder / "done.json"
     if done.exists():
         return json.loads(done.read_text(encoding="utf-8"))
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(beds / "packings", folder / "packings")
     begun = time.process_time()
-    found = _fit(lab, start, way, folder)
+    try:
+        with processor_seconds(allowed):
+            numbers = _numbers(_fit(lab, start, way, folder))
+    except TimeIsUp:
+        numbers = {"met": False, "measured": {}}
     spent = time.process_time() - begun
-    row = {"processor_s": spent, "runs": simulated(folder)["runs"], **_numbers(found)}
+    row = {"processor_s": spent, "runs": simulated(folder)["runs"], **numbers}
     write_text(done, json.dumps(row))
     return row
 
@@ -91,7 +123,7 @@ def _numbers(found: Calibrated) -> dict:
 
 def markdown(title: str, rows: list[dict], origin: dict) -> str:
     """A row for each fit and observable, then what both ways cost."""
-    cells = [_cells(row, name) for row in rows for name in row["measured"]]
+    cells = [line for row in rows for line in _lines(row)]
     return (
         f"# {title}\n\nFour packings of "
         f"{STANDARD.spheres} spheres decide; smaller beds have {PRESETS['standard'].explored}.\n\n"
@@ -100,12 +132,19 @@ def markdown(title: str, rows: list[dict], origin: dict) -> str:
     )  # fmt: skip
 
 
+def _lines(row: dict) -> list[list[str]]:
+    """A line of the table for each observable; one for a fit that was stopped."""
+    runs = ", ".join(f"{n} of {spheres}" for spheres, n in sorted(row["runs"].items()))
+    fit = [row["soil"], row["start"], row["way"], "yes" if row["met"] else "NO"]
+    fit += [f"{row['processor_s']:.0f}", runs]
+    if not row["measured"]:
+        return [[*fit, "stopped at the library's time", "", "", ""]]
+    return [[*fit, *_cells(row, name)] for name in row["measured"]]
+
+
 def _cells(row: dict, name: str) -> list[str]:
     measured, mean = row["measured"][name], row["mean"][name]
     return [
-        *(row["soil"], row["start"], row["way"], "yes" if row["met"] else "NO"),
-        f"{row['processor_s']:.0f}",
-        ", ".join(f"{n} of {spheres}" for spheres, n in sorted(row["runs"].items())),
         label(name),
         f"{measured:.4g}",
         f"{mean:.4g} ± {row['scatter'][name] / np.sqrt(row['packings']):.2g}",
@@ -120,10 +159,11 @@ def _summary(rows: list[dict]) -> str:
         own = [row for row in rows if row["way"] == way]
         if own:
             spent = [row["processor_s"] for row in own]
-            met = sum(row["met"] for row in own)
+            met, stopped = sum(row["met"] for row in own), sum(not row["measured"] for row in own)
+            cut = f"{stopped} were stopped at the library's time; " * (stopped > 0)
             said.append(
-                f"- Explored on {way}: {met} of {len(own)} fits meet both numbers, in "
-                f"{min(spent):.0f} to {max(spent):.0f} processor seconds.\n"
+                f"- Explored on {way}: {cut}{met} of the {len(own) - stopped} that ended meet both "
+                f"numbers. Fits took {min(spent):.0f} to {max(spent):.0f} processor seconds.\n"
             )
     return "".join(said)
 
@@ -145,17 +185,19 @@ def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     parser.add_argument("--hidden", nargs="*", type=int, default=[])
-    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS)
+    parser.add_argument("--equal", action="store_true")
     chosen = parser.parse_args()
     reporting.configure()
     title = "Fits of hidden soils, both ways" if chosen.hidden else "Fits from several starts"
     folder, rows = reporting.kept("starts"), []
     for soil, start, lab in cases(chosen.hidden):
         prepared(lab, folder / "beds")
-        for way in chosen.ways:
+        allowed = np.inf
+        for way in WAYS:
             place = folder / f"{soil}-{start}-{way}".replace(", ", "-").replace(" ", "-")
             rows.append({"soil": soil, "start": start, "way": way,
-                         **fitted(lab, start, way, place, folder / "beds")})  # fmt: skip
+                         **fitted(lab, start, way, place, folder / "beds", allowed)})  # fmt: skip
+            allowed = rows[-1]["processor_s"] if chosen.equal else np.inf
             origin = reporting.provenance()
             reporting.write_content("starts", {**origin, "rows": rows})
             reporting.write_section("recovery", markdown(title, rows, origin))
