@@ -112,7 +112,7 @@ class DirectShearTest(AbstractLabTest):
     """Shear under a `normal_stress` (Pa) of the lid at `rate` (m/s) through `travel` (m).
 
     `gap` (m) is that between the halves, half a sphere unless stated: a laboratory opens its box by
-    a large grain, and spheres larger than the gap's grains are caught by the edges of both halves.
+    a large grain, and at a narrower gap the edges of both halves catch spheres.
     """
 
     type_name = "direct_shear"
@@ -162,6 +162,10 @@ class DirectShearTest(AbstractLabTest):
     def conditions(self) -> dict[str, float]:
         return {LID: 1e-3 * self.normal_stress}
 
+    def opened(self, sphere: float, cylinder: Cylinder) -> float:
+        """The gap (m) with spheres of this mean diameter (m)."""
+        return min(HALF * sphere, OPENS * cylinder.height) if self.gap is None else self.gap
+
     def doubt(self, observable: Observable, shown: Shown) -> str:
         said = []
         if shown.across < WIDE_ACROSS and observable in (PEAK, RESIDUAL):
@@ -171,10 +175,12 @@ class DirectShearTest(AbstractLabTest):
                 "read high, and a fit to them finds too little friction for other tests"
             )
         sphere = shown.cylinder.diameter / shown.across
-        if self.gap is not None and self.gap < CAUGHT * sphere and observable in (PEAK, RESIDUAL):
+        gap = self.opened(sphere, shown.cylinder)
+        if gap < CAUGHT * sphere and observable in (PEAK, RESIDUAL):
+            repair = "give a finer --preset" if self.gap is None else "leave `gap` out"
             said.append(
-                f"the gap of {1e3 * self.gap:.3g} mm is {self.gap / sphere:.2f} of a sphere: the "
-                "edges of both halves catch spheres, and strengths read too high; leave `gap` out"
+                f"the gap of {1e3 * gap:.3g} mm is {gap / sphere:.2f} of a sphere: the edges of "
+                f"both halves catch spheres, and strengths read too high; {repair}"
             )
         if observable.source == PEAK.source and still_rises(*shown.curve.T):
             said.append(
@@ -185,8 +191,7 @@ class DirectShearTest(AbstractLabTest):
 
     def apparatus(self, cylinder: Cylinder, pace: Pace) -> AbstractApparatus:
         area = math.pi / 4 * cylinder.diameter**2
-        usual = min(HALF * pace.sphere, OPENS * cylinder.height)
-        gap = usual if self.gap is None else self.gap
+        gap = self.opened(pace.sphere, cylinder)
         lower, upper = round_box(
             cylinder.diameter, cylinder.height, cylinder.height / 2, gap, LIP * self.travel
         )
