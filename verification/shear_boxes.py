@@ -49,7 +49,7 @@ COLUMNS = ((NARROW, TALL, (0, 1, 2)), (WIDE, BOX_HEIGHT, (0,)))
 STIFF = SoilParameters(
     wall_friction=0.0, static_friction=0.4, rolling_friction=0.1, shear_modulus=3e7
 )  # so stiff that a box has its peak within the travel
-ADHESION, NONE = 17.158, 0.0  # J/m2, surface energy
+ADHESION, NONE = 17.158, 0.0  # J/m2, surface energy; the usual one
 PRESSED = 204e3  # Pa, before both tests
 TRAVEL = 6e-3  # m
 

@@ -77,7 +77,9 @@ def fitted(
     """One fit within processor seconds, what it cost, and what fresh packings give."""
     done = folder / "done.json"
     if done.exists():
-        return json.loads(done.read_text(encoding="utf-8"))
+        kept = json.loads(done.read_text(encoding="utf-8"))
+        if kept["measured"] or np.isfinite(allowed):  # else it was stopped, and may now go on
+            return kept
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(beds / "packings", folder / "packings")
     begun = time.process_time()
