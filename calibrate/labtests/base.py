@@ -187,18 +187,20 @@ class AbstractLabTest(AbstractTable):
     `name` is unique among the tests of a lab, by default the type; `specimen` is a specimen of its
     own, without which the test goes on with that of the test before; `protocol` replaces the
     usual one.  type_name: what `type` says; title: of figures; observables: what it gives;
-    further: what is read off its curve as well where a target asks for it; axes: what its curve's
-    columns are, for figures; channels: what is recorded beside them; plain: its table may
-    stand alone, called like the type, in a lab file without [[tests]]; shape: of a curve that
-    says so itself; with_soil: without it, the test takes no specimen, and no fit compares it;
-    in_mould: a tool's, which needs the soil in its mould, leaves it disturbed, and follows no
-    protocol; record: what its machine writes, where that is no force and displacement.
+    further: what is read off its curve as well where a target asks for it; combined: what
+    `together` may give; axes: what its curve's columns are, for figures; channels: what is
+    recorded beside them; plain: its table may stand alone, called like the type, in a lab file
+    without [[tests]]; shape: of a curve that says so itself; with_soil: without it, the test takes
+    no specimen, and no fit compares it; in_mould: a tool's, which needs the soil in its mould,
+    leaves it disturbed, and follows no protocol; record: what its machine writes, where that is no
+    force and displacement.
     """
 
     type_name: ClassVar[str]
     title: ClassVar[str]
     observables: ClassVar[tuple[Observable, ...]]
     further: ClassVar[tuple[Observable, ...]] = ()
+    combined: ClassVar[tuple[Observable, ...]] = ()
     axes: ClassVar[tuple[str, str]] = AXES
     channels: ClassVar[tuple[ResultChannel, ...]] = ()
     plain: ClassVar[bool] = False

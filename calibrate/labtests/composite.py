@@ -35,7 +35,9 @@ TYPES: Mapping[str, type[AbstractLabTest]] = {
 PLAIN = {name: kind for name, kind in TYPES.items() if kind.plain}
 OBSERVABLES = {o.source: o for kind in TYPES.values() for o in kind.every()}  # by source
 CHANNELS = {c.source: c for kind in TYPES.values() for c in kind.channels}  # by source
-BY_NAME = {o.name: o for o in OBSERVABLES.values()}
+BY_NAME = {o.name: o for o in OBSERVABLES.values()} | {
+    o.name: o for kind in TYPES.values() for o in kind.combined
+}
 
 # Of observables, given as (test, source): names in results, and factors there.
 Called = dict[tuple[str, str], tuple[str, float]]

@@ -41,6 +41,17 @@ PEAK, RESIDUAL, ON_PLANE = (
     )
 )  # fmt: skip
 LID = "lid_stress_kpa"
+OF_LINES = {  # by the normal stress that a line through peaks goes over: cohesion, friction angle
+    over: tuple(
+        Observable(f"{name}_on_{which}_{unit.lower()}", f"{name.replace('_', ' ')}, {said}", unit,
+                   "", 1.0, within=0.25)
+        for name, unit in (("cohesion", "kPa"), ("friction_angle", "deg"))
+    )
+    for over, which, said in (
+        (ON_PLANE.name, "plane", "by the stress on the plane"),
+        (LID, "lid", "by the stress of the lid"),
+    )
+}  # fmt: skip
 SLOWER = 0.4  # of the speed at which free specimens are pressed
 LIP = 1.5  # of the travel
 PEAK_TRAVEL = 1e-4  # m, over which the peak is averaged
@@ -118,6 +129,7 @@ class DirectShearTest(AbstractLabTest):
     type_name = "direct_shear"
     title = "direct shear"
     observables = (PEAK, RESIDUAL, ON_PLANE)
+    combined = tuple(each for line in OF_LINES.values() for each in line)
     axes = ("shear displacement (mm)", "shear force (N)")
     channels = (
         ResultChannel("plane_force", "plane_force_n"),
@@ -151,12 +163,12 @@ class DirectShearTest(AbstractLabTest):
         """Cohesion (kPa) and friction angle (deg): lines through peaks over the normal stress on
         the plane, and over the lid's; empty for fewer than two normal stresses."""
         said = {}
-        for stress, which in ((ON_PLANE.name, "plane"), (LID, "lid")):
+        for stress, (of_cohesion, of_angle) in OF_LINES.items():
             points = np.array([[row[stress], row[PEAK.name]] for row in found.values()])
             if len(np.unique(points[:, 0])) > 1:
                 slope, cohesion = np.polyfit(points[:, 0], points[:, 1], 1)
-                said[f"cohesion_on_{which}_kpa"] = float(cohesion)
-                said[f"friction_angle_on_{which}_deg"] = float(np.degrees(np.arctan(slope)))
+                said[of_cohesion.name] = float(cohesion)
+                said[of_angle.name] = float(np.degrees(np.arctan(slope)))
         return said
 
     def conditions(self) -> dict[str, float]:

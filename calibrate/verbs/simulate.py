@@ -11,6 +11,7 @@ from rich.console import RenderableType
 
 from calibrate.core.files import write_json
 from calibrate.io.lab import Lab
+from calibrate.labtests.composite import label
 from calibrate.records.base import Measured, record
 from calibrate.reports.terminal import (
     course,
@@ -77,8 +78,8 @@ class SimulationResult(AbstractDrawnResult):
         if len(self.failures) < len(self.runs):
             yield observables_table(self.lab, {"simulated": found})
         if found.get("together"):
-            said = (f"{name} {value:.4g}" for name, value in found["together"].items())
-            yield line(f"tests together: {', '.join(said)}")
+            said = (f"{label(name)} {value:.4g}" for name, value in found["together"].items())
+            yield line(f"tests together: {'; '.join(said)}")
         yield from warned_of_observables(found)
         yield from (line(f"failed: {failure}") for failure in self.failures)
         yield line(course(found))

@@ -23,7 +23,7 @@ from calibrate.inference.verified import parts
 from calibrate.io.lab import bundled_lab, load_lab
 from calibrate.io.soil import base_soil
 from calibrate.labtests.base import Pace, Shown
-from calibrate.labtests.composite import TYPES
+from calibrate.labtests.composite import TYPES, label
 from calibrate.labtests.direct_shear import DirectShearTest
 from calibrate.labtests.measured import Cylinder
 from calibrate.labtests.repose import ReposeTest
@@ -295,6 +295,8 @@ def test_shear_tests_together_give_cohesion_and_friction():
     assert said["friction_angle_on_plane_deg"] == pytest.approx(np.degrees(np.arctan(0.7)))
     assert said["friction_angle_on_lid_deg"] == pytest.approx(np.degrees(np.arctan(0.84)))
     assert DirectShearTest.together({"25.0": found["25.0"]}) == {}
+    assert label("cohesion_on_lid_kpa") == "cohesion, by the stress of the lid (kPa)"
+    assert set(said) == {each.name for each in DirectShearTest.combined}
 
 
 def test_every_example_is_a_lab_file_of_the_test_that_it_is_called_after(tmp_path):
