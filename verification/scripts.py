@@ -57,8 +57,8 @@ SCRIPTS = {
     ),
     "starts": Script((RUN + "starts --hidden",), 60, "recovery", "Fits from several starts"),
     "hidden_starts": Script(
-        (RUN + "starts --equal --hidden 0 1 2 3 4 5 6 7 8 11 12 13 14 15 16 17",), 200, "recovery",
-        "Fits of hidden soils, both ways",
+        (RUN + "starts --equal --hidden " + " ".join(str(soil) for soil in range(20)),), 240,
+        "recovery", "Fits of hidden soils, both ways",
     ),
     "sizes": Script(
         (
