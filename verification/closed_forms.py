@@ -45,7 +45,6 @@ GRAVITY, DENSITY, SPREAD = 9.81, 1830.0, 0.15  # m/s2; kg/m3 of spheres; of thei
 
 # ---------------------------------------------------------------- Rankine
 
-LENGTH, WIDTH, FILLED = 0.2, 0.026, 0.062  # m; the wall moves along the length
 DENSE = 0.6  # solid fraction with which the height was chosen
 POURED, FRICTION = 0.05, 0.3  # friction between spheres as they fall, and afterwards
 WALL, FAR_WALL, LID = 1, 2, 5  # numbers of boundaries; 0 is the base
@@ -62,14 +61,34 @@ STEP = 2.0  # over the usual one, which reckons with contacts far deeper than th
 
 
 @dataclass(frozen=True)
+class Room:
+    """A box of planes, m: length, along which a wall moves, width, how high it is filled."""
+
+    length: float = 0.2
+    width: float = 0.026
+    filled: float = 0.062
+
+    def planes(self) -> tuple[Plane, ...]:
+        """Base, the wall that moves along x, the wall opposite, both sides, the lid, far away."""
+        low, high = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+        long, wide = (self.length, 0.0, 0.0), (0.0, self.width, 0.0)
+        planes: tuple[tuple[Axis, Axis], ...] = (
+            (low, UP), (low, (1.0, 0.0, 0.0)), (long, (-1.0, 0.0, 0.0)),
+            (low, (0.0, 1.0, 0.0)), (wide, (0.0, -1.0, 0.0)), (high, DOWN),
+        )  # fmt: skip
+        return tuple(Plane.at(point(*place, float), axis) for place, axis in planes)
+
+
+@dataclass(frozen=True)
 class Variant:
     """How a bed is made and pushed: radius of its spheres (m), speed and time step over the usual
-    ones, its seed."""
+    ones, its seed, its room."""
 
     radius: float = 2.5e-3
     seed: int = 0
     speed: float = 1.0
     step: float = 1.0
+    room: Room = Room()
 
     @property
     def name(self) -> str:
@@ -82,30 +101,20 @@ class Variant:
         return rate * 2 * self.radius * math.sqrt(DENSITY / pressure)
 
 
-def thrown(radius: float, seed: int) -> tuple[Spheres, np.ndarray]:
-    """Spheres of a mean radius (m), and centres (N, 3) in m from which they fall."""
-    random = np.random.default_rng(seed)
-    solid = DENSE * LENGTH * WIDTH * FILLED
+def thrown(variant: Variant) -> tuple[Spheres, np.ndarray]:
+    """Spheres, and centres (N, 3) in m from which they fall."""
+    random, radius, room = np.random.default_rng(variant.seed), variant.radius, variant.room
+    solid = DENSE * room.length * room.width * room.filled
     count = round(solid / (4 / 3 * np.pi * radius**3 * (1 + SPREAD**2)))
     radii = radius * random.uniform(1 - SPREAD, 1 + SPREAD, count)
     pitch = 1.06 * 2 * radius * (1 + SPREAD)
-    along, across = int(LENGTH // pitch), int(WIDTH // pitch)
+    along, across = int(room.length // pitch), int(room.width // pitch)
     number = np.arange(count)
     rows = np.stack([number // across % along, number % across, number // (along * across)], 1)
     free = 0.5 * pitch - radius * (1 + SPREAD)
     shaken = random.uniform(-free, free, rows.shape)
-    centres = (rows + 0.5) * np.array([LENGTH / along, WIDTH / across, pitch]) + shaken
+    centres = (rows + 0.5) * np.array([room.length / along, room.width / across, pitch]) + shaken
     return Spheres(jnp.asarray(radii), jnp.asarray(DENSITY * 4 / 3 * np.pi * radii**3)), centres
-
-
-def box() -> tuple[Plane, ...]:
-    """Base, the wall that moves along x, the wall opposite, both sides, the lid, far away."""
-    low, long, wide, high = (0.0, 0.0, 0.0), (LENGTH, 0.0, 0.0), (0.0, WIDTH, 0.0), (0.0, 0.0, 1.0)
-    planes: tuple[tuple[Axis, Axis], ...] = (
-        (low, UP), (low, (1.0, 0.0, 0.0)), (long, (-1.0, 0.0, 0.0)),
-        (low, (0.0, 1.0, 0.0)), (wide, (0.0, -1.0, 0.0)), (high, DOWN),
-    )  # fmt: skip
-    return tuple(Plane.at(point(*place, float), axis) for place, axis in planes)
 
 
 def movement(
@@ -121,38 +130,50 @@ def movement(
     )  # fmt: skip
 
 
-class DryBed:
-    """Spheres of a variant in the box, and where they lie (m)."""
+class PouredBed:
+    """Spheres of a variant in its room, and where they lie (m); records of at most `capacity`
+    samples."""
 
-    def __init__(self, variant: Variant, soil: SoilParameters = DRY):
+    def __init__(
+        self,
+        variant: Variant,
+        soil: SoilParameters = DRY,
+        numerics: Numerics = NUMERICS,
+        capacity: int = CAPACITY,
+    ):
         self.variant, self.soil = variant, soil
-        self.spheres, centres = thrown(variant.radius, variant.seed)
+        self.numerics, self.capacity = numerics, capacity
+        self.spheres, centres = thrown(variant)
         self.place = Vector.from_rows(jnp.asarray(centres))
         self.mass = float(np.sum(self.spheres.mass))
         largest = variant.radius * (1 + SPREAD)
-        extent = (LENGTH, float(centres[:, 2].max()) + 2 * largest)
-        self.grid = plan_grid(self.spheres.count, variant.radius, largest, extent, NUMERICS)
+        extent = (variant.room.length, float(centres[:, 2].max()) + 2 * largest)
+        self.grid = plan_grid(self.spheres.count, variant.radius, largest, extent, numerics)
 
     def pour(self) -> None:
+        """Lets the spheres fall, with little friction and without adhesion."""
         falls = [movement(0.3, damping=20.0), movement(0.1, damping=100.0), movement(0.02)]
+        soil, self.soil = self.soil, replace(self.soil, surface_energy=jnp.asarray(0.0))
         self.place = self.advanced(falls, POURED, POURED, GRAVITY).state.motion.position
+        self.soil = soil
 
     def advanced(self, programme: list[Segment], friction: float, base: float, gravity: float):
         """The record of a programme from where the spheres lie, with frictions of spheres and base
         (-) and gravity (m/s2)."""
         soil = replace(self.soil, static_friction=jnp.asarray(friction))
-        bed = build_bed(
-            self.spheres, soil, self.grid, NUMERICS, surfaces=("mould",) * (LID + 1), follows=None
-        )
+        walls = ("mould",) * (LID + 1)
+        bed = build_bed(self.spheres, soil, self.grid, self.numerics, surfaces=walls, follows=None)
         bed = replace(
             bed, time_step=STEP * self.variant.step * bed.time_step, gravity=jnp.asarray(gravity),
             wall_friction=jnp.zeros(LID + 1).at[0].set(base),
         )  # fmt: skip
-        steps = jnp.maximum(jnp.round(NUMERICS.sample_time / bed.time_step), 1.0).astype(jnp.int32)
+        steps = jnp.maximum(jnp.round(self.numerics.sample_time / bed.time_step), 1.0).astype(
+            jnp.int32
+        )
         whole = stack([replace(s, duration=jnp.asarray(s.duration, float)) for s in programme])
-        state = begun(bed, self.place, box())
+        state = begun(bed, self.place, self.variant.room.planes())
         double = jnp.dtype("float64")
-        record: Record = compiled(run)(bed, state, cast(whole, double), steps, CAPACITY)
+        record: Record = compiled(run)(bed, state, cast(whole, double), steps, self.capacity)
         record = jax.block_until_ready(record)
         if bool(record.overflow_of(self.grid)) or not bool(record.finished):
             raise RuntimeError(record.explain_overflow(self.grid) or "too few samples")
@@ -166,16 +187,16 @@ def compiled(function: Callable) -> Callable:
 
 def pushed(variant: Variant) -> dict:
     """One bed: K of the wall on a rough base and on a smooth one, and in the biaxial test."""
-    bed = DryBed(variant)
+    bed = PouredBed(variant)
     bed.pour()
     height = 2 * float(np.sum(bed.spheres.mass * bed.place.z)) / bed.mass
     found = {"spheres": bed.spheres.count, "height": height}
     found["rough"] = under_gravity(bed, FRICTION, STROKE, height)
-    found["smooth"] = under_gravity(bed, 0.0, STRAIN * LENGTH, height)
+    found["smooth"] = under_gravity(bed, 0.0, STRAIN * variant.room.length, height)
     return found | {"biaxial": biaxial(bed)}
 
 
-def under_gravity(bed: DryBed, base: float, stroke: float, height: float) -> dict:
+def under_gravity(bed: PouredBed, base: float, stroke: float, height: float) -> dict:
     """The wall's K at the end of its stroke (m), by the weight that lies before it there, over half
     the bed's height; its course and that of the wall opposite, by the first weight."""
     time = PUSHED / bed.variant.speed
@@ -185,7 +206,7 @@ def under_gravity(bed: DryBed, base: float, stroke: float, height: float) -> dic
     place = record.state.motion.position
     near = np.asarray(place.x) < float(way[-1]) + 0.5 * height
     present = GRAVITY * float((bed.spheres.mass * place.z)[near].sum()) / (0.5 * height)  # N
-    first = GRAVITY * bed.mass * height / 2 / LENGTH
+    first = GRAVITY * bed.mass * height / 2 / bed.variant.room.length
     wall, far = -loads[:, WALL, 0], loads[:, FAR_WALL, 0]
     late = slice(-round(END * len(wall)), None)
     k = float(wall[late].mean()) / present
@@ -193,25 +214,41 @@ def under_gravity(bed: DryBed, base: float, stroke: float, height: float) -> dic
             "opposite": _course(far / first)}  # fmt: skip
 
 
-def biaxial(bed: DryBed, friction: float = FRICTION) -> dict:
+def biaxial(
+    bed: PouredBed, friction: float = FRICTION, stress: float | None = None, pressed: float = 0.0
+) -> dict:
     """Horizontal over vertical stress without gravity, on a smooth base; the height that carries
-    stress is twice that of the centre of mass, as the lid touches few spheres."""
-    time, load = PUSHED / bed.variant.speed, 0.5 * bed.mass * GRAVITY
+    stress is twice that of the centre of mass, as the lid touches few spheres.
+
+    The lid has a stress (Pa), half of the bed's weight unless stated, after it `pressed` (Pa)."""
+    time, room = PUSHED / bed.variant.speed, bed.variant.room
+    area, weight = room.length * room.width, bed.mass * GRAVITY
+    load = 0.5 * weight if stress is None else stress * area
+    first = (
+        {"damping": 500.0, "load": pressed * area} if pressed else {"damping": 50.0, "load": load}
+    )
+    still = {"duration": 0.1, "damping": 500.0} if pressed else {"duration": 0.03}
     programme = [
-        movement(0.2, damping=50.0, load=load, lid=LOWER), movement(0.03, load=load),
-        movement(time, STRAIN * LENGTH / time, load=load),
+        movement(0.2, lid=LOWER, **first), movement(load=load, **still),
+        movement(time, STRAIN * room.length / time, load=load),
     ]  # fmt: skip
     record = bed.advanced(programme, friction, 0.0, 0.0)
     way, loads, lid = _last(record)
     height = 2 * float(np.sum(bed.spheres.mass * record.state.motion.position.z)) / bed.mass
     filled = height / float(lid[-1])
-    vertical = loads[:, LID, 2] / (LENGTH - way)
+    vertical = loads[:, LID, 2] / (room.length - way)
     ratio = -loads[:, WALL, 0] / (filled * lid) / vertical
-    width = round(SMOOTHED * len(ratio))
-    smooth = np.convolve(ratio, np.ones(width) / width, mode="valid")
-    porosity = 1 - bed.mass / DENSITY / (LENGTH * WIDTH * filled * float(lid[0]))
+    smooth, half = smoothed(ratio), round(SMOOTHED * len(ratio)) // 2
+    porosity = 1 - bed.mass / DENSITY / (area * filled * float(lid[0]))
     return {"peak": float(smooth.max()), "end": float(ratio[-round(END * len(ratio)) :].mean()),
+            "vertical": float(vertical[half + int(np.argmax(smooth))]) / room.width,
             "porosity": porosity, "course": _course(ratio)}  # fmt: skip
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Means over a share of the stroke."""
+    width = round(SMOOTHED * len(values))
+    return np.convolve(values, np.ones(width) / width, mode="valid")
 
 
 def _last(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,12 +1,13 @@
-"""Does a shear box show the strength that a column and a biaxial test show?
+"""Does a shear box show the strength that a biaxial test and a column show?
 
-    column     q_u = 2 c cos(phi)/(1 - sin(phi)), of c and phi of the box, tau = c + sigma tan(phi)
-    biaxial    sin(phi) = (K - 1)/(K + 1) of dry spheres, where the box has tan(phi) = tau/sigma
+    box        tau = c + sigma tan(phi), a line through peaks
+    biaxial    sigma_1 = q_u + K sigma_3, with sin(phi) = (K - 1)/(K + 1), a line through peaks
+    column     q_u = 2 c cos(phi)/(1 - sin(phi)), of c and phi of the others
 
-Boxes and columns are pressed alike, and spheres have one size.  Boxes differ in how many spheres
+All are pressed alike, and spheres have one size and one law.  Boxes differ in how many spheres
 they are wide, and in how far their halves stand apart: at a narrow gap both edges catch spheres.
 
-    python -m verification.shear_boxes                  some twenty minutes of a core
+    python -m verification.shear_boxes                  some forty minutes of a core
 
 Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes a section of
 verification/results/closed_forms.md.
@@ -29,16 +30,7 @@ from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import settled
 from jdem.packing.specimen import Specimen
 from verification import reporting
-from verification.closed_forms import (
-    COARSE,
-    DRY,
-    DryBed,
-    Variant,
-    biaxial,
-    compiled,
-    kept,
-    mean,
-)
+from verification.closed_forms import PouredBed, Room, Variant, biaxial, compiled, kept, mean
 
 NARROW, WIDE = 0.05, 0.1  # m, diameters; eight and sixteen spheres
 TALL, BOX_HEIGHT, COUNT = 0.1, 0.05, 500  # m, of a column and a box; spheres in a narrow box
@@ -50,6 +42,9 @@ STIFF = SoilParameters(
     wall_friction=0.0, static_friction=0.4, rolling_friction=0.1, shear_modulus=3e7
 )  # so stiff that a box has its peak within the travel
 ADHESION, NONE = 17.158, 0.0  # J/m2, surface energy; the usual one
+DRY = "dry"
+RADIUS, ROOM = 3e-3, Room(0.08, 0.05, 0.08)  # m; 13 spheres long and high, eight wide
+BEDS = (0, 1, 2)
 PRESSED = 204e3  # Pa, before both tests
 TRAVEL = 6e-3  # m
 
@@ -133,12 +128,30 @@ def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
     return float(cohesion), float(phi), float(2 * cohesion * np.cos(phi) / (1 - np.sin(phi)))
 
 
-def biaxial_angle(seed: int) -> dict[str, float]:
-    """phi (deg) of dry spheres with the same frictions, poured and pushed between smooth planes."""
-    bed = DryBed(Variant(COARSE, seed), replace(DRY, rolling_friction=STIFF.rolling_friction))
+def pushed(seed: int) -> dict[str, dict]:
+    """A bed between planes that was pressed, then pushed by a wall under the lid's stress: what
+    `biaxial` says of it dry, and with adhesion under each of STRESSES."""
+    variant, soil = (
+        Variant(RADIUS, seed, step=0.5, room=ROOM),
+        replace(STIFF, surface_energy=jnp.asarray(NONE)),
+    )
+    bed = PouredBed(variant, soil, Numerics(wall_layer=27.0, sample_time=2.5e-4), 8000)
     bed.pour()
-    peak = biaxial(bed, float(STIFF.static_friction))["peak"]
-    return {"phi": math.degrees(math.asin((peak - 1) / (peak + 1)))}
+    found = {DRY: biaxial(bed, float(STIFF.static_friction), STRESSES[1], PRESSED)}
+    bed.soil = replace(soil, surface_energy=jnp.asarray(ADHESION))
+    for stress in STRESSES:
+        found[f"{stress:g}"] = biaxial(bed, float(STIFF.static_friction), stress, PRESSED)
+    return found
+
+
+def of_planes(found: dict[str, dict]) -> tuple[list[tuple[float, float]], float, float, float]:
+    """sigma_3 and sigma_1 (kPa) at the peaks of one bed with adhesion, and the q_u (kPa), c (kPa)
+    and phi (rad) of the line through them."""
+    rows = [found[f"{stress:g}"] for stress in STRESSES]
+    points = [(1e-3 * r["vertical"], 1e-3 * r["vertical"] * r["peak"]) for r in rows]
+    ratio, strength = np.polyfit([low for low, _ in points], [high for _, high in points], 1)
+    phi = math.asin((ratio - 1) / (ratio + 1))
+    return points, float(strength), float(strength / (2 * ratio**0.5)), phi
 
 
 # ---------------------------------------------------------------- the page
@@ -146,8 +159,9 @@ def biaxial_angle(seed: int) -> dict[str, float]:
 
 def markdown() -> str:
     return (
-        f"# Direct shear and unconfined strength\n\n{_boxes()}\n{_columns()}\n"
-        f"## Dry spheres\n\n{_dry()}"
+        f"# Direct shear, biaxial test and unconfined strength\n\n"
+        f"## Boxes\n\n{_boxes()}\n## Biaxial tests\n\n{_planes()}\n"
+        f"## Columns\n\n{_columns()}\n## Without adhesion\n\n{_dry()}"
     )
 
 
@@ -183,9 +197,25 @@ def _dry() -> str:
         angle = math.degrees(math.atan2(r["peak_shear"], r["plane"]))
         rows.append([f"{1e3 * wide:g}", f"{r['plane']:.1f}", f"{r['peak_shear']:.1f}",
                      f"{angle:.1f}", f"{r['porosity']:.3f}"])  # fmt: skip
-    angles = [kept(f"biaxial-{bed}", partial(biaxial_angle, bed))["phi"] for bed in range(3)]
+    ratios = [kept(f"planes-{bed}", partial(pushed, bed))[DRY]["peak"] for bed in BEDS]
+    angles = [math.degrees(math.asin((k - 1) / (k + 1))) for k in ratios]
     head = ("width (mm)", "sigma on the plane (kPa)", "tau (kPa)", "phi (deg)", "porosity")
-    return f"{reporting.table(head, rows)}\nIn a biaxial test: {mean(angles)} degrees, 3 beds.\n"
+    said = f"In a biaxial test: {mean(angles)} degrees, {len(BEDS)} beds."
+    return f"{reporting.table(head, rows)}\n{said}\n"
+
+
+def _planes() -> str:
+    """sigma_1 at the peak of biaxial tests with adhesion, and what lines through them say."""
+    rows = []
+    for bed in BEDS:
+        found = kept(f"planes-{bed}", partial(pushed, bed))
+        points, strength, c, phi = of_planes(found)
+        each = "; ".join(f"{low:.1f}: {high:.0f}" for low, high in points)
+        rows.append([f"{bed}", each, f"{c:.1f}", f"{np.degrees(phi):.1f}", f"{strength:.0f}",
+                     f"{found[DRY]['porosity']:.3f}"])  # fmt: skip
+    head = ("bed", "sigma_3: sigma_1 (kPa)", "c (kPa)", "phi (deg)", "q_u of both (kPa)",
+            "porosity")  # fmt: skip
+    return reporting.table(head, rows)
 
 
 def _columns() -> str:

@@ -14,7 +14,7 @@ from calibrate.inference.posterior import FromRuns
 from jdem.physics import PHYSICS
 from tests import ROOT
 from verification import __main__ as engine
-from verification import beside, quick, reference_beds, reporting
+from verification import beside, quick, reference_beds, reporting, shear_boxes
 from verification.reporting import Cell, Row, Script
 from verification.rows import README, ROWS, SURE
 from verification.scripts import SCRIPTS
@@ -369,3 +369,19 @@ def test_a_plate_is_as_hard_as_another_code_says(tmp_path):
     found = [reference_beds.simulated("plate", 1, bed, 1.0, tmp_path)["plate"] for bed in (1, 2)]
     ratio = sum(found) / reference_beds.data()["plate_1"][:2].sum()
     assert 0.8 < ratio < 1.6
+
+
+def test_lines_through_peaks_of_boxes_and_of_biaxial_tests_say_the_same_of_a_soil():
+    """Of tau = c + sigma tan(phi), where sigma_1 = 2 c sqrt(K) + K sigma_3 as well."""
+    c, phi = 20.0, np.radians(40.0)
+    passive = (1 + np.sin(phi)) / (1 - np.sin(phi))
+    boxes = [{"plane": s, "peak_shear": c + s * np.tan(phi)} for s in (15.0, 28.0, 55.0)]
+    planes = {
+        f"{low:g}": {"vertical": 1.1 * low, "peak": 2e3 * c * passive**0.5 / (1.1 * low) + passive}
+        for low in shear_boxes.STRESSES
+    }
+    strength = 2 * c * passive**0.5
+    assert shear_boxes.mohr_coulomb(boxes) == pytest.approx((c, phi, strength))
+    points, *said = shear_boxes.of_planes(planes)
+    assert said == pytest.approx([strength, c, phi])
+    assert points[0][0] == pytest.approx(1.1e-3 * shear_boxes.STRESSES[0])
