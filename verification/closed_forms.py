@@ -224,12 +224,10 @@ def biaxial(
     time, room = PUSHED / bed.variant.speed, bed.variant.room
     area, weight = room.length * room.width, bed.mass * GRAVITY
     load = 0.5 * weight if stress is None else stress * area
-    first = (
-        {"damping": 500.0, "load": pressed * area} if pressed else {"damping": 50.0, "load": load}
-    )
-    still = {"duration": 0.1, "damping": 500.0} if pressed else {"duration": 0.03}
+    damping, first, rest = (500.0, pressed * area, 0.1) if pressed else (50.0, load, 0.03)
     programme = [
-        movement(0.2, lid=LOWER, **first), movement(load=load, **still),
+        movement(0.2, damping=damping, load=first, lid=LOWER),
+        movement(rest, damping=500.0 * (pressed > 0), load=load),
         movement(time, STRAIN * room.length / time, load=load),
     ]  # fmt: skip
     record = bed.advanced(programme, friction, 0.0, 0.0)
