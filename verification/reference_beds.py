@@ -2,9 +2,9 @@
 
 LIGGGHTS-PUBLIC 3.8.0 pushed a cone and a plate into six beds of 1000 spheres, turned a vane in
 them, lifted the tube from around them, and sheared six beds of 700 in a square box (law 1:
-Hertz-Mindlin without adhesion; law 2: EEPA, three beds).  This script does the same from the same
-positions.  Codes that are both right part on ONE bed, by as much as a
-smaller time step changes there; what they have to share is the mean over beds.
+Hertz-Mindlin without adhesion; law 2: EEPA, three beds, of boxes two).  This script does the same
+from the same positions.  Codes that are both right part on ONE bed, by as much as a smaller time
+step changes there; what they have to share is the mean over beds.
 
     python -m verification.reference_beds                    some fifteen minutes on two cores
     python -m verification.reference_beds --tests plate --laws 1    the other rows stay
@@ -60,9 +60,10 @@ _SHARED = SoilParameters(
     poisson_ratio=0.3, wall_friction=0.3, platen_friction=0.3, surface_energy=0.0,
     tensile_exponent=1.0, plasticity_ratio=2 / 3, tangential_multiplier=1.0,
 )  # fmt: skip
+ADHESIVE = 2
 LAWS = {
     1: replace(_SHARED, conventions=BED_LAWS["hertz_mindlin"]),
-    2: replace(
+    ADHESIVE: replace(
         _SHARED,
         surface_energy=jnp.asarray(1500.0),
         reference_diameter=jnp.asarray(5.02e-3),
@@ -77,12 +78,14 @@ Read = Callable[[Outcome, Packing], float]
 @dataclass(frozen=True)
 class Compared:
     """A test: its apparatus; by name in the data what is compared, its unit, its reading; rough (-)
-    is the friction on the base where it is not the platen's; `beds` by kind; `longer` the time step
-    under law 1 over the usual one, which reckons with deeper contacts than these tests have."""
+    is the friction on the base where it is not the platen's; adhesion (J/m2) that of law 2 where it
+    is not the usual one; `beds` by kind; `longer` the time step under law 1 over the usual one,
+    which reckons with deeper contacts than these tests have."""
 
     apparatus: AbstractApparatus
     numbers: dict[str, tuple[str, str, Read]]
     rough: float | None = None
+    adhesion: float | None = None
     beds: str = "cylinder"
     longer: float = 2.0
 
@@ -234,6 +237,7 @@ TESTS = {
             )
         },
         rough=0.5,
+        adhesion=5.0,
     ),
     **{f"shear{stress:g}": _sheared(stress) for stress in (25.0, 50.0, 100.0)},
 }  # fmt: skip
@@ -281,6 +285,8 @@ def _run(test: str, law: int, bed: int, step: float) -> dict[str, float]:
     made, soil, lab = packing(asked.beds, bed), LAWS[law], _lab(test)
     if asked.rough is not None:
         soil = replace(soil, platen_friction=jnp.asarray(asked.rough))
+    if asked.adhesion is not None and law == ADHESIVE:
+        soil = replace(soil, surface_energy=jnp.asarray(asked.adhesion))
     step *= asked.longer if law == 1 else 1.0
     time_step, said = step * lab.time_step(made, soil), ""
     for _ in range(TRIES):
@@ -359,8 +365,8 @@ def markdown(cells: list[list[str]], origin: dict) -> str:
     return (
         f"{TITLE}\n\n"
         "Law 1: Hertz-Mindlin without adhesion, six beds; law 2: EEPA in the conventions of "
-        "LIGGGHTS, three beds. Means stand with their standard errors over beds; the ratio's is "
-        "of the differences bed by bed.\n\n"
+        "LIGGGHTS, three beds, of shear boxes two. Means stand with their standard errors over "
+        "beds; the ratio's is of the differences bed by bed.\n\n"
         + reporting.table(header, cells)
         + reporting.footer(origin)
     )

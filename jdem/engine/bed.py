@@ -31,8 +31,8 @@ class Numerics(eqx.Module):
     several, and beds are unstable from 0.55 on (docs/decisions/2026-11-21-contact-law.md).
     sample_time (s) is the interval of output and of list rebuilds; skin (-) is the listing
     distance over the mean diameter; pairs_per_sphere (None: `usual_pairs`), wall_layer (wall
-    contacts = wall_layer x spheres x diameter / width) and per_cell set list capacities; dtype is
-    "float64" or "float32".
+    contacts = wall_layer x spheres x diameter / width, in a specimen twice as high as wide) and
+    per_cell set list capacities; dtype is "float64" or "float32".
     """
 
     safety: float = eqx.field(static=True, default=0.45)

@@ -11,8 +11,10 @@ import pytest
 
 from jdem.boundaries.composite import cell
 from jdem.core.vector import Vector
+from jdem.engine.bed import Numerics
 from jdem.engine.neighbors import ContactList, Grid, rebuild
 from jdem.laws.base import AbstractContactLaw
+from jdem.packing.specimen import Specimen
 from tests.support.hand_made_beds import RADIUS, spheres_of
 
 pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("cheaply_compiled")]
@@ -180,3 +182,13 @@ def test_fifty_thousand_spheres_are_told_apart():
     steps = place[listed_pairs[:, 1]] - place[listed_pairs[:, 0]]
     assert len(steps) == pairs
     assert np.all(np.abs(steps).sum(axis=1) == 1)
+
+
+@pytest.mark.parametrize("height", [0.2, 0.1, 0.025, 0.0125])
+def test_lists_have_room_for_a_layer_of_spheres_on_all_walls(height):
+    """A sphere on each square of a diameter, on base, platen and mould; an oedometer's ring needed
+    0.9 of them (2000 spheres, 200 kPa)."""
+    specimen = Specimen(diameter=0.0635, height=height, count=2000)
+    area = np.pi * specimen.diameter * (specimen.diameter / 2 + specimen.height)
+    layer = area / (2 * specimen.mean_radius()) ** 2
+    assert specimen.grid(Numerics()).wall_contacts > 0.95 * layer
