@@ -35,8 +35,7 @@ INTRODUCTION = """# Examples
 `calibrate example` lists ready lab files of laboratory tests, and `calibrate example NAME` writes
 one of them and simulates it. Below stand all of them: what was simulated, with the scatter of one
 packing, beside what the lab file states as measured. The parameters are a start that a fit moves:
-`calibrate fit results/example/NAME/lab.toml`. Processor minutes are those of one core; on two cores
-it takes about half as long.
+`calibrate fit results/example/NAME/lab.toml`.
 
 ![A panel for each example: curves of all packings, or angles of heaps](../../docs/images/examples.png)
 
@@ -164,8 +163,7 @@ def _section(name: str, row: dict) -> str:
     warned = "".join(f"\nWarning: {each}.\n" for each in dict.fromkeys(row["warnings"]))
     return (
         f"## {name}\n\n{known.what[0].upper()}{known.what[1:]}: `calibrate example {name}`.\n"
-        f"It took {row['processor_minutes']:.0f} processor minutes, {row['packings']} packings"
-        f"{failed}.\n\n"
+        f"{row['packings']} packings{failed}; at most {known.minutes} minutes on two cores.\n\n"
         + reporting.table(("number", "simulated ± one packing", "measured ± one repeat"), rows)
         + warned
         + f"\n{' '.join(known.reference.split())}\n\n```toml\n{known.lab.strip()}\n```\n"
