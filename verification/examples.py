@@ -10,7 +10,6 @@ examples.md and docs/images/examples.png after each.
 import argparse
 import io
 import json
-import time
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -50,9 +49,7 @@ def run(name: str, folder: Path) -> dict:
     kept = folder / f"{name}.json"
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
-    begun = time.process_time()
-    found = example(name, out=folder / name)
-    row = {"processor_minutes": (time.process_time() - begun) / 60, **_shown(found)}
+    row = _shown(example(name, out=folder / name))
     write_text(kept, json.dumps(row))
     return row
 
@@ -163,7 +160,8 @@ def _section(name: str, row: dict) -> str:
     warned = "".join(f"\nWarning: {each}.\n" for each in dict.fromkeys(row["warnings"]))
     return (
         f"## {name}\n\n{known.what[0].upper()}{known.what[1:]}: `calibrate example {name}`.\n"
-        f"{row['packings']} packings{failed}; at most {known.minutes} minutes on two cores.\n\n"
+        f"{row['packings']} packings{failed}; some {known.minutes} minutes on two cores (estimate)."
+        "\n\n"
         + reporting.table(("number", "simulated ± one packing", "measured ± one repeat"), rows)
         + warned
         + f"\n{' '.join(known.reference.split())}\n\n```toml\n{known.lab.strip()}\n```\n"
