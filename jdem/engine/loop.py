@@ -70,6 +70,10 @@ class Sample(eqx.Module):
         return self.loads[..., MOULD, 2]
 
 
+def _overflow(grid: Grid, demand: Demand, drift: Array) -> Array:
+    return demand.exceeds(grid) | (drift > grid.skin)
+
+
 class Record(eqx.Module):
     """Everything that a simulation hands back."""
 
@@ -81,7 +85,7 @@ class Record(eqx.Module):
 
     def overflow_of(self, grid: Grid) -> Array:
         """True if a list was too small or something may have crossed its skin unseen."""
-        return self.demand.exceeds(grid) | (self.drift > grid.skin)
+        return _overflow(grid, self.demand, self.drift)
 
     def explain_overflow(self, grid: Grid) -> str:
         """Which list or skin was too small, and the capacity that would do."""
@@ -257,22 +261,29 @@ def run(
         )
 
     if way.first > 0:
-        progress = _until(way.first, capacity, partial(advanced, Pathwise()), progress)
+        first = partial(advanced, Pathwise())
+        progress = _until(way.first, capacity, bed.grid, first, progress)
     state = way.begun(progress.state)
     progress = replace(progress, state=way.held(state), derivative=way.memory(bed, state, capacity))
-    final = _until(count, capacity, partial(advanced, way), progress)
+    final = _until(count, capacity, bed.grid, partial(advanced, way), progress)
     update, finished = final.update, final.segment >= count
     samples, state = way.recorded(final.derivative, final.samples, final.state)
     return Record(samples, state, update.demand, update.largest, finished)
 
 
 def _until(
-    last: int, capacity: int, advance: Callable[[_Progress], _Progress], progress: _Progress
+    last: int,
+    capacity: int,
+    grid: Grid,
+    advance: Callable[[_Progress], _Progress],
+    progress: _Progress,
 ) -> _Progress:
-    """Sampling intervals one after the other until segment `last` begins, or no room is left."""
+    """Sampling intervals one after the other until segment `last` begins, no room is left, or a
+    list was too small: what follows would have contacts missing."""
 
     def unfinished(progress: _Progress):
-        return (progress.segment < last) & (progress.sample < capacity)
+        overflow = _overflow(grid, progress.update.demand, progress.update.largest)
+        return (progress.segment < last) & (progress.sample < capacity) & ~overflow
 
     return jax.lax.while_loop(unfinished, advance, progress)
 

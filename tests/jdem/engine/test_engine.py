@@ -310,11 +310,12 @@ def test_segments_last_as_long_as_they_say():
 # ------------------------------------------------------------------ lists that are too small
 
 
-def thrown(speed):
-    """A bed, and the record of 100 steps in one interval after its spheres were thrown (m/s)."""
+def thrown(speed, intervals=1):
+    """A bed, and the record of intervals of 100 steps after its spheres were thrown (m/s)."""
     bed = bed_of(spheres_of(4), soil_of())
     fast = state_of(bed, heap(raised=0.1), np.full((4, 3), speed))
-    return bed, simulate(bed, fast, stack([Segment()]), jnp.asarray(100), CAPACITY)
+    programme = stack([Segment(duration=100 * intervals * bed.time_step)])
+    return bed, simulate(bed, fast, programme, jnp.asarray(100), CAPACITY)
 
 
 def test_the_record_says_which_capacity_or_skin_was_too_small():
@@ -323,6 +324,14 @@ def test_the_record_says_which_capacity_or_skin_was_too_small():
     assert record.overflow_of(bed.grid)
     assert "motion between rebuilds" in record.explain_overflow(bed.grid)
     assert not Demand.none().exceeds(bed.grid)
+
+
+def test_a_run_ends_where_its_lists_were_too_small():
+    """What came after would have contacts missing."""
+    _, sound = thrown(1.0, intervals=3)
+    bed, lost = thrown(1e4, intervals=3)
+    assert lost.overflow_of(bed.grid) and sound.finished and not lost.finished
+    assert [int(np.sum(record.samples.segment == 0)) for record in (sound, lost)] == [3, 1]
 
 
 def test_an_interval_is_cut_where_spheres_would_outrun_their_lists():
