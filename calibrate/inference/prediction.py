@@ -7,7 +7,8 @@ A laboratory's specimens may vary more than packings do: then luck is as large a
 Numbers are observables and points of curves (`CurvePoints`).  A response gives them of every soil
 at once.  Where it does not know the test, runs of a few soils do: their variance is split into that
 between soils and that between packings of one soil (one-way analysis of variance with random
-effects; Searle, Casella and McCulloch 1992, Variance Components, section 3.6).
+effects; Searle, Casella and McCulloch 1992, Variance Components, section 3.6).  No two soils share
+a packing: its luck is much the same for all of them, and would be in their mean unseen.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -110,13 +111,16 @@ def shown(beds: Beds, points: CurvePoints, soil: SoilParameters) -> Array:
 def by_runs(
     work: AbstractCampaign, soils: Sequence[SoilParameters], packings: Sequence[int]
 ) -> Prediction:
-    """From runs of soils (two at least) on packings (two at least).
+    """From runs of soils (two at least), each on as many packings of its own (two at least): there
+    are a multiple of `packings`.
 
     Raises:
         CalibrationError: fewer than two soils could be simulated.
     """
-    points = CurvePoints.of(work)
-    rows = work.runs(soils, packings, "soils of the posterior")
+    points, each = CurvePoints.of(work), len(packings) // len(soils)
+    row = [soil for soil in soils for _ in range(each)]
+    (runs,) = work.each([row], packings, "soils of the posterior")
+    rows = [runs[first : first + each] for first in range(0, len(runs), each)]
     values = np.array([[points.read(run) for run in row] for row in rows])
     sound = np.array([not any(run.failure for run in row) for row in rows])
     values, count = values[sound], int(sound.sum())
@@ -127,7 +131,7 @@ def by_runs(
             f"needed; the first failure: {why}"
         )
     means, within = values.mean(axis=1), values.var(axis=1, ddof=1).mean(axis=0)
-    between = np.maximum(means.var(axis=0, ddof=1) - within / len(packings), 0.0)
+    between = np.maximum(means.var(axis=0, ddof=1) - within / each, 0.0)
     middle, wide = means.mean(axis=0), student.ppf(0.5 + SHARE / 2, count - 1)
     least = np.where((values > 0).all(axis=(0, 1)), 0.0, -np.inf)  # where nothing is below 0
 
@@ -144,7 +148,7 @@ def by_runs(
         fewer_spheres=None,
         by="simulations",
         soils=count,
-        runs=len(soils) * len(packings),
+        runs=len(runs),
     )
 
 

@@ -22,7 +22,7 @@ from calibrate.labtests.composite import names_of
 from calibrate.simulation.joint import AbstractCampaign
 from jdem.materials.soil import SoilParameters
 
-SOILS, PACKINGS = 8, 2  # that are drawn, and packings on which each is simulated
+SOILS, PACKINGS = 8, 2  # that are drawn, and packings of its own on which each is simulated
 
 
 def drawn_soils(done: Calibrated, count: int, seed: int) -> list[SoilParameters]:
@@ -39,11 +39,10 @@ def drawn_soils(done: Calibrated, count: int, seed: int) -> list[SoilParameters]
     return [space.soil(np.exp(row)) for row in space.inside(rows)]
 
 
-def predicted(
-    done: Calibrated, work: AbstractCampaign, packings: Sequence[int], seed: int
-) -> Prediction:
-    """What the tests of `work` would show, on packings that no fit has seen."""
-    return by_runs(work, drawn_soils(done, SOILS, seed), packings[:PACKINGS])
+def predicted(done: Calibrated, work: AbstractCampaign, first: int, seed: int) -> Prediction:
+    """What the tests of `work` would show, on packings from number `first` on."""
+    packings = range(first, first + PACKINGS * SOILS)
+    return by_runs(work, drawn_soils(done, SOILS, seed), packings)
 
 
 def parts(lab: Lab, tests: Sequence[str], verify: Sequence[str]) -> tuple[Lab, Lab | None]:

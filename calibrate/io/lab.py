@@ -35,7 +35,7 @@ from calibrate.io.plausible import Plausibility
 from calibrate.io.stated import StatedTarget, StatedTests, stated_tests
 from calibrate.io.tables import LabTables, ParticlesTable
 from calibrate.labtests.base import AbstractLabTest
-from calibrate.labtests.composite import PLAIN, names_of
+from calibrate.labtests.composite import names_of
 from calibrate.labtests.measured import Curve, Cylinder, Target
 from calibrate.labtests.pair import Pair, pair_of
 from jdem.materials.catalogue import WHOLE
@@ -195,7 +195,7 @@ def load_lab(path: str | Path) -> Lab:
     usual.tables(raw)
     tables = validated(LabTables, raw, file)
     stated = stated_tests(tables, file)
-    _check_something_measured(stated, file)
+    _check_something_measured(stated, "tests." * bool(tables.tests), file)
     particles = Particles.of(tables.particles, file)
     law = particles.conventions if particles.conventions in BED_LAWS else DEFAULT
     cylinders = _cylinders(stated, tables.specimen.cylinder())
@@ -271,11 +271,13 @@ def lab_of(lab: LabLike) -> Lab:
     return lab
 
 
-def _check_something_measured(stated: StatedTests, file: str) -> None:
-    """Refuse a lab file with neither a target nor a curve that is compared."""
+def _check_something_measured(stated: StatedTests, within: str, file: str) -> None:
+    """Refuse a lab file with neither a target nor a curve that is compared; these stand in tables
+    whose names begin with `within`."""
     if not (stated.targets or any(curve.table.compared for curve in stated.curves)):
-        known = [f"[targets.{o.short}]" for kind in PLAIN.values() for o in kind.observables]
-        repair = f"add {', '.join(known)} or [[curves]]"
+        short = dict.fromkeys(o.short for test in stated.tests for o in test.observables)
+        tables = [f"[{within}targets.{name}]" for name in short]
+        repair = f"add {', '.join(tables)} or [[{within}curves]]"
         raise InputError(file, "targets", "nothing measured is given", repair)
 
 

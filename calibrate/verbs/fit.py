@@ -300,7 +300,7 @@ def _verified(
     if held_back is None:
         return None
     work = replace(session, lab=held_back).campaign(session.out, preparation)
-    found = predicted(done, work, done.setup.seeds.fresh, done.setup.seeds.fitted[0])
+    found = predicted(done, work, done.setup.seeds.fresh[0], done.setup.seeds.fitted[0])
     return prediction_json(found, measured_json(held_back)["targets"])
 
 

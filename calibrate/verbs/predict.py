@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from calibrate.io.lab import LabLike
 
 DRAWS = 200  # soils of which the library is asked
-PACKINGS = 2  # of each soil that is simulated
+PACKINGS = 2  # of its own, on which each soil is simulated
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,8 +148,9 @@ def predict(
         found, why = _by_library(session, known, base, work, seed)
     if found is None:
         session.progress.say(f"the library of runs does not predict this: {why}")
-        packings = Seeds.of(seed, PACKINGS, 0).fitted
-        found = by_runs(work, [known.in_soil(base, n) for n in _some(known, soils)], packings)
+        drawn = [known.in_soil(base, n) for n in _some(known, soils)]
+        packings = Seeds.of(seed, PACKINGS * len(drawn), 0).fitted
+        found = by_runs(work, drawn, packings)
     targets = measured_json(session.lab)["targets"]
     content = {
         **origin_of(session),

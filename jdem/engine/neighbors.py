@@ -8,6 +8,7 @@ to 46 340 spheres, and 64 beyond.  Of boundaries made of faces, those near each 
 too (`FaceList`).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import equinox as eqx
@@ -26,6 +27,9 @@ from jdem.laws.base import AbstractContactLaw, Memory
 _FORWARD = np.array(
     [(dx, dy, dz) for dx in (-1, 0, 1) for dy in (-1, 0, 1) for dz in (-1, 0, 1)][14:]
 )
+BITS = 32  # of a word
+_SINGLE = np.uint32(1) << np.arange(BITS, dtype=np.uint32)
+Entries = tuple[Array, Array]  # the two sides of contacts
 
 
 class Grid(eqx.Module):
@@ -169,37 +173,55 @@ def rebuild(
     contacts: ContactList,
 ) -> tuple[ContactList, ContactList, Demand]:
     """Both lists for the spheres' present places, with the histories of the old lists."""
-    candidates, valid, fullest = _cell_candidates(grid, bodies, position)
-    new_pairs, pair_count = _packed(candidates, valid, bodies.count, grid.pairs, pairs)
+    pair, valid, fullest = _near_each_other(grid, bodies, position)
+    new_pairs, pair_count = _packed(pair, valid, bodies.count, grid.pairs, pairs)
     walls = _wall_contacts if any(b.faces for b in boundaries) else _smooth_wall_contacts
     new_contacts, wall_count, faces = walls(grid, bodies, boundaries, position, contacts)
     return new_pairs, new_contacts, Demand(pair_count, wall_count, fullest, faces)
 
 
-def _cell_candidates(grid: Grid, bodies: AbstractBodies, position: Vector):
-    """All pairs within a cell and with half of its neighbours: ((i, j), valid, fullest cell)."""
-    count = bodies.count
-    place = _cell_index(grid, position)
-    flat = _flat(grid, place)
-    order = jnp.argsort(flat)
-    sorted_cells = flat[order]
-    cells = int(np.prod(grid.shape))
+def _near_each_other(grid: Grid, bodies: AbstractBodies, position: Vector):
+    """Each sphere beside those within its cell and in half of the neighbours: the entries at some
+    places, whether these spheres are near (M,), and the fullest cell.
+
+    What stands in a cell is gathered once, and empty places of it are infinitely far away.
+    """
+    count, most = bodies.count, grid.per_cell
+    index = _cell_index(grid, position)
+    own = _flat(grid, index)
+    table, fullest = _table(grid, own)
+    shift = (index[:, None, :] + _FORWARD[None]) % np.array(grid.shape)
+    cells = jnp.concatenate([own[:, None], _flat(grid, shift)], axis=1)
+    rows = jnp.concatenate([position.stack(), bodies.radius[:, None]], axis=1)
+    filled = jnp.concatenate([rows, jnp.full((1, 4), jnp.inf, rows.dtype)])
+    there = jax.lax.optimization_barrier(filled[table])[cells]
+    offset = rows[:, None, None, :3] - there[..., :3]
+    reach = rows[:, None, None, 3] + there[..., 3] + (grid.skin + grid.reach)
+    near = jnp.sum(offset * offset, axis=-1) < reach * reach
+    later = table[own] > jnp.arange(count)[:, None]
+    near = jnp.concatenate([near[:, :1] & later[:, None], near[:, 1:]], axis=1)
+    together = bodies.one_body(jnp.arange(count)[:, None, None], table[cells])
+    near = near if together is None else near & ~together
+
+    def pair(place: Array) -> Entries:
+        one, slot = place // (cells.shape[1] * most), place % most
+        other = table[cells.ravel()[place // most], slot]
+        return jnp.minimum(one, other), jnp.maximum(one, other)
+
+    return pair, near.ravel(), fullest
+
+
+def _table(grid: Grid, own: Array):
+    """The spheres in each cell (cells, per_cell), the number of all where there is none, and how
+    many the fullest cell holds; `own` (N,) is each sphere's cell."""
+    count, cells = len(own), int(np.prod(grid.shape))
+    order = jnp.argsort(own)
+    sorted_cells = own[order]
     start = jnp.searchsorted(sorted_cells, jnp.arange(cells + 1)).astype(jnp.int32)
     rank = jnp.arange(count) - start[sorted_cells]
     table = jnp.full((cells, grid.per_cell), count, jnp.int32)
     table = table.at[sorted_cells, rank].set(order.astype(jnp.int32), mode="drop")
-
-    shift = (place[:, None, :] + _FORWARD[None]) % np.array(grid.shape)
-    theirs = table[_flat(grid, shift)]
-    own = table[flat]
-    own = jnp.where(own > jnp.arange(count)[:, None], own, count)
-    second = jnp.concatenate([own, theirs.reshape(count, -1)], axis=1)
-    first = jnp.broadcast_to(jnp.arange(count, dtype=jnp.int32)[:, None], second.shape)
-    valid = (second < count) & _close(grid, bodies, position, second)
-    together = bodies.one_body(first, second)
-    valid = valid if together is None else valid & ~together
-    low, high = jnp.minimum(first, second), jnp.maximum(first, second)
-    return (low.ravel(), high.ravel()), valid.ravel(), jnp.max(start[1:] - start[:-1])
+    return table, jnp.max(start[1:] - start[:-1])
 
 
 def _cell_index(grid: Grid, position: Vector):
@@ -211,20 +233,17 @@ def _flat(grid: Grid, place):
     return (place[..., 0] * grid.shape[1] + place[..., 1]) * grid.shape[2] + place[..., 2]
 
 
-def _close(grid: Grid, bodies: AbstractBodies, position: Vector, second):
-    """Whether each sphere is within reach of those in its row of `second` (N, candidates)."""
-    other = jnp.minimum(second, bodies.count - 1)
-    offset = jax.tree.map(lambda axis: axis[:, None], position) - position.at(other)
-    reach = bodies.radius[:, None] + bodies.radius[other] + (grid.skin + grid.reach)
-    return offset.dot(offset) < reach * reach
-
-
 def _smooth_wall_contacts(
     grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector, old: ContactList
 ):
     """Contacts with boundaries that have no faces, how many, and no face."""
-    near = _near_boundaries(grid, bodies, boundaries, position)
-    contacts, count = _packed(*near, len(boundaries), grid.wall_contacts, old)
+    near = [b.near(position, bodies.radius, grid.skin) for b in boundaries]
+    valid, stride = jnp.stack(near, axis=-1).ravel(), len(boundaries)
+
+    def touching(place: Array) -> Entries:
+        return place // stride, place % stride
+
+    contacts, count = _packed(touching, valid, stride, grid.wall_contacts, old)
     return contacts, count, jnp.zeros((), jnp.int32)
 
 
@@ -237,9 +256,13 @@ def _wall_contacts(
     found = [boundary.listing(position, radius, room) for boundary in boundaries]
     parts = [f.part + first for f, first in zip(found, first_parts(boundaries), strict=True)]
     stride = part_count(boundaries)
-    candidates = (jnp.concatenate([f.sphere for f in found]), jnp.concatenate(parts))
+    spheres, every = jnp.concatenate([f.sphere for f in found]), jnp.concatenate(parts)
     near = jnp.concatenate([f.near for f in found])
-    contacts, count = _packed(candidates, near, stride, grid.wall_contacts, old)
+
+    def touching(place: Array) -> Entries:
+        return spheres[place], every[place]
+
+    contacts, count = _packed(touching, near, stride, grid.wall_contacts, old)
     keys = [
         _keys((f.sphere, part), stride, contacts.key.dtype)
         for f, part in zip(found, parts, strict=True)
@@ -253,34 +276,52 @@ def _wall_contacts(
     return replace(contacts, faces=faces), count, jnp.max(jnp.stack([most for _, most in asked]))
 
 
-def _near_boundaries(grid: Grid, bodies: AbstractBodies, boundaries: Boundaries, position: Vector):
-    """Every sphere with every boundary: ((sphere, boundary), valid)."""
-    near = [b.near(position, bodies.radius, grid.skin) for b in boundaries]
-    valid = jnp.stack(near, axis=-1)
-    first = jnp.broadcast_to(jnp.arange(bodies.count)[:, None], valid.shape)
-    second = jnp.broadcast_to(jnp.arange(len(boundaries))[None], valid.shape)
-    return (first.ravel(), second.ravel()), valid.ravel()
-
-
 def _keys(entries, stride, kind):
     """Of entries (first, second): integers of a kind that has room for them."""
     first, second = entries
     return first.astype(kind) * stride + second.astype(kind)
 
 
-def _packed(candidates, valid, stride, capacity, old: ContactList):
-    """Valid candidates sorted by key in a list of fixed length, and how many there were."""
+def _packed(
+    entries: Callable[[Array], Entries], valid, stride: int, capacity: int, old: ContactList
+):
+    """Valid candidates sorted by key in a list of fixed length, and how many there were; `entries`
+    gives the two sides of those that stand at some places."""
     kind = old.key.dtype
     none = _no_key(kind)
-    key = jnp.where(valid, _keys(candidates, stride, kind), none)
-    count = jnp.sum(valid).astype(jnp.int32)
-    slot = jnp.where(valid, jnp.cumsum(valid) - 1, capacity)
-    packed = jnp.full(capacity, none, kind).at[slot].set(key, mode="drop")
-    key = jnp.sort(packed)
+    place, count = _places(valid, capacity)
+    listed = jnp.arange(capacity) < count
+    key = jnp.sort(jnp.where(listed, _keys(entries(place), stride, kind), none))
     alive = (key != none).astype(old.alive.dtype)
     used = jnp.where(key != none, key, 0)
     first, second = (part.astype(jnp.int32) for part in (used // stride, used % stride))
     return ContactList(key, first, second, alive, inherited(key, old)), count
+
+
+def _places(valid, capacity: int):
+    """Where the first `capacity` of these (M,) are true, and how many are; any place beyond.
+
+    Thirty-two of them share a word: a running sum over all of them, for their places in the list,
+    took longer than the search for them.
+    """
+    words = jnp.pad(valid, (0, -len(valid) % BITS)).reshape(-1, BITS)
+    words = jnp.sum(jnp.where(words, _SINGLE, jnp.uint32(0)), axis=1, dtype=jnp.uint32)
+    held = jax.lax.population_count(words).astype(jnp.int32)
+    until, wanted = jnp.cumsum(held), jnp.arange(capacity, dtype=jnp.int32)
+    word = jnp.minimum(jnp.searchsorted(until, wanted, side="right"), len(words) - 1)
+    bit = _nth_bit(words[word], wanted - (until - held)[word])
+    return jnp.minimum(BITS * word + bit, len(valid) - 1).astype(jnp.int32), until[-1]
+
+
+def _nth_bit(word, number):
+    """Which bit of each word (uint32) is the one of this number among those that are set."""
+    place = jnp.zeros_like(number)
+    for half in (16, 8, 4, 2, 1):
+        low = jax.lax.population_count(word & jnp.uint32(2**half - 1)).astype(number.dtype)
+        higher = number >= low
+        number, place = jnp.where(higher, number - low, number), place + half * higher
+        word = jnp.where(higher, word >> half, word)
+    return place
 
 
 def inherited(key, old: ContactList) -> Memory:

@@ -138,7 +138,7 @@ def test_a_measured_number_holds_within_what_is_known_of_its_mean(share, holds):
 
 def test_runs_split_soils_from_packings():
     """Many soils on many packings: the deviations that both were given."""
-    found = by_runs(Formulas(), soils(60), range(40))
+    found = by_runs(Formulas(), soils(60), range(2400))
     assert found.sd["parameters"][FORCE] == pytest.approx(0.6 * SD * 200, rel=0.2)
     assert found.sd["packings"][FORCE] == pytest.approx(0.05 * 200, rel=0.3)
     assert (found.by, found.runs) == ("simulations", 2400)
@@ -146,16 +146,27 @@ def test_runs_split_soils_from_packings():
 
 
 def test_few_soils_make_wider_intervals_and_failed_ones_are_left_out():
-    few, many = (by_runs(Formulas(), soils(n), range(2)) for n in (4, 60))
+    few, many = (by_runs(Formulas(), soils(n), range(2 * n)) for n in (4, 60))
     width = [np.diff([end[FORCE] for end in each.of_means])[0] for each in (few, many)]
     assert width[0] > 1.2 * width[1]
     weak = 0.9 * float(BASE.surface_energy)
     work = Formulas(fails=lambda soil: float(soil.surface_energy) < weak)
-    assert 2 < by_runs(work, soils(20), range(2)).soils < 20
+    assert 2 < by_runs(work, soils(20), range(40)).soils < 20
     with pytest.raises(
         CalibrationError, match=r"0 of 4 soils could be simulated .* the bed exploded"
     ):
-        by_runs(Formulas(fails=lambda soil: True), soils(4), range(2))
+        by_runs(Formulas(fails=lambda soil: True), soils(4), range(8))
+
+
+def test_luck_that_all_soils_would_share_is_in_the_interval():
+    """Of soils that hardly differ: each on two packings, whose luck no other soil has."""
+    true, inside, tries = 200.0, 0, 150
+    for trial in range(tries):
+        alike, first = soils(4, sd=1e-3, seed=trial), 8 * trial
+        found = by_runs(Formulas(), alike, range(first, first + 8))
+        low, high = (end[FORCE] for end in found.of_means)
+        inside += low < true < high
+    assert inside / tries == pytest.approx(SHARE, abs=0.08)
 
 
 def test_the_picture_has_a_panel_for_each_test_and_every_label_once():

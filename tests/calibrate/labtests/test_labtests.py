@@ -242,7 +242,8 @@ def test_points_that_are_none_are_refused(folder):
 
 
 def test_tests_without_anything_measured_are_refused(folder):
-    assert "nothing measured" in str(refusal(folder, HEAD + '[[tests]]\ntype = "confined"\n'))
+    listed = str(refusal(folder, HEAD + '[[tests]]\ntype = "confined"\n'))
+    assert "nothing measured" in listed and "[tests.targets.depression_depth]" in listed
 
 
 # ---- the tests of a library of runs -----------------------------------------------------------
