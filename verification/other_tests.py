@@ -5,7 +5,7 @@ Of each, soils that these two numbers leave possible are drawn from the posterio
 the library of runs) and simulated in tests that took no part; the hidden soil itself is simulated
 on packings that none of them saw.  Its mean is to lie within the interval for so many specimens.
 
-    python -m verification.other_tests                 some five hours of a core
+    python -m verification.other_tests                 some three hours of a core
     python -m verification.other_tests --soils 7 8 9 --tests direct_shear
 
 Soils that verification/results/other_tests.json holds are not made again; runs are kept in
@@ -39,7 +39,9 @@ from verification.posterior import question_of, share_of
 SOILS = 10
 DRAWN_ON = (7000, 7001, 7006, 7007, 7008, 7009)  # packings, one for each drawn soil
 HIDDEN_ON = (7002, 7003)  # packings of the hidden one
-OBSERVABLES = ("peak_shear_stress_kpa", "residual_shear_stress_kpa", "cone_index_kpa")
+OBSERVABLES = (
+    "peak_shear_stress_kpa", "residual_shear_stress_kpa", "plane_stress_kpa", "cone_index_kpa",
+)  # fmt: skip
 BOX = """
 [soil]
 name = "in a shear box"
