@@ -3,7 +3,7 @@
 Hidden soils of `verification.hidden_soils` were measured by depression depth and crushing force.
 Of each, soils that these two numbers leave possible are drawn from the posterior (by brute force on
 the library of runs) and simulated in tests that took no part; the hidden soil itself is simulated
-on packings that none of them saw.  Its mean is to lie within the interval for so many specimens.
+on packings that none of them saw.  Its mean is to lie within the interval of one specimen.
 
     python -m verification.other_tests                 some three hours of a core
     python -m verification.other_tests --soils 7 8 9 --tests direct_shear
@@ -76,9 +76,10 @@ targets.cone_index = { mean = "1 MPa", scatter = "0.1 MPa", repeats = 4 }  # not
 
 @dataclass(frozen=True)
 class Asked:
-    """A test that took no part: its lab file, the preset, and how many soils of a posterior are
-    simulated, each on a packing of its own."""
+    """A test that took no part: where it is made, its lab file, the preset, and how many soils of
+    a posterior are simulated, each on a packing of its own."""
 
+    where: str
     lab: str
     preset: Preset
     draws: int
@@ -87,8 +88,10 @@ class Asked:
 # Spheres so small that the cone is ten wide; at 0.1 m/s the inertial number is 5e-4.
 AT_CONE = replace(STANDARD, spheres=5150, rate_free=0.1, dtype="float32")
 TESTS = {
-    "direct_shear": Asked(BOX, STANDARD, draws=6),
-    "cone_penetration": Asked(CONE, AT_CONE, draws=4),
+    "direct_shear": Asked("in a shear box 20 spheres wide", BOX, STANDARD, draws=6),
+    "cone_penetration": Asked(
+        "under a cone of 60 degrees, ten spheres wide in a mould of 20", CONE, AT_CONE, draws=4
+    ),
 }
 
 
@@ -136,9 +139,10 @@ def by_one_each(
 ) -> Prediction:
     """From soils of which each is simulated on one packing of its own, as `by_runs` in half of the
     time.  Luck is in their scatter, which is called that of parameters; so the interval is that of
-    one specimen, and a little wide for the mean of several."""
+    one specimen, and a little wide for the mean of several.  Failed runs are left out."""
     points = CurvePoints.of(work)
-    (runs,) = work.each([soils], packings, "soils of the posterior")
+    (row,) = work.each([soils], packings, "soils of the posterior")
+    runs = [run for run in row if not run.failure]
     values = np.array([points.read(run) for run in runs])
     count, middle, sd = len(values), values.mean(axis=0), values.std(axis=0, ddof=1)
     half = student.ppf(0.5 + SHARE / 2, count - 1) * sd * np.sqrt(1 + 1 / count)
@@ -167,15 +171,22 @@ def markdown(found: dict[str, dict], origin: dict) -> str:
     return (
         "# Tests that took no part\n\n"
         f"{len(found)} hidden soils, measured by depression depth and crushing force alone. "
-        f"{TESTS['direct_shear'].draws} soils of each posterior were simulated in a shear box 20 "
-        f"spheres wide, {TESTS['cone_penetration'].draws} under a cone of 60 degrees that is ten "
-        "spheres wide in a mould of 20, each on a packing of its own; the hidden soil's number is "
-        f"the mean over {len(HIDDEN_ON)} others.\n\n"
+        + "".join(_design(test, found) for test in TESTS)
+        + f"Each was on a packing of its own; the hidden soil's number is the mean over "
+        f"{len(HIDDEN_ON)} others.\n\n"
         + reporting.table(header, rows)
         + "\n"
         + _summary(found)
         + reporting.footer(origin)
     )
+
+
+def _design(test: str, found: dict[str, dict]) -> str:
+    """What was simulated, where any soil was."""
+    count = sum(test in numbers["tests"] for numbers in found.values())
+    asked = TESTS[test]
+    said = f"For {count} of them {asked.draws} soils of the posterior were simulated {asked.where}. "
+    return said if count else ""
 
 
 def _row(number: str, name: str, row: dict) -> list[str]:

@@ -111,8 +111,8 @@ def shown(beds: Beds, points: CurvePoints, soil: SoilParameters) -> Array:
 def by_runs(
     work: AbstractCampaign, soils: Sequence[SoilParameters], packings: Sequence[int]
 ) -> Prediction:
-    """From runs of soils (two at least), each on as many packings of its own (two at least): there
-    are a multiple of `packings`.
+    """From runs of soils (two at least).  `packings` are shared out: each soil has as many of its
+    own (two at least).
 
     Raises:
         CalibrationError: fewer than two soils could be simulated.

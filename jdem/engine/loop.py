@@ -88,7 +88,7 @@ class Record(eqx.Module):
         return _overflow(grid, self.demand, self.drift)
 
     def explain_overflow(self, grid: Grid) -> str:
-        """Which list or skin was too small, and the capacity that would do."""
+        """Which list or skin was too small, and what would have done until the run ended."""
         demand = self.demand
         rows = [
             ("pairs", grid.pairs, int(demand.pairs)),
