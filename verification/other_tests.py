@@ -185,7 +185,9 @@ def _design(test: str, found: dict[str, dict]) -> str:
     """What was simulated, where any soil was."""
     count = sum(test in numbers["tests"] for numbers in found.values())
     asked = TESTS[test]
-    said = f"For {count} of them {asked.draws} soils of the posterior were simulated {asked.where}. "
+    said = (
+        f"For {count} of them {asked.draws} soils of the posterior were simulated {asked.where}. "
+    )
     return said if count else ""
 
 
