@@ -32,7 +32,7 @@ from calibrate.designs.terms import quadratic
 from calibrate.inference.audit import CurvePoints, simulated_response
 from calibrate.inference.evaluation import Calibration, packing_scatter
 from calibrate.inference.fit import descend
-from calibrate.inference.parameters import Space, candidates_of, ensemble, space
+from calibrate.inference.parameters import Space, ensemble, not_held, space
 from calibrate.inference.problem import pose
 from calibrate.io.lab import Lab
 from calibrate.labtests.composite import names_of
@@ -311,9 +311,7 @@ def design(
     _check_targets(lab)
     seeds = Seeds.of(seed, preset.packings)
     fresh = tuple(number for number in seeds.scatter if number not in seeds.fitted)
-    held = {name for name, choice in lab.parameters.items() if choice.free is False}
-    factors = tuple(n for n in candidates_of(lab) if n not in held)
-    setup = StudySetup(space(lab, factors, base), work, seeds.fitted)
+    setup = StudySetup(space(lab, not_held(lab), base), work, seeds.fitted)
     done = study(setup, lab.targets, fresh)
     return Designed(done, compare(lab, setup, done, fresh, seeds.scatter), seeds.fitted, fresh)
 

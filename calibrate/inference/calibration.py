@@ -24,7 +24,7 @@ from calibrate.inference.fit import Descent, Fit, descend, finished, fit, joined
 from calibrate.inference.identifiability import choose_free, strongest
 from calibrate.inference.misfit import misses, warnings
 from calibrate.inference.on_response import DIGITS, Solved
-from calibrate.inference.parameters import candidates_of, ensemble, space, stated_free, to_digits
+from calibrate.inference.parameters import ensemble, not_held, space, stated_free, to_digits
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.inference.resolutions import AbstractCoarse, Correction, corrected, disagreement
 from calibrate.inference.slopes import SlopesOfSmallerBeds
@@ -117,9 +117,10 @@ def explore(
 ) -> Explored:
     """The first half of `calibrate`, whose arguments it takes: which parameters, and from where."""
     problem, seeds = pose(lab), Seeds.of(seed, preset.packings, preset.fresh)
+    free = free or stated_free(lab)
+    space(lab, free or not_held(lab), base)  # refuses a start beyond its bounds, before any run
     scatter, scattered = scatter_of_packings(problem, base, seeds, work, coarse)
     setup = FitSetup(lab, problem, base, seeds, work, scatter, scattered, coarse)
-    free = free or stated_free(lab)
     screened = setup.screened() if free is None else None
     screening = {} if screened is None else screening_json(setup, screened)
     if free is None:
@@ -194,9 +195,7 @@ class FitSetup:
 
     def screened(self) -> Screened:
         """Slopes of all features in every parameter that the lab file does not hold."""
-        held = {name for name, choice in self.lab.parameters.items() if choice.free is False}
-        names = candidates_of(self.lab)
-        every = space(self.lab, tuple(n for n in names if n not in held), self.base)
+        every = space(self.lab, not_held(self.lab), self.base)
         what, start = "sensitivity of every parameter", to_digits(every.start())
         if self.coarse is not None and self.coarse.near:
             slopes = self.coarse.slopes(self.problem, every, start)

@@ -66,6 +66,12 @@ def candidates_of(lab: Lab) -> tuple[str, ...]:
     return tuple(expanded(dict.fromkeys(candidates(lab.particles.conventions)), lab.differing()))
 
 
+def not_held(lab: Lab) -> tuple[str, ...]:
+    """Those of them that the lab file does not hold."""
+    held = {name for name, choice in lab.parameters.items() if choice.free is False}
+    return tuple(name for name in candidates_of(lab) if name not in held)
+
+
 def stated_free(lab: Lab) -> tuple[str, ...] | None:
     """The parameters that a lab file frees; None where it leaves the choice to a fit."""
     stated = [name for name, choice in lab.parameters.items() if choice.free]

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from calibrate.core.errors import InputError
-from calibrate.inference.parameters import ranges_of
+from calibrate.inference.parameters import not_held, ranges_of, space, stated_free
 from calibrate.inference.problem import Problem, begun_late, pose
 from calibrate.io.choices import unit_of
 from calibrate.io.conventions import origin, said
@@ -123,7 +123,7 @@ def check(lab: options.LabFile = None) -> CheckResult:
         "free": [name for name, choice in chosen.items() if choice.free],
         "held": [name for name, choice in chosen.items() if choice.free is False],
         "diagnosis": _diagnosis(read),
-        "warnings": [*begun_late(read), *_not_compared(read)],
+        "warnings": [*begun_late(read), *_not_compared(read), *_refused(read)],
     }
     return CheckResult(read, Path(read.file).parent, content)
 
@@ -160,6 +160,14 @@ def _diagnosis(lab: Lab) -> str:
     except InputError as error:
         return f"refuses it: {error.problem}; {error.repair}"
     return "takes it" if lab.curves else "names no effect, since the lab file has no curves"
+
+
+def _refused(lab: Lab) -> Iterator[str]:
+    """Why a fit would not begin: a start on or beyond its bounds."""
+    try:
+        space(lab, stated_free(lab) or not_held(lab))
+    except InputError as error:
+        yield f"a fit refuses {error.field}: {error.problem}; {error.repair}"
 
 
 def _not_compared(lab: Lab) -> Iterator[str]:

@@ -32,6 +32,7 @@ from calibrate.records.base import Measured, record
 from calibrate.simulation.resolution import PRESETS, Preset, specimen, virtual_lab
 from calibrate.simulation.run import summary
 from calibrate.simulation.specimens import _wider, campaign, measured_json, simulate
+from calibrate.verbs.check import check
 from calibrate.verbs.example import examples
 from jdem.effects.rate import RateDependence
 from jdem.laboratory.virtual_lab import VirtualLab
@@ -306,6 +307,7 @@ def test_every_example_is_a_lab_file_of_the_test_that_it_is_called_after(tmp_pat
         lab = load_lab(path)
         assert lab.targets and example.minutes <= 15
         assert name in {test.type_name for test in lab.tests} or name not in TYPES
+        assert not [said for said in check(lab).warnings if "refuses" in said], name
 
 
 def test_soil_that_stands_has_no_angle_of_repose():

@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -215,6 +216,17 @@ def test_a_test_that_prepares_is_not_in_vain_and_one_that_ends_unmeasured_is(tmp
         "again has neither a target nor a curve: a fit simulates it in vain"
     ]
     assert check(path).content["diagnosis"].startswith("refuses it: a library of runs holds")
+
+
+def test_a_start_beyond_its_bounds_is_refused_before_anything_is_simulated(calibrate, tmp_path):
+    path = tmp_path / "lab.toml"
+    path.write_text(re.sub("(?m)^rolling_friction.*", "rolling_friction = 0.05", GOOD))
+    (said,) = [warning for warning in check(path).warnings if "refuses" in warning]
+    assert "parameters.rolling_friction" in said and "0.05 is not between the bounds" in said
+    for verb in ("fit", "doe"):
+        status, out, error = calibrate(verb, "lab.toml", "--preset", "quick")
+        assert (status, out) == (2, "") and error.endswith("give its low and high\n")
+        assert "packings" not in error and "compiled" not in error
 
 
 @pytest.mark.parametrize("text", ["", "[soil\nname", GOOD.replace('"100 mm"', '"-100 mm"')])
