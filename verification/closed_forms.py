@@ -117,16 +117,38 @@ def thrown(variant: Variant) -> tuple[Spheres, np.ndarray]:
     return Spheres(jnp.asarray(radii), jnp.asarray(DENSITY * 4 / 3 * np.pi * radii**3)), centres
 
 
+def moved(
+    duration: float,
+    speeds: dict[int, float],
+    placed: dict[int, int] | None = None,
+    *,
+    damping: float = 0.0,
+    servo: int = LID,
+    load: float = math.inf,
+    width: float = 1.0,
+) -> Segment:
+    """Boundaries at speeds (m/s), of which `servo` brings its load (N) about, as a servo of this
+    width (N) does."""
+    still = jnp.zeros(LID + 1)
+    speed, place = still, jnp.full(LID + 1, KEEP)
+    for boundary, value in speeds.items():
+        speed = speed.at[boundary].set(value)
+    for boundary, value in (placed or {}).items():
+        place = place.at[boundary].set(value)
+    return Segment(
+        speed=speed, spin=still, growth=still, placed=place, servo=servo, force_target=load,
+        servo_width=width, response=1e-3, damping=damping, duration=duration,
+    )  # fmt: skip
+
+
 def movement(
     duration: float, speed: float = 0.0, damping: float = 0.0, load: float = 0.0, lid: int = KEEP
 ) -> Segment:
     """The wall at a speed (m/s) into the soil, under a lid of this load (N) if it has one."""
-    still = jnp.zeros(LID + 1)
-    return Segment(
-        speed=still.at[WALL].set(speed).at[LID].set(LID_SPEED if load else 0.0), spin=still,
-        growth=still, placed=jnp.full(LID + 1, KEEP).at[LID].set(lid), servo=LID,
-        force_target=load or jnp.inf, servo_width=0.3 * load or 1.0, response=1e-3,
-        damping=damping, duration=duration,
+    speeds = {WALL: speed, LID: LID_SPEED if load else 0.0}
+    return moved(
+        duration, speeds, {LID: lid}, damping=damping, load=load or math.inf,
+        width=0.3 * load or 1.0,
     )  # fmt: skip
 
 

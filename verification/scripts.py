@@ -18,8 +18,11 @@ SCRIPTS = {
     "rankine": Script((RUN + "closed_forms --parts rankine",), 9, "closed_forms", "Rankine"),
     "ring": Script((RUN + "closed_forms --parts vane",), 1, "closed_forms", "A ring around a vane"),
     "mohr_coulomb": Script(
-        (RUN + "shear_boxes",), 40, "closed_forms",
+        (RUN + "shear_boxes --parts tests",), 40, "closed_forms",
         "Direct shear, biaxial test and unconfined strength",
+    ),
+    "columns": Script(
+        (RUN + "shear_boxes --parts columns",), 25, "closed_forms", "Columns between planes"
     ),
     "chain": Script((RUN + "tangents --chain",), 8, "tangents", "A chain that is pulled apart"),
     "diagnosis": Script(("python -m studies.diagnosis",), 8, "diagnosis", "", "studies"),

@@ -6,17 +6,20 @@
 
 All are pressed alike, and spheres have one size and one law.  Boxes differ in how many spheres
 they are wide, and in how far their halves stand apart: at a narrow gap both edges catch spheres.
+Beds of the biaxial test are crushed as columns too, along the direction of pressing or across it,
+with two faces free or four.
 
-    python -m verification.shear_boxes                  some forty minutes of a core
+    python -m verification.shear_boxes                  some seventy minutes of a core
+    python -m verification.shear_boxes --parts columns
 
-Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes a section of
+Runs are kept in results/benchmarks; a second call resumes.  Seeds: 0, 1, 2.  Writes sections of
 verification/results/closed_forms.md.
 """
 
 import argparse
 import math
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,12 +28,28 @@ from jdem.apparatus.confined import ConfinedCompression
 from jdem.apparatus.direct_shear import DirectShear, round_box
 from jdem.apparatus.unconfined import UnconfinedCompression
 from jdem.engine.bed import Numerics
+from jdem.engine.segment import LOWER, REMOVE, Segment
 from jdem.laboratory.virtual_lab import Outcome, TestSequence, VirtualLab
 from jdem.materials.soil import SoilParameters
 from jdem.packing.settling import settled
 from jdem.packing.specimen import Specimen
 from verification import reporting
-from verification.closed_forms import PouredBed, Room, Variant, biaxial, compiled, kept, mean
+from verification.closed_forms import (
+    DENSITY,
+    FAR_WALL,
+    LID,
+    LID_SPEED,
+    WALL,
+    PouredBed,
+    Room,
+    Variant,
+    biaxial,
+    compiled,
+    kept,
+    mean,
+    moved,
+    smoothed,
+)
 
 NARROW, WIDE = 0.05, 0.1  # m, diameters; eight and sixteen spheres
 TALL, BOX_HEIGHT, COUNT = 0.1, 0.05, 500  # m, of a column and a box; spheres in a narrow box
@@ -128,17 +147,27 @@ def mohr_coulomb(rows: list[dict[str, float]]) -> tuple[float, float, float]:
     return float(cohesion), float(phi), float(2 * cohesion * np.cos(phi) / (1 - np.sin(phi)))
 
 
+def poured(seed: int) -> PouredBed:
+    """A dry bed between planes."""
+    variant = Variant(RADIUS, seed, step=0.5, room=ROOM)
+    soil = replace(STIFF, surface_energy=jnp.asarray(NONE))
+    bed = PouredBed(variant, soil, Numerics(wall_layer=27.0, sample_time=2.5e-4), 8000)
+    bed.pour()
+    return bed
+
+
+def sticky(bed: PouredBed) -> PouredBed:
+    """The bed with adhesion."""
+    bed.soil = replace(bed.soil, surface_energy=jnp.asarray(ADHESION))
+    return bed
+
+
 def pushed(seed: int) -> dict[str, dict]:
     """A bed between planes that was pressed, then pushed by a wall under the lid's stress: what
     `biaxial` says of it dry, and with adhesion under each of STRESSES."""
-    variant, soil = (
-        Variant(RADIUS, seed, step=0.5, room=ROOM),
-        replace(STIFF, surface_energy=jnp.asarray(NONE)),
-    )
-    bed = PouredBed(variant, soil, Numerics(wall_layer=27.0, sample_time=2.5e-4), 8000)
-    bed.pour()
+    bed = poured(seed)
     found = {DRY: biaxial(bed, float(STIFF.static_friction), STRESSES[1], PRESSED)}
-    bed.soil = replace(soil, surface_energy=jnp.asarray(ADHESION))
+    bed = sticky(bed)
     for stress in STRESSES:
         found[f"{stress:g}"] = biaxial(bed, float(STIFF.static_friction), stress, PRESSED)
     return found
@@ -152,6 +181,81 @@ def of_planes(found: dict[str, dict]) -> tuple[list[tuple[float, float]], float,
     ratio, strength = np.polyfit([low for low, _ in points], [high for _, high in points], 1)
     phi = math.asin((ratio - 1) / (ratio + 1))
     return points, float(strength), float(strength / (2 * ratio**0.5)), phi
+
+
+# ---------------------------------------------------------------- columns between planes
+
+SIDES, FACES = (WALL, FAR_WALL), (1, 2, 3, 4)  # the walls across the length; all four
+FREE, PLANE, BOTH, ACROSS = "free", "plane", "both", "across"
+COLUMN = {
+    FREE: "along the pressing, four faces free",
+    PLANE: "along the pressing, two faces free",
+    BOTH: "along the pressing, two faces free, which had been pressed too",
+    ACROSS: "across the pressing, the pressed face free",
+}
+LITTLE, CALM = 5.0, 500.0  # N, a lid's load that is as good as none; 1/s, damping as it is pressed
+OPENED, OPENING, REST = 1e-3, 0.02, 0.05  # m, m/s, s: how walls open, and the rest that follows
+CRUSHED, ACROSS_SPEED = 6e-3, 9.6e-3  # m, of the lid or the wall; m/s of the wall
+SLOWLY = 0.3  # times the lid's speed
+
+
+def programme(way: str, slower: float = 1.0) -> tuple[list[Segment], int]:
+    """How a column is pressed, freed and crushed, and what crushes it."""
+    area, face = ROOM.length * ROOM.width, ROOM.width * ROOM.filled
+    load, side = PRESSED * area, PRESSED * face
+    calmer = 0.4 * CALM
+
+    def servo(duration, boundary, target, full, placed=None):
+        speeds = {boundary: LID_SPEED}
+        return moved(duration, speeds, placed, damping=CALM, servo=boundary, load=target,
+                     width=0.3 * full)  # fmt: skip
+
+    pressing = [servo(0.2, LID, load, load, {LID: LOWER})]
+    if way == BOTH:
+        pressing += [servo(0.2, WALL, side, side), servo(0.1, WALL, LITTLE, side)]
+    pressing += [servo(0.1, LID, LITTLE, load)]
+    if way == ACROSS:
+        push = moved(CRUSHED / ACROSS_SPEED, {WALL: ACROSS_SPEED})
+        return [*pressing, moved(REST, {}, {LID: REMOVE}, damping=calmer), push], WALL
+    walls, speed = FACES if way == FREE else SIDES, slower * LID_SPEED
+    return [
+        *pressing,
+        moved(OPENED / OPENING, dict.fromkeys(walls, -OPENING), {LID: REMOVE}, damping=calmer),
+        moved(REST, {}, dict.fromkeys(walls, REMOVE), damping=calmer),
+        moved(CRUSHED / speed, {LID: speed}, {LID: LOWER}),
+    ], LID
+
+
+@cache
+def column_bed(seed: int) -> PouredBed:
+    return sticky(poured(seed))
+
+
+def column(way: str, seed: int, slower: float = 1.0) -> dict[str, float]:
+    """Strength (kPa, over the area at the peak) and strain there of a bed between planes that was
+    pressed, then freed and crushed in one of the ways of COLUMN; stresses (kPa) of lid and wall as
+    it was pressed, and porosity before it was freed."""
+    bed, (rows, crusher) = column_bed(seed), programme(way, slower)
+    record = bed.advanced(rows, float(STIFF.static_friction), 0.0, 0.0)
+    samples, movement = record.samples, np.asarray(record.samples.segment)
+    place, loads = np.asarray(samples.reference), np.abs(np.asarray(samples.loads))
+    before = np.flatnonzero(movement == len(rows) - (3 if crusher == WALL else 4))[-1]
+    length = place[before, FAR_WALL, 0] - place[before, WALL, 0]
+    height = place[before, LID, 2]
+    flat, upright = length * ROOM.width, ROOM.width * height
+    axis, area, long = (2, flat, height) if crusher == LID else (0, upright, length)
+    last = movement == len(rows) - 1
+    way_gone = np.abs(place[last, crusher, axis] - place[last, crusher, axis][0]) / long
+    stress = smoothed(1e-3 * loads[last, crusher, axis] / area * (1 - way_gone))
+    peak = int(np.argmax(stress))
+    pressed = loads[movement < len(rows) - 2].max(axis=0)
+    return {
+        "strength": float(stress[peak]),
+        "strain": float(way_gone[peak + (last.sum() - len(stress)) // 2]),
+        "lid": 1e-3 * float(pressed[LID, 2] / flat),
+        "wall": 1e-3 * float(pressed[WALL, 0] / upright),
+        "porosity": float(1 - bed.mass / DENSITY / (flat * height)),
+    }
 
 
 # ---------------------------------------------------------------- the page
@@ -229,12 +333,37 @@ def _columns() -> str:
     return reporting.table(head, rows)
 
 
+def columns() -> str:
+    """The section on columns between planes."""
+    rows, found = [], {}
+    for way, said in COLUMN.items():
+        found[way] = [kept(f"column-{way}-{bed}", partial(column, way, bed)) for bed in BEDS]
+        names = ("lid", "wall", "porosity", "strain", "strength")
+        rows.append([said, *(mean([r[name] for r in found[way]]) for name in names)])
+    slow = kept("column-slow", partial(column, PLANE, 0, slower=SLOWLY))["strength"]
+    head = ("crushed", "pressed by the lid to (kPa)", "by the wall (kPa)", "porosity",
+            "strain at the peak", "strength (kPa)")  # fmt: skip
+    return (
+        "# Columns between planes\n\n"
+        f"Beds of the biaxial tests above; planes are smooth; {len(BEDS)} beds.\n\n"
+        f"{reporting.table(head, rows)}\n"
+        f"At {SLOWLY:g} of the speed, {COLUMN[PLANE]}, bed 0: {slow:.1f} kPa in place of "
+        f"{found[PLANE][0]['strength']:.1f}.\n"
+    )
+
+
+PARTS = {"tests": markdown, "columns": columns}
+
+
 def main() -> None:
     plain = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
+    parser.add_argument("--parts", nargs="+", choices=tuple(PARTS), default=list(PARTS))
+    chosen = parser.parse_args()
     reporting.configure()
-    page = markdown() + reporting.footer(reporting.provenance())
-    reporting.write_section("closed_forms", page)
+    for part in chosen.parts:
+        page = PARTS[part]() + reporting.footer(reporting.provenance())
+        reporting.write_section("closed_forms", page)
 
 
 if __name__ == "__main__":
