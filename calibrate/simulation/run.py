@@ -37,6 +37,10 @@ QUALITY = (
     "porosity",
 )
 LEAST_ACROSS = 8.0  # spheres; below, the grains are a large part of the specimen (7.5 to 20 in use)
+PRESSED_THROUGH = (
+    "a sphere that is pressed through a tool's surface does so: the soil may be too soft for the "
+    "tool's force; raise shear_modulus, or end the test at a smaller force or depth"
+)
 LEAST_AT_TOOL = 5.0  # spheres; below, forces are those of chains (tips slip between them below 3)
 
 
@@ -205,6 +209,8 @@ def _bad_numerics(lab: VirtualLab, outcome: Outcome) -> str:
         )
     if bool(record.overflow_of(lab.grid)) and not finds:
         finds.append("spheres outran their contact lists: " + record.explain_overflow(lab.grid))
+        if any(test.width for test in lab.tests.apparatus):
+            finds.append(PRESSED_THROUGH)
     return "; ".join(finds)
 
 

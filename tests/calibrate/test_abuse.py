@@ -11,6 +11,8 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -27,8 +29,12 @@ from calibrate.io.labfile import PARAMETER_RANGES
 from calibrate.io.soil import with_values
 from calibrate.simulation import session
 from calibrate.simulation.resolution import specimen, virtual_lab
+from calibrate.simulation.run import _bad_numerics
 from jdem.apparatus.pair import SpherePair, drive_overlap, overlap_path
 from jdem.core.smooth import Smoothing
+from jdem.core.vector import Vector
+from jdem.engine.segment import CELL
+from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.conventions import liggghts
 from jdem.materials.soil import SoilParameters, particle_law
 from tests import ROOT
@@ -184,6 +190,25 @@ def test_a_contact_list_that_is_too_small_is_named(tmp_path):
     run = work.runs([BASE], [0], "small lists")[0][0]
     assert "a contact list was too small: pairs: have" in run.failure
     assert run.quality["overflow"] == 1.0
+
+
+@pytest.mark.parametrize("width", [None, 0.02])
+def test_spheres_that_outrun_their_lists_may_have_been_pressed_through_a_tool(width):
+    """Seen under a cone: a sphere's centre crossed the surface, and it left at 15 m/s."""
+    record = SimpleNamespace(
+        demand=SimpleNamespace(exceeds=lambda grid: False),
+        state=SimpleNamespace(
+            motion=SimpleNamespace(position=Vector.from_rows(jnp.zeros((2, 3)))),
+            energy=SimpleNamespace(platen=1.0, integration=1e-3, boundaries=np.ones(CELL)),
+        ),
+        overflow_of=lambda grid: True,
+        explain_overflow=lambda grid: "motion between rebuilds (m): have 1, need 2",
+    )
+    tests = SimpleNamespace(apparatus=(SimpleNamespace(width=width),))
+    lab, outcome = SimpleNamespace(grid=None, tests=tests), SimpleNamespace(record=record)
+    said = _bad_numerics(cast(VirtualLab, lab), cast(Outcome, outcome))
+    assert said.startswith("spheres outran their contact lists: motion between rebuilds")
+    assert ("pressed through a tool's surface" in said) == (width is not None)
 
 
 @pytest.mark.slow

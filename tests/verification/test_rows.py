@@ -14,7 +14,7 @@ from calibrate.inference.posterior import FromRuns
 from jdem.physics import PHYSICS
 from tests import ROOT
 from verification import __main__ as engine
-from verification import beside, quick, reference_beds, reporting, shear_boxes
+from verification import beside, other_tests, quick, reference_beds, reporting, shear_boxes
 from verification.reporting import Cell, Row, Script
 from verification.rows import README, ROWS, SURE
 from verification.scripts import SCRIPTS
@@ -385,3 +385,12 @@ def test_lines_through_peaks_of_boxes_and_of_biaxial_tests_say_the_same_of_a_soi
     points, *said = shear_boxes.of_planes(planes)
     assert said == pytest.approx([strength, c, phi])
     assert points[0][0] == pytest.approx(1.1e-3 * shear_boxes.STRESSES[0])
+
+
+def test_an_interval_of_a_test_that_took_no_part_is_of_one_specimen():
+    """t of two degrees of freedom, 2.92, times sd sqrt(1 + 1/3); a run without numbers is left."""
+    rows = [{"f": value} for value in (9.0, 10.0, 11.0)] + [{}]
+    found = other_tests.compared(rows, [{"f": 13.0}, {"f": 13.5}])["f"]
+    assert found["measured"]["half_width"] == pytest.approx(2.92 * (4 / 3) ** 0.5, rel=1e-3)
+    assert (found["soils"], found["measured"]["holds"]) == (3, True)
+    assert other_tests.compared(rows[:1] + rows[3:], [{"f": 9.0}]) == {}
