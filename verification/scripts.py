@@ -71,7 +71,7 @@ SCRIPTS = {
         ),
         190, "sizes",
     ),
-    "other_tests": Script((RUN + "other_tests",), 100, "posterior", "Tests that took no part"),
+    "other_tests": Script((RUN + "other_tests",), 300, "posterior", "Tests that took no part"),
     "hidden_soils": Script((RUN + "hidden_soils",), 240, "posterior", "Hidden soils"),
     "codes": Script(
         ("python -m studies.liggghts.codes --soils wheat_after_rice trumao strong",),
