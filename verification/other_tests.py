@@ -5,8 +5,9 @@ Of each, soils that these two numbers leave possible are drawn from the posterio
 the library of runs) and simulated in tests that took no part; the hidden soil itself is simulated
 on packings that none of them saw.  Its mean is to lie within the interval of one specimen.
 
-Of the cone the mean force is read while its tip goes in.  Deeper, spheres of these soils, which are
-as soft as their compression tests say, are pressed through its surface, and runs end there.
+Of the cone the mean force is read while its tip goes in, which all runs reach.  Deeper, some
+runs end where the cone index is a third of the shear modulus or more: in the one that was looked at
+a sphere had passed through the cone.
 
     python -m verification.other_tests                 some five hours of a core
     python -m verification.other_tests --soils 7 8 9 --tests direct_shear
