@@ -110,7 +110,9 @@ TESTS = {
         "in a shear box 20 spheres wide", BOX, STANDARD, draws=6, read=box_numbers
     ),
     "cone_penetration": Asked(
-        "under a cone of 60 degrees, ten spheres wide at its base in a mould of 20",
+        "under a cone of 60 degrees, ten spheres wide at its base in a mould of 20, whose mean "
+        "force is read while the base is 7 to 1 mm above the surface (there the cone is 6.2 to 9.6 "
+        "spheres wide; all runs come so far, and the range was chosen after that was seen)",
         CONE,
         AT_CONE,
         draws=4,
@@ -202,7 +204,7 @@ def markdown(found: dict[str, dict], origin: dict) -> str:
         "# Tests that took no part\n\n"
         f"{len(found)} hidden soils, measured by depression depth and crushing force alone. "
         + "".join(_design(test, found) for test in TESTS)
-        + f"Each was on a packing of its own; the hidden soil's number is the mean over "
+        + "Each was on a packing of its own; the hidden soil's number is the mean over "
         f"{len(HIDDEN_ON)} others.\n\n"
         + reporting.table(header, rows)
         + "\n"

@@ -228,6 +228,7 @@ def programme(way: str, slower: float = 1.0) -> tuple[list[Segment], int]:
 
 @cache
 def column_bed(seed: int) -> PouredBed:
+    """A bed with adhesion between planes, poured once."""
     return sticky(poured(seed))
 
 
@@ -333,7 +334,7 @@ def _columns() -> str:
     return reporting.table(head, rows)
 
 
-def columns() -> str:
+def between_planes() -> str:
     """The section on columns between planes."""
     rows, found = [], {}
     for way, said in COLUMN.items():
@@ -352,7 +353,7 @@ def columns() -> str:
     )
 
 
-PARTS = {"tests": markdown, "columns": columns}
+PARTS = {"tests": markdown, "columns": between_planes}
 
 
 def main() -> None:

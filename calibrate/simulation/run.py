@@ -37,11 +37,11 @@ QUALITY = (
     "porosity",
 )
 LEAST_ACROSS = 8.0  # spheres; below, the grains are a large part of the specimen (7.5 to 20 in use)
-PRESSED_THROUGH = (
-    "a sphere that is pressed through a tool's surface does so: the soil may be too soft for the "
-    "tool's force; raise shear_modulus, or end the test at a smaller force or depth"
-)
 LEAST_AT_TOOL = 5.0  # spheres; below, forces are those of chains (tips slip between them below 3)
+PRESSED_THROUGH = (
+    "this happens where a sphere is pressed through a tool's surface, as the soil is too soft for "
+    "the tool's force; raise shear_modulus, or end the test at a smaller depth"
+)
 
 
 @dataclass(frozen=True, eq=False)
