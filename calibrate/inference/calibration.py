@@ -38,10 +38,10 @@ from calibrate.simulation.specimens import (
     Seeds,
     checked_json,
     rates_json,
+    reservations,
     soil_json,
     summary_json,
 )
-from calibrate.simulation.specimens import coarse as coarse_sentence
 from jdem.materials.soil import SoilParameters
 from jdem.sensitivity.base import AbstractStrategy
 
@@ -393,5 +393,4 @@ def fit_json(done: Calibrated) -> dict:
         "notes": begun_late(lab),
         "help": done.help,
     }
-    across = coarse_sentence(result["quality"])
-    return {**result, "warnings": warnings(result, [across] if across else [])}
+    return {**result, "warnings": warnings(result, reservations(result["quality"]))}

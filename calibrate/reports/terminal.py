@@ -10,7 +10,7 @@ from rich.text import Text
 
 from calibrate.io.lab import Lab
 from calibrate.labtests.composite import label
-from calibrate.simulation.specimens import coarse
+from calibrate.simulation.specimens import reservations
 
 ACROSS = 2  # observables that stand beside each other in a narrow window
 
@@ -29,11 +29,10 @@ def course(result: dict) -> str:
     )
 
 
-def warned_of_resolution(result: dict) -> Iterator[Text]:
-    """That the specimen is too few spheres across."""
-    warning = coarse(result["quality"])
-    if warning:
-        yield Text(f"warning: {warning}")
+def warned_of_reservations(result: dict) -> Iterator[Text]:
+    """Why the numbers are not to be trusted."""
+    for reason in reservations(result["quality"]):
+        yield Text(f"warning: {reason}")
 
 
 def warned_of_observables(result: dict) -> Iterator[Text]:

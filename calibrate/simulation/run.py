@@ -7,6 +7,7 @@ that was too large, a number that is not finite, a soil too soft to test, a mach
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from jax import Array
 
 from calibrate.labtests.composite import channel, names_observed
 from jdem.engine.bed import reach_of
+from jdem.engine.loads import boundary_overlaps
 from jdem.engine.segment import CELL
 from jdem.laboratory.virtual_lab import Outcome, VirtualLab
 from jdem.materials.soil import SoilParameters
@@ -34,10 +36,12 @@ QUALITY = (
     "repeats",
     "spheres_across",
     "tool_across",
+    "tool_overlap",
     "porosity",
 )
 LEAST_ACROSS = 8.0  # spheres; below, the grains are a large part of the specimen (7.5 to 20 in use)
 LEAST_AT_TOOL = 5.0  # spheres; below, forces are those of chains (tips slip between them below 3)
+DEEPEST_AT_TOOL = 0.5  # of the radius; at 1.0 the centre crosses, and the sphere is thrown out
 PRESSED_THROUGH = (
     "this happens where a sphere is pressed through a tool's surface, as the soil is too soft for "
     "the tool's force; raise shear_modulus, or end the test at a smaller depth"
@@ -96,6 +100,7 @@ def summary(
         "runtime_s": seconds,
         "repeats": 0.0,
         "tool_across": _tool_across(lab, packing),
+        "tool_overlap": _tool_overlap(lab, packing, outcome),
         **resolution_of(packing),
     }
     return Run(
@@ -123,7 +128,7 @@ def resolution_of(packing: Packing) -> dict[str, float]:
 
 def completed(run: Run, packing: Packing) -> Run:
     """The run with its bed's resolution, which entries of earlier caches do not hold."""
-    known = {"tool_across": np.nan} | run.quality
+    known = {"tool_across": np.nan, "tool_overlap": np.nan} | run.quality
     return replace(run, quality=known if "porosity" in known else known | resolution_of(packing))
 
 
@@ -131,6 +136,15 @@ def _tool_across(lab: VirtualLab, packing: Packing) -> float:
     """Width of the narrowest tool over the spheres' mean diameter; NaN without one."""
     widths = [test.width for test in lab.tests.apparatus if test.width]
     return min(widths, default=np.nan) / float(packing.mean_diameter())
+
+
+def _tool_overlap(lab: VirtualLab, packing: Packing, outcome: Outcome) -> float:
+    """The largest overlap of a sphere and a tool as the tests end, over the sphere's radius; NaN
+    without a tool."""
+    if not any(test.width for test in lab.tests.apparatus):
+        return np.nan
+    found = eqx.filter_jit(boundary_overlaps)(packing.spheres, outcome.record.state)
+    return float(jnp.max(found[CELL:]))
 
 
 def repeated(run: Run, before: Run) -> Run:

@@ -1,5 +1,6 @@
 """A lab's virtual tests on several packings: `calibrate simulate`, and results as plain data."""
 
+import operator
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from calibrate.simulation.campaign import Campaign
 from calibrate.simulation.executors import HERE, AbstractPlace
 from calibrate.simulation.joint import AbstractCampaign, BareCampaign, JointCampaign
 from calibrate.simulation.resolution import Preset, bare_machine, specimen, virtual_lab
-from calibrate.simulation.run import LEAST_ACROSS, LEAST_AT_TOOL, Run
+from calibrate.simulation.run import DEEPEST_AT_TOOL, LEAST_ACROSS, LEAST_AT_TOOL, Run
 from jdem.materials.catalogue import own_values
 from jdem.materials.soil import SoilParameters
 
@@ -149,25 +150,35 @@ def _wider(lab: Lab, test: AbstractLabTest) -> float:
     return float((own.diameter / own.height / slender) ** (1 / 3))
 
 
+AT_TOOL = ("tool_across", "tool_overlap")
 ACROSS = ("spheres_across", "tool_across", "porosity")
 OVER_PACKINGS = dict.fromkeys(ACROSS, np.mean) | {"repeats": np.sum}
-COARSE = {  # of a quality: of what, its least value, what follows
+FINER = "give a finer --preset for results"
+RESERVATIONS = {  # of a quality: what is beyond its limit, the limit, what is said
     "spheres_across": (
-        "the specimen", LEAST_ACROSS, "numbers and scatter depend on the size of the spheres"
+        operator.lt, LEAST_ACROSS, "the specimen is {:.1f} spheres across, below {:.0f}: numbers "
+        f"and scatter depend on the size of the spheres; {FINER}",
     ),
-    "tool_across": ("a tool", LEAST_AT_TOOL, "a few chains of spheres carry it"),
+    "tool_across": (
+        operator.lt, LEAST_AT_TOOL, "a tool is {:.1f} spheres across, below {:.0f}: a few chains "
+        f"of spheres carry it; {FINER}",
+    ),
+    "tool_overlap": (
+        operator.gt, DEEPEST_AT_TOOL, "spheres overlap a tool by {:.2f} of their radius, "
+        "above {:.1f}: contact laws hold for small overlaps, and this soil is too soft for the "
+        "tool's force; raise shear_modulus, or end the test at a smaller depth",
+    ),
 }  # fmt: skip
 
 
-def coarse(quality: dict) -> str:
-    """Where the specimen, or a tool, is too few spheres across; "" where it is not."""
-    sentences = [
-        f"{what} is {across:.1f} spheres across, below {least:.0f}: {so}; give a finer --preset "
-        "for results"
-        for name, (what, least, so) in COARSE.items()
-        if (across := quality.get(name, np.nan)) is not None and across < least
+def reservations(quality: dict) -> list[str]:
+    """Why the numbers of runs are not to be trusted: specimen or tool are too few spheres across,
+    or spheres overlap a tool too far."""
+    return [
+        said.format(value, limit)
+        for name, (beyond, limit, said) in RESERVATIONS.items()
+        if (value := quality.get(name, np.nan)) is not None and beyond(value, limit)
     ]
-    return "; ".join(sentences)
 
 
 def quality_json(runs: Sequence[Run]) -> dict:
@@ -178,8 +189,8 @@ def quality_json(runs: Sequence[Run]) -> dict:
         for name in runs[0].quality
         if name not in ("runtime_s", "steps", "overflow")
     }
-    if np.isnan(worst.get("tool_across", 0.0)):  # no test has a tool
-        del worst["tool_across"]
+    absent = [name for name in AT_TOOL if np.isnan(worst.get(name, 0.0))]  # no test has a tool
+    worst = {name: value for name, value in worst.items() if name not in absent}
     return {**worst, "overflow": any(run.quality["overflow"] > 0 for run in runs)}
 
 

@@ -17,7 +17,7 @@ from calibrate.reports.terminal import (
     course,
     observables_table,
     warned_of_observables,
-    warned_of_resolution,
+    warned_of_reservations,
 )
 from calibrate.simulation import specimens
 from calibrate.simulation.run import Run
@@ -83,7 +83,7 @@ class SimulationResult(AbstractDrawnResult):
         yield from warned_of_observables(found)
         yield from (line(f"failed: {failure}") for failure in self.failures)
         yield line(course(found))
-        yield from warned_of_resolution(found)
+        yield from warned_of_reservations(found)
 
     @property
     def drawn(self) -> tuple[tuple[Run, ...], Measured]:

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jdem.boundaries.composite import effective_radius, nearest, owner
+from jdem.boundaries.composite import effective_radius
 from jdem.core import smooth
 from jdem.core.vector import Vector
-from jdem.engine.loads import codes_met
+from jdem.engine.loads import surfaces_met
 from jdem.engine.neighbors import ContactList
 from jdem.engine.step import Bed, BedState
 from jdem.laws.base import AbstractContactLaw
@@ -80,10 +80,8 @@ def _between_spheres(bed: Bed, state: BedState) -> Contacts:
 
 def _with_walls(bed: Bed, state: BedState) -> Contacts:
     contacts = state.wall_contacts
-    one, wall = contacts.first, owner(state.boundaries, contacts.second)
-    centre = state.motion.position.at(one)
-    codes = codes_met(bed.spheres.rows(state.motion), state.boundaries, contacts)
-    seen = nearest(state.boundaries, wall, centre, codes)
+    wall, seen = surfaces_met(bed.spheres, state)
+    one, centre = contacts.first, state.motion.position.at(contacts.first)
     contact = _still(
         overlap=bed.spheres.radius[one] - seen.distance,
         normal=seen.normal,

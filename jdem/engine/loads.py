@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jdem.bodies.spheres import Spheres
+from jdem.boundaries.base import Surface
 from jdem.boundaries.composite import (
     Boundaries,
     effective_radius,
@@ -24,7 +26,7 @@ from jdem.core.kernel import entrywise
 from jdem.core.tangents import resisted
 from jdem.core.vector import Vector
 from jdem.engine.neighbors import ContactList
-from jdem.engine.state import Bed
+from jdem.engine.state import Bed, BedState
 from jdem.laws.base import AbstractContactLaw
 from jdem.mechanics.contact import Contact, ContactForce
 
@@ -106,6 +108,25 @@ def codes_met(rows: Array, boundaries: Boundaries, contacts: ContactList) -> Arr
             found = entrywise(_met, shared, (listed.entry, listed.faces), used)
             codes = codes.at[listed.entry].set(found, mode="drop")
     return codes
+
+
+def surfaces_met(spheres: Spheres, state: BedState) -> tuple[Array, Surface]:
+    """Which boundary each listed contact with one is with, and its surface nearest to the sphere;
+    arrays (contacts,)."""
+    contacts = state.wall_contacts
+    codes = codes_met(spheres.rows(state.motion), state.boundaries, contacts)
+    wall = owner(state.boundaries, contacts.second)
+    place = state.motion.position.at(contacts.first)
+    return wall, nearest(state.boundaries, wall, place, codes)
+
+
+def boundary_overlaps(spheres: Spheres, state: BedState) -> Array:
+    """The deepest overlap with each boundary over the sphere's radius, shape (boundaries,); 0
+    where none touches."""
+    contacts, (wall, surface) = state.wall_contacts, surfaces_met(spheres, state)
+    overlap = 1.0 - surface.distance / spheres.radius[contacts.first]
+    touching = jnp.where(contacts.alive > 0, jnp.maximum(overlap, 0.0), 0.0)
+    return jnp.zeros(len(state.boundaries)).at[wall].max(touching)
 
 
 def _met(shared, entries) -> Array:

@@ -280,6 +280,7 @@ def test_a_tool_in_a_bed_gives_numbers_with_their_order(tmp_path, tests):
     assert quality.get("tool_across") == (
         None if width is None else pytest.approx(width / 0.06 * quality["spheres_across"])
     )
+    assert (0 < quality["tool_overlap"] < 1) if width else ("tool_overlap" not in quality)
 
 
 def test_shear_tests_together_give_cohesion_and_friction():

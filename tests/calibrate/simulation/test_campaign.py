@@ -30,7 +30,7 @@ from calibrate.simulation import NETCDF, compiled, side_by_side, store
 from calibrate.simulation.batches import InBatches, _Queue
 from calibrate.simulation.run import QUALITY
 from calibrate.simulation.session import Session, place_of
-from calibrate.simulation.specimens import coarse, curves_json, simulation_json
+from calibrate.simulation.specimens import curves_json, reservations, simulation_json
 from calibrate.simulation.store import LENGTH, sealed, unsealed
 from tests import ROOT
 from tests.support.formulas import BASE, tiny_campaign
@@ -459,10 +459,18 @@ def test_what_a_test_records_beside_its_curve_is_kept(tmp_path):
 
 
 def test_few_spheres_across_are_said():
-    assert "4.6 spheres across" in coarse({"spheres_across": 4.6})
-    assert coarse({"spheres_across": 8.0, "tool_across": 5.0}) == coarse({}) == ""
-    both = coarse({"spheres_across": 7.0, "tool_across": 2.5})
-    assert "specimen is 7.0" in both and "tool is 2.5 spheres across, below 5" in both
+    (said,) = reservations({"spheres_across": 4.6})
+    assert "specimen is 4.6 spheres across, below 8" in said
+    assert reservations({"spheres_across": 8.0, "tool_across": 5.0}) == reservations({}) == []
+    specimen_said, tool_said = reservations({"spheres_across": 7.0, "tool_across": 2.5})
+    assert "specimen is 7.0" in specimen_said
+    assert "tool is 2.5 spheres across, below 5" in tool_said
+
+
+def test_spheres_that_overlap_a_tool_too_far_are_said():
+    (said,) = reservations({"tool_overlap": 0.71})
+    assert "by 0.71 of their radius, above 0.5" in said
+    assert reservations({"tool_overlap": 0.49}) == reservations({"tool_overlap": None}) == []
 
 
 def test_a_session_in_single_precision_simulates_in_it(tmp_path):

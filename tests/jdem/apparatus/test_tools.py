@@ -30,6 +30,7 @@ from jdem.core.quantity import cast
 from jdem.core.smooth import Smoothing
 from jdem.core.vector import Vector
 from jdem.engine.bed import Numerics, build_bed, plan_grid
+from jdem.engine.loads import boundary_overlaps
 from jdem.engine.loop import begun, run
 from jdem.engine.segment import CELL, PLATEN, REMOVE, stack
 from jdem.laboratory.virtual_lab import TestSequence, VirtualLab
@@ -167,6 +168,14 @@ def test_a_box_reads_the_friction_of_a_block_and_the_resistance_of_a_roller(roll
     expected = friction * force if slides else rolled
     assert found["residual_shear_stress"] == pytest.approx(expected, rel=2e-3)
     assert found["plane_stress"] == pytest.approx(force + WEIGHT, rel=1e-3)
+
+
+def test_overlaps_with_boundaries_are_those_of_their_forces(pressed):
+    state = pressed.record.state
+    found = boundary_overlaps(Spheres(jnp.full(1, RADIUS), jnp.full(1, 1.0)), state)
+    push = np.maximum(np.asarray(state.wall_force), 0.0)
+    assert push[0] > push[CELL] > 0.0
+    np.testing.assert_allclose(RADIUS * found, (push / HERTZ) ** (2 / 3), rtol=0.01)
 
 
 def test_what_pushes_is_what_the_base_feels(pressed):
