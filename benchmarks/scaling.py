@@ -8,7 +8,7 @@ the processor's clock, with the lists rebuilt as often as in a test.
 
     python benchmarks/scaling.py                      some five minutes of a core
     python benchmarks/scaling.py --spheres 2000 50000
-    python benchmarks/scaling.py --parts              where the time goes: twelve minutes
+    python benchmarks/scaling.py --parts              where the time goes: 12 to 20 minutes
 
 With --parts, beds of soil of 500, 2000 and 10,000 spheres that a platen loads: each part of a step
 by itself, as often as a step does it.  Writes a section of benchmarks/results/README.md.
