@@ -50,7 +50,8 @@ class DirectShear(AbstractApparatus):
     lower and upper are the halves; area (m2) is that of the plane.  The lid (the cell's platen)
     follows its force at lid_speed (m/s) at most, with servo_width (N) and response (s) as in
     `Segment`; resting_damping (1/s) acts while the specimen consolidates.  The peak is taken of
-    the force averaged over peak_rows samples.
+    the force averaged over peak_rows samples, and rounded over `PEAK_WIDTH` of the lid's force:
+    of a force that rises to the end it is that much too low.
     """
 
     lower: tuple[Tool, ...]
